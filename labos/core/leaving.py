@@ -16,7 +16,7 @@ import msgspec
 from labos.core.algebra import away_from_rest, carry, settings_after
 from labos.core.branches import order_of
 from labos.core.effects import Needs, Requires, Sets, list_carried
-from labos.core.ids import ModuleName, StationName, run_owner
+from labos.core.ids import ModuleName, Owner, StationName, run_owner
 from labos.core.model import ON_CANCEL, Plan, PlanStep
 from labos.core.runs import RunState, RunStatus
 from labos.core.state import LabState
@@ -55,13 +55,14 @@ def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
     found = []
     for index in order_of(plan, steps_out(plan)):
         step = plan.steps[index]
-        if _is_needed(step, scene):
+        if is_needed(step, scene):
             found.append(index)
-            _carry_out(step, scene)
+            carry_out(step, scene)
     return tuple(found)
 
 
-def _is_needed(step: PlanStep, scene: Scene) -> bool:
+def is_needed(step: PlanStep, scene: Scene) -> bool:
+    """Whether a step of a way out finds something to do."""
     for what in list_carried(step.effects):
         if what.stands:
             return all(scene.standing[place] > 0 for place in what.stands)
@@ -81,7 +82,8 @@ def _is_needed(step: PlanStep, scene: Scene) -> bool:
     return does_more or not doors or any(now.get(name) != value for name, value in doors.items())
 
 
-def _carry_out(step: PlanStep, scene: Scene) -> None:
+def carry_out(step: PlanStep, scene: Scene) -> None:
+    """Make a scene what a step leaves."""
     for what in list_carried(step.effects):
         carry(scene, what)
     doors = settings_after(step.effects).variables
@@ -94,20 +96,25 @@ def _carry_out(step: PlanStep, scene: Scene) -> None:
 
 def scene_of(state: LabState, run: RunState) -> Scene:
     """What a run finds on the bench."""
-    own = state.bench.list_owned(run_owner(run.id))
-    cell = state.runs.plan_of(run).workcell
-    modules = state.modules.within(cell)
-    left = {
+    scene = look_at(state, state.runs.plan_of(run).workcell, run_owner(run.id))
+    scene.left = {
         name
-        for name, module in modules
+        for name, module in state.modules.within(state.runs.plan_of(run).workcell)
         if any(left.by == run.id for left in module.away_from_rest().values())
     }
+    return scene
+
+
+def look_at(state: LabState, cell: str, owner: Owner) -> Scene:
+    """What somebody's labware finds in a workcell."""
+    places = [item.station for item in state.bench.list_owned(owner) if item.station]
+    modules = state.modules.within(cell)
     return Scene(
-        Counter(StationName(item.station) for item in own if item.station),
+        Counter([name for place in places for name in {place, state.bench.as_planned(place)}]),
         {name: state.bench.stations[name].spec.module for name in state.bench.in_cell.get(cell, ())},
         {name: module.values for name, module in modules},
         {name: module.spec.rest for name, module in modules},
-        left,
+        set(),
     )
 
 

@@ -41,7 +41,7 @@ def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wa
     left = [s for s, at in zip(plan.steps, run.steps, strict=True) if at.status not in SETTLED]
     dead = {s.module for s in left if down(state, s.module)}
     wanted = _find_wanted(state, run)
-    actor = safety.actor(state, run, tail=False)
+    actor = safety.actor(state, run)
     floor = lay_out(state, plan.workcell, [actor], hopeful=True)
     if not wanted.isdisjoint(_find_kept(floor, actor)):
         return None  # it is in the way here too

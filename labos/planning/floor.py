@@ -25,7 +25,8 @@ class Actor(msgspec.Struct):
     """Somebody with labware and a way to go. ``own`` counts its labware by station; of what the
     owners of its ``inputs`` have it may use what nobody has used before. ``stuck``: it cannot
     reach its end whatever the others do (paused, needs a dead module, has uncertain labware).
-    ``parks``: its experiment is open; only its application knows when it closes. Behind its ``motions``
+    ``parks``: its experiment is open; only its application knows when it closes. ``home``: the experiment
+    whose closing workflow waits for its end. Behind its ``motions``
     the way may fork (``forks``); ``done`` counts the motions, and the forks as one. ``kept``: what must stay
     free for what it has in flight, as that may fail."""
 
@@ -39,6 +40,7 @@ class Actor(msgspec.Struct):
     parks: bool = False
     forks: tuple[Branch, ...] = ()
     kept: tuple[Motion, ...] = ()
+    home: Owner = Owner("")
 
     @property
     def length(self) -> int:

@@ -22,9 +22,9 @@ from labos.core.effects import NOWHERE, Relid, Unlid
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
-from labos.planning.floor import UNSETTLED, Actor, Branch, Floor, change_claim
+from labos.planning.floor import OTHERS, UNSETTLED, Actor, Branch, Floor, change_claim
 from labos.planning.moves import Taken, may_move, move, take_back
-from labos.planning.paths import FORKED, Motion, Path, carry
+from labos.planning.paths import FORKED, Motion, Path, carry, left_by
 
 FORK = Motion(FORKED)
 
@@ -44,10 +44,16 @@ class Ends(msgspec.Struct):
 
 
 def futures(
-    path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus], tail: tuple[Motion, ...]
+    path: Path,
+    plan: Plan,
+    run: RunState,
+    steps: Sequence[StepStatus],
+    tail: tuple[Motion, ...],
+    failing: tuple[Motion, ...] = (),
 ) -> tuple[tuple[Motion, ...], tuple[Branch, ...]]:
     """What is left of a way that forks, given the states of the run's steps: the motions before the first
-    fork, and the branches behind it. ``tail`` follows at the end of each."""
+    fork, and the branches behind it. ``tail`` follows at the end of each, ``failing`` at the end of those on
+    which the run fails."""
     troubles, known = _list_failed(run), find_decided(plan, steps, results_of(plan, run))
     over = {
         index
@@ -66,7 +72,7 @@ def futures(
     for way, motions in possible:
         left = tuple(motion for motion in motions if motion.step not in over)
         outcome = [motion for index in flying for motion in _outcome(path, way, motions, index)]
-        whole = (*outcome, *left, *tail)
+        whole = (*outcome, *left, *(failing if way.fails else tail))
         branches[whole] = branches.get(whole, True) and way.fails
     lists = list(branches)
     common = 0
@@ -188,10 +194,11 @@ def finish(floor: Floor, actor: Actor) -> Ends | None:
             ends.append({number: dict(table) for number, table in enumerate(_tables(floor, actor))})
     if not lasting:
         _back(floor, actor, last)
-        last = []
+        hands_over = [motion for branch in actor.forks[:1] for motion in branch.motions if motion.heir]
+        last = [(motion, move(floor, actor, motion)) for motion in hands_over]
     changes: list[Change] = []
     for number, table in enumerate(_tables(floor, actor)):
-        worst = max if number < 2 else min
+        worst = max if number < 3 else min
         for end in ends:
             for key in end[number].keys() | table.keys():
                 value = worst(table.get(key, 0), end[number].get(key, 0))
@@ -219,15 +226,18 @@ def unfinish(floor: Floor, actor: Actor, ends: Ends) -> None:
 
 
 def _tables(floor: Floor, actor: Actor) -> list[dict[Any, int]]:
-    """Counts of which the others would rather see less (two), then those of which they want more."""
+    """Counts of which the others would rather see less (three), then those of which they want more."""
     pools = [floor.pools[owner] for owner in actor.inputs if owner in floor.pools]
-    return [floor.count, actor.own, floor.stock, *pools]
+    left = floor.pools.setdefault(left_by(actor.home), {}) if actor.home else {}
+    return [floor.count, actor.own, left, floor.stock, *pools]
 
 
 def _claim(floor: Floor, actor: Actor, changes: list[Change], sign: int) -> None:
     for table, key, change in changes:
         if table is actor.own:
             change_claim(floor, key, actor.name, sign * change)
+        elif actor.home and table is floor.pools.get(left_by(actor.home)):
+            change_claim(floor, key, OTHERS, sign * change)
 
 
 def _back(floor: Floor, actor: Actor, trail: list[tuple[Motion, Taken | None]]) -> None:

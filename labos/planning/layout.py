@@ -133,10 +133,10 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             if place in floor.piles and place != item.station:
                 coming.append((place, holders.get(item.owner, item.owner)))
             change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
-            if item.owner not in holders and (item.owner == SHARED or item.owner.startswith("user:")):
+            if item.owner not in holders and _is_pool(item.owner):
                 pool = floor.pools.setdefault(item.owner, {})
                 pool[place] = pool.get(place, 0) + 1
-            if item.lender == SHARED or item.lender.startswith("user:"):
+            if _is_pool(item.lender):
                 floor.pools.setdefault(item.lender, {})
                 if item.owner in holders:
                     who = holders[item.owner]
@@ -159,7 +159,19 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
         keep(floor, actor, actor.kept)
+        let_in(floor, actor)
     return floor
+
+
+def let_in(floor: Floor, actor: Actor) -> None:
+    """Its experiment's closing workflow waits for its end."""
+    if actor.home:
+        floor.held.setdefault(actor.home, {})[actor.name] = "inside"
+
+
+def _is_pool(owner: Owner) -> bool:
+    """Whether labware of an owner is there for several runs."""
+    return owner == SHARED or owner.startswith(("user:", "experiment:"))
 
 
 def keep(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:

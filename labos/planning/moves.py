@@ -14,8 +14,8 @@ from labos.core.algebra import (
 from labos.core.binding import same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
-from labos.planning.floor import OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim
-from labos.planning.paths import ClosingStep, Motion, door_key, find_kept_module, guards
+from labos.planning.floor import OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim, is_closing
+from labos.planning.paths import Motion, door_key, find_kept_module, guards
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -64,6 +64,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether the motion is possible on this floor."""
     if motion.back:
         return _may_go_back(floor, actor, motion)
+    if is_closing(motion) and _is_left_out(floor, actor, motion):
+        return True
     if motion.wants and not all(_is_set(floor, key, value) for key, value in motion.wants):
         return False
     if not motion.target:
@@ -74,8 +76,6 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
             return False
         return not motion.needs or all(find_usable_place(floor, actor, places) for places in motion.needs)
     mover = Mover(floor, actor)
-    if isinstance(motion.step, ClosingStep) and _nothing_to_clear(mover, motion):
-        return True
     if motion.uses and not may_use(floor, actor, motion.uses):
         return False
     return check_standing(mover, motion) is None and check_reaching(mover, motion) is None
@@ -112,12 +112,15 @@ def _usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None
     return [*owners[:1]]
 
 
-def _nothing_to_clear(mover: Mover, motion: Motion) -> bool:
-    """Whether a motion of a closing workflow is left out, as nothing stands there."""
-    for place in motion.stands:  # noqa: SIM110  (asked too often for a generator)
-        if mover.stands(motion, place):
+def _is_left_out(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether a motion of a closing workflow is left out, as nothing stands there that has to be cleared away
+    or that it works on."""
+    owners = [o for o in actor.inputs if actor.name in actor.inputs and o in floor.pools]
+    for place in motion.stands:
+        there = actor.own.get(place, 0) + sum(floor.pools[owner].get(place, 0) for owner in owners)
+        if there < motion.stands.count(place):
             return True
-    return False
+    return not all(find_usable_place(floor, actor, places) for places in motion.needs)
 
 
 def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
@@ -201,13 +204,15 @@ def _usable_at_claim(floor: Floor, actor: Actor, claim: str) -> int:
 
 
 class Held(msgspec.Struct):
-    """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it, and
-    which plates have become its own (1), or are not any more (-1), out of which pool."""
+    """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it,
+    which plates have become its own (1), or are not any more (-1), out of which pool, and how much it left
+    to whose pool where, and which of what lies on a stack that was."""
 
     keys: list[tuple[str, bool, Any]] = []
     values: list[tuple[str, Any]] = []
     lent: Loans = ()
     plates: list[tuple[StationName, Counts, int]] = []
+    given: list[tuple[StationName, Counts, int, list[int]]] = []
 
 
 Taken = tuple[Counts, str, Counts | None, Loans] | Held
@@ -221,10 +226,10 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     if motion.back:
         _go_back(floor, actor, motion, 1)
         return {}, "", None, floor.lent.get(actor.name, ())
+    if is_closing(motion) and _is_left_out(floor, actor, motion):
+        return None
     if not target:
         return _hold(floor, actor, motion)
-    if isinstance(motion.step, ClosingStep) and _nothing_to_clear(Mover(floor, actor), motion):
-        return None
     counts: Counts = {}
     who, lent = "", floor.lent.get(actor.name, ())
     if motion.emptied:
@@ -270,6 +275,10 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
             floor.values[key] = value
         for place, whose, sign in reversed(taken.plates):
             _change_owner(floor, actor, place, whose, -sign)
+        for place, heir, number, left in taken.given:
+            _give(floor, actor, place, heir, -number)
+            for index in left:
+                floor.piles[place][index] = actor.name
         if motion.needs or motion.returns:
             floor.lent[actor.name] = taken.lent
         return
@@ -377,7 +386,29 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> Held | None:
             _change_owner(floor, actor, place, pool, -1)
             before.plates.append((place, pool, -1))
         floor.lent[who] = ()
+    if motion.heir:
+        _leave_all(floor, actor, motion.heir, before)
     return before
+
+
+def _leave_all(floor: Floor, actor: Actor, heir: Owner, before: Held) -> None:
+    """All that an actor has belongs to somebody else."""
+    pool = floor.pools.setdefault(heir, {})
+    for place, number in actor.own.items():
+        if number:
+            _give(floor, actor, place, pool, number)
+            left = [index for index, owner in enumerate(floor.piles.get(place, ())) if owner == actor.name]
+            before.given.append((place, pool, number, left))
+            for index in left:
+                floor.piles[place][index] = heir
+
+
+def _give(floor: Floor, actor: Actor, place: StationName, pool: Counts, number: int) -> None:
+    """So much of an actor's labware at a place belongs to a pool from now on."""
+    pool[place] = pool.get(place, 0) + number
+    actor.own[place] -= number
+    change_claim(floor, place, OTHERS, number)
+    change_claim(floor, place, actor.name, -number)
 
 
 def _borrow(floor: Floor, actor: Actor, place: StationName, before: Held, *, keeps: bool) -> None:

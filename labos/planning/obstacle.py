@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from labos.core.algebra import check_carrying
 from labos.core.binding import same
-from labos.core.ids import ModuleName, StationName, experiment_owner, local
+from labos.core.ids import ModuleName, StationName, local
 from labos.core.reasons import NoWayOut
 from labos.core.runs import RunState
 from labos.core.state import LabState
@@ -20,7 +20,7 @@ from labos.planning.floor import Actor, Floor
 from labos.planning.layout import lay_out
 from labos.planning.moves import Mover, find_usable_place, may_move, move
 from labos.planning.paths import Motion, door_key, find_kept_module, hold_key
-from labos.planning.safety import Safety, View, as_seen, closes
+from labos.planning.safety import Safety, View, as_seen
 from labos.planning.witness import fresh, greedy
 
 
@@ -37,9 +37,7 @@ def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
     actors = safety.actors(state, plan.workcell)
     mover = next((actor for actor in actors if actor.name == run.id), None)
     if mover is None:
-        alone = closes(state, run)
-        mover = safety.actor(state, run, tail=alone)
-        actors = [actor for actor in actors if not alone or actor.name != experiment_owner(run.experiment)]
+        *actors, mover = safety.with_newcomer(state, run, actors)
     others = [actor for actor in actors if actor is not mover]
     cell = plan.workcell
     for view in (View(cell), View(cell, hopeful=True), View(cell, hopeful=True, closing=True)):
@@ -57,12 +55,13 @@ def _find_obstacle(state: LabState, run: RunState, mover: Actor, others: Sequenc
     floor = lay_out(state, view.cell, [*others, mover], hopeful=view.hopeful)
     gone = [fresh(actor) for actor in others if not actor.stuck]
     greedy(floor, gone, [])
-    walker = fresh(mover)
-    for motion in walker.motions:
-        if not may_move(floor, walker, motion):
-            key = plan.steps[motion.step].key if isinstance(motion.step, int) else "the closing workflow"
-            return f"{key!r} {_why(state, floor, walker, motion, gone)}"
-        move(floor, walker, motion)
+    closings = [actor for actor in gone if actor.name == mover.home and not actor.done]
+    for walker in (fresh(mover), *closings):
+        for motion in walker.motions:
+            if not may_move(floor, walker, motion):
+                key = plan.steps[motion.step].key if isinstance(motion.step, int) else "the closing workflow"
+                return f"{key!r} {_why(state, floor, walker, motion, gone)}"
+            move(floor, walker, motion)
     return ""
 
 

@@ -138,7 +138,7 @@ def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safet
     for name in dict.fromkeys(names):
         queued = state.runs.queued.get(RunId(name))
         if queued is not None and name not in inside:
-            actors.append(safety.actor(state, queued, tail=True))
+            actors = safety.with_newcomer(state, queued, actors)
     return [as_seen(actor, view) for actor in actors]
 
 

@@ -26,7 +26,7 @@ from labos.core.effects import (
     hand_of,
     list_carried,
 )
-from labos.core.ids import ModuleName, StationName
+from labos.core.ids import ModuleName, Owner, StationName
 from labos.core.model import Plan, PlanStep
 
 END: Final = "end"
@@ -48,6 +48,13 @@ workflow behind the run."""
 
 Values = Mapping[str, Any]
 
+
+def left_by(experiment: Owner) -> Owner:
+    """Whose on a floor is what the runs of an experiment leave when they end: its closing workflow clears it
+    away, and no other run counts on it."""
+    return Owner(f"left by {experiment}")
+
+
 Settings = tuple[tuple[str, Any], ...]
 """Variables of modules, by their keys, and values of them."""
 
@@ -62,7 +69,7 @@ class Motion(msgspec.Struct, frozen=True):
     those that they have afterwards; doors and lids, which have a rest, are held instead. What ``recovers`` a
     module asks nobody who holds something. ``back``: it is known how something in flight ended. It failed,
     and its labware is at ``target`` (as before on a stack, if ``new``) instead of at ``source``; or without a
-    ``target``, ``source`` need not be kept free for it any more.
+    ``target``, ``source`` need not be kept free for it any more. ``heir``: who has what the run had.
 
     What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
     asked before any of it is done, so they stand with its first motion: where it needs labware or room
@@ -79,6 +86,7 @@ class Motion(msgspec.Struct, frozen=True):
     needs: tuple[tuple[StationName, ...], ...] = ()
     keeps: bool = False
     returns: bool = False
+    heir: Owner = Owner("")
     wants: Settings = ()
     sets: Settings = ()
     recovers: bool = False
@@ -97,7 +105,8 @@ class Motion(msgspec.Struct, frozen=True):
     def changes_anything(self) -> bool:
         """Whether labware stands elsewhere after it or belongs to somebody else, or somebody holds something
         else."""
-        return bool(self.target or self.grabs or self.frees or self.needs or self.returns or self.sets)
+        lets_go = self.frees or self.returns or self.heir
+        return bool(self.target or self.grabs or lets_go or self.needs or self.sets)
 
 
 def carry(

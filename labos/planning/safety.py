@@ -12,8 +12,10 @@ is stuck: so nobody's way is blocked for good while they were out. And as only i
 an open experiment closes, what it has parked stays in one view, so that nobody inside waits for that;
 in another it closes, so that the closing workflow can always be run.
 
-Actors are the runs inside the cell, each followed by its experiment's closing workflow, and
-experiments that have parked labware between runs. Everybody's labware beside is an obstacle.
+Actors are the runs inside the cell, and the closing workflows of their experiments and of those that have
+parked labware between runs. A closing workflow waits for all runs of its experiment, and clears away what
+they leave; where nothing stands, it does nothing. What an experiment has parked each of its runs may take.
+Everybody's labware beside is an obstacle.
 """
 
 from __future__ import annotations
@@ -40,10 +42,10 @@ from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, st
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Branch, Floor, is_closing
 from labos.planning.forks import find_kept, futures, motions_of
-from labos.planning.layout import down, find_standing, keep, lay_out
+from labos.planning.layout import down, find_standing, keep, lay_out, let_in
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
-from labos.planning.paths import FORKED, ClosingStep, Motion, Path, path_of
+from labos.planning.paths import END, FORKED, ClosingStep, Motion, Path, left_by, path_of
 from labos.planning.stuck import find_block, reaches_into
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
@@ -152,8 +154,7 @@ class Safety:
         it comes out itself."""
         name, cell = str(run.id), state.runs.plan_of(run).workcell
         old = self.actors(state, cell)
-        tail = any(actor.name == name and len(actor.owners) > 1 for actor in old)
-        new = [self.actor(state, run, tail=tail) if actor.name == name else actor for actor in old]
+        new = [self.actor(state, run) if actor.name == name else actor for actor in old]
         for view in dict.fromkeys((*self._views(state, run, cell, old), *self._views(state, run, cell, new))):
             before = [as_seen(actor, view) for actor in old]
             known = self._before(lay_out(state, cell, before, hopeful=view.hopeful), before, view)
@@ -172,7 +173,7 @@ class Safety:
         path = self.path(state, run.plan)
         if path.ways or path.changing:
             return False
-        newcomer = self.actor(state, run, tail=False)
+        newcomer = self.actor(state, run)
         floor = lay_out(state, cell, [newcomer], hopeful=False)
         return not newcomer.stuck and all(may_move(floor, newcomer, motion) for motion in path.motions)
 
@@ -205,11 +206,15 @@ class Safety:
         to_end = set(known.ends)
         floor = ground
         if not run.has_started:
-            actors = self._with_newcomer(state, run, actors, view)
-            to_end = {actor for actor in to_end if actor != experiment_owner(run.experiment)} | {name}
-            if any(state.bench.list_owned(owner) for owner in actors[-1].owners):
-                # Others' labware is its own now.
-                floor = lay_out(state, view.cell, actors, hopeful=view.hopeful)
+            before = {actor.name for actor in actors}
+            actors = [
+                actor if actor.name in before else as_seen(actor, view)
+                for actor in self.with_newcomer(state, run, actors)
+            ]
+            inside = {actor.name for actor in actors}
+            coming = {actor.name for actor in actors if not actor.stuck} - before
+            to_end = (to_end & inside) | coming | {name}
+            let_in(floor, actors[-1])
         mover = next(actor for actor in actors if actor.name == name)
         path = self.path(state, run.plan)
         forks = bool(path.ways) and run.status != RunStatus.LEAVING
@@ -221,8 +226,9 @@ class Safety:
             plan = state.runs.plan_of(run)
             steps = statuses_of(plan, run)
             steps[step] = IN_FLIGHT
-            tail = self._tail(state, run, mover.owners) if view.closing or not mover.parks else ()
-            mover.motions, mover.forks = futures(path, plan, run, steps, tail)
+            failing = self._failing(state, run)
+            failing = failing if view.closing or not mover.parks else _without_closing(failing)
+            mover.motions, mover.forks = futures(path, plan, run, steps, _end(mover.home), failing)
             keep(floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step])
             if known.witness and known.witness[0] == (name, FORKED):
                 here = [fresh(actor) for actor in actors]
@@ -266,81 +272,93 @@ class Safety:
         known = self._known[view] = Known(stuck, witness, frozenset(ends))
         return known
 
-    def _with_newcomer(self, state: LabState, run: RunState, actors: list[Actor], view: View) -> list[Actor]:
-        """The actors with a run that is not inside yet; it takes over its experiment's closing."""
-        closing = experiment_owner(run.experiment)
-        tail = closes(state, run)
-        others = [actor for actor in actors if not (tail and actor.name == closing)]
-        return [*others, as_seen(self.actor(state, run, tail=tail), view)]
+    def with_newcomer(self, state: LabState, run: RunState, actors: Sequence[Actor]) -> list[Actor]:
+        """The actors with a run that is not inside yet, as the last one; and with its experiment's closing
+        workflow, unless it is that."""
+        home = experiment_owner(run.experiment)
+        others = [actor for actor in actors if not (run.closing and actor.name == home)]
+        if _waits_for(state, run) and all(actor.name != home for actor in others):
+            others.append(self._closing(state, run.experiment))
+        return [*others, self.actor(state, run)]
 
     # -- actors ------------------------------------------------------------------------------
 
     def actors(self, state: LabState, cell: str) -> list[Actor]:
         """Everybody who has something on the bench of a workcell or is on the way to it."""
-        actors: list[Actor] = []
-        tailed: set[ExperimentId] = set()
-        for run in state.runs.inside(cell):
-            tail = bool(run.experiment) and run.experiment not in tailed
-            tailed.add(run.experiment)
-            actors.append(self.actor(state, run, tail=tail))
+        inside = list(state.runs.inside(cell))
+        actors = [self.actor(state, run) for run in inside]
+        homes = {run.experiment for run in inside}
+        closing = {run.experiment for run in inside if run.closing}
+        stuck = {actor.home for actor in actors if actor.stuck}
         for name in state.runs.closings_in.get(cell, ()):
-            experiment = state.experiments.open[name]
             owner = experiment_owner(name)
-            if name in tailed or not state.bench.list_owned(owner):
-                continue
-            path = self.path(state, experiment.closing)
-            own, lost = find_standing(state, (owner,))
-            reached = [place for motion in path.motions for place in (motion.source, motion.target)]
-            modules = [module for _, module in path.modules]
-            dead = any(down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
-                module.cut_off and reaches_into(state, module.spec.name, reached)
-                for _, module in state.modules.within(cell)
-            )
-            parks = experiment.status == ExperimentStatus.OPEN
-            actors.append(Actor(owner, (owner,), _make_closing(path), own, stuck=lost or dead, parks=parks))
+            if name not in closing and (name in homes or state.bench.list_owned(owner)):
+                actor = self._closing(state, name)
+                actor.stuck = actor.stuck or owner in stuck
+                actors.append(actor)
         return actors
 
-    def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
-        """A run as an actor: what is left of its way, its experiment's closing way behind it."""
+    def _closing(self, state: LabState, name: ExperimentId) -> Actor:
+        """The closing workflow of an experiment as an actor."""
+        experiment, owner = state.experiments.open[name], experiment_owner(name)
+        path = self.path(state, experiment.closing)
+        reached = [place for motion in path.motions for place in (motion.source, motion.target)]
+        modules = [module for _, module in path.modules]
+        cell = state.runs.plans[experiment.closing].plan.workcell
+        dead = any(down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
+            module.cut_off and reaches_into(state, module.spec.name, reached)
+            for _, module in state.modules.within(cell)
+        )
+        motions = _make_closing(path)
+        waits = [Motion(motion.step, grabs=((owner, None),)) for motion in motions[:1]]
+        return Actor(
+            owner,
+            (),
+            (*waits, *motions),
+            {},
+            (owner, left_by(owner)),
+            stuck=dead or find_standing(state, (owner,))[1],
+            parks=experiment.status == ExperimentStatus.OPEN,
+        )
+
+    def actor(self, state: LabState, run: RunState) -> Actor:
+        """A run as an actor: what is left of its way. At its end, its experiment has what it leaves."""
         path, plan = self.path(state, run.plan), state.runs.plan_of(run)
         # What may have been done is taken for done, as the floor has it.
         states = [IN_FLIGHT if status == UNKNOWN else status for status in statuses_of(plan, run)]
         over = {i for i, status in enumerate(states) if status in OVER}
-        owners = [run_owner(run.id)]
         experiment = state.experiments.open.get(run.experiment)
-        if experiment is not None and tail:
-            owners.append(experiment_owner(experiment.id))
-        behind = self._tail(state, run, owners)
+        owner = experiment_owner(run.experiment)
+        home = owner if _waits_for(state, run) else Owner("")
+        end = _end(home)
         forks: tuple[Branch, ...] = ()
         kept: Sequence[Motion] = ()
-        motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
+        motions = (*(motion for motion in path.motions if motion.step not in over), *end)
         if run.status == RunStatus.LEAVING:
-            motions = (*find_way_out(state, run, *_rules(state, plan.workcell)), *behind)
+            motions = (*find_way_out(state, run, *_rules(state, plan.workcell)), *end)
         elif path.ways:
-            motions, forks = futures(path, plan, run, states, behind)
+            motions, forks = futures(path, plan, run, states, end, self._failing(state, run))
             kept = find_kept(path, plan, run, states)
-        own, lost = find_standing(state, owners)
+        own, lost = find_standing(state, (run_owner(run.id),))
         return Actor(
             str(run.id),
-            tuple(owners),
+            (run_owner(run.id),),
             motions,
             own,
-            (user_owner(run.user), SHARED),
+            (*([owner] if experiment is not None else []), user_owner(run.user), SHARED),
             stuck=lost or find_block(state, run) is not None,
-            parks=bool(behind) and experiment is not None and experiment.status == ExperimentStatus.OPEN,
+            parks=bool(home) and experiment is not None and experiment.status == ExperimentStatus.OPEN,
             forks=forks,
             kept=tuple(kept),
+            home=home,
         )
 
-    def _tail(self, state: LabState, run: RunState, owners: Sequence[Owner]) -> tuple[Motion, ...]:
-        """The closing workflow behind a run that takes its experiment's labware along."""
-        experiment = state.experiments.open.get(run.experiment)
-        if experiment is None or experiment_owner(experiment.id) not in owners:
+    def _failing(self, state: LabState, run: RunState) -> tuple[Motion, ...]:
+        """What follows when a run has failed: the closing workflow has to be possible then, too."""
+        if not _waits_for(state, run):
             return ()
-        clears = bool(experiment.closing) and not run.closing
-        if clears and state.runs.plans[experiment.closing].plan.workcell != state.runs.plan_of(run).workcell:
-            return ()  # it closes in another workcell
-        return _make_closing(self.path(state, experiment.closing)) if clears else ()
+        closing = self.path(state, state.experiments.open[run.experiment].closing)
+        return (*_make_closing(closing), *_end(experiment_owner(run.experiment)))
 
     # -- searching ---------------------------------------------------------------------------
 
@@ -372,10 +390,15 @@ class Safety:
         return tuple(order), ends
 
 
-def closes(state: LabState, run: RunState) -> bool:
-    """Whether a run that is let in takes over the closing of its experiment: no other run of it is active."""
-    experiment = state.experiments.open.get(run.experiment)
-    return experiment is not None and not any(name in state.runs.active for name in experiment.runs)
+def _waits_for(state: LabState, run: RunState) -> bool:
+    """Whether a closing workflow in the same workcell waits for the end of a run."""
+    cell = state.runs.plan_of(run).workcell
+    return not run.closing and run.experiment in state.runs.closings_in.get(cell, ())
+
+
+def _end(home: Owner) -> tuple[Motion, ...]:
+    """The end of a run whose experiment's closing workflow waits for it."""
+    return (Motion(END, frees=(home,), heir=left_by(home)),) if home else ()
 
 
 Rules = tuple[
@@ -416,9 +439,8 @@ def as_seen(actor: Actor, view: View) -> Actor:
     if view.hopeful:
         seen.stuck = False
     if actor.parks and not view.closing:
-        seen.motions = _without_closing(actor.motions)
         seen.forks = tuple(Branch(_without_closing(fork.motions), fork.fails) for fork in actor.forks)
-        seen.stuck = seen.stuck or actor.name == actor.owners[-1]  # an experiment between its runs
+        seen.stuck = seen.stuck or not actor.home  # the closing workflow itself
     return seen
 
 

@@ -74,15 +74,11 @@ def cases(seeds: Iterable[int] = SEEDS) -> list[Case]:
 def carry_out(case: Case, samples: int = SAMPLES) -> Told:
     """One experiment in a lab of its own."""
     sys.path.append(str(specs_folder() / "apps" / "color_picker"))
-    from color_picker import FLOWS, PARKING, Search, Wanted
+    from color_picker import FLOWS, Search, Wanted, parkings_of
 
     from tests.apps.virtual_lab import VirtualExperiment, VirtualLab
 
     with VirtualLab("rpl_picker", case.seed) as lab:
-        experiments = [
-            VirtualExperiment(lab, handler, "bo", closing=FLOWS / "trash_plate.yaml", parking=parking)
-            for handler, parking in zip(HANDLERS[: case.handlers], PARKING, strict=False)
-        ]
         began = lab.now_ns()
         wanted = Wanted(
             TARGET,
@@ -93,7 +89,10 @@ def carry_out(case: Case, samples: int = SAMPLES) -> Told:
             handlers=list(HANDLERS[: case.handlers]),
             bad_pictures="leave_out",
         )
-        search = Search(lab, experiments, wanted, case.seed)  # type: ignore[arg-type]
+        experiment = VirtualExperiment(
+            lab, "color picker", "bo", closing=FLOWS / "trash_plates.yaml", parkings=parkings_of(wanted)
+        )
+        search = Search(lab, experiment, wanted, case.seed)  # type: ignore[arg-type]
         search.run()
     found = sorted(search.samples, key=lambda sample: sample.mixed_at)
     best = np.minimum.accumulate([sample.distance for sample in found])

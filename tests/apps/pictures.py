@@ -58,8 +58,8 @@ def draw_color_picker() -> Figure:
     from color_picker import WELLS
     from color_report import Sample, draw_samples
     from color_solvers import distance, solver_of
-    from plate_reading import read_plate
 
+    from labos.client.plate_reading import read_plate
     from tests.apps.plates import Plate
 
     plate, solver, samples = Plate(), solver_of("evolutionary", GREY, 3), list[Sample]()

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from random import Random
 
 from color_solvers import Mixture
-from plate_reading import Color
 
+from labos.client.plate_reading import Color
 from labos.node import World
 from labos_drivers.camera.photo import take_photo
 from labos_drivers.camera.sketch import as_file, colors_of, draw_placement, sketch

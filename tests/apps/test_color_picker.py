@@ -6,14 +6,13 @@ from itertools import pairwise
 from pathlib import Path
 from random import Random
 from statistics import median
-from typing import Any
 
 import numpy as np
 import pytest
-from color_picker import FLOWS, PARKING, WELLS, Search, Wanted, read_wanted
+from color_picker import FLOWS, WELLS, Search, Wanted, parkings_of, read_wanted
 from color_solvers import LEAST_UL, MOST_UL, SOLVERS, Mixture, distance, solver_of
-from plate_reading import BadPicture, read_plate
 
+from labos.client.plate_reading import BadPicture, read_plate
 from labos.errors import BadInput
 from labos_drivers._optics import color_of
 from tests.apps import color_study
@@ -115,11 +114,11 @@ def test_a_grid_is_gone_through_once_and_then_made_finer() -> None:
 
 
 def search_on(lab: VirtualLab, wanted: Wanted, seed: int = 0) -> Search:
-    experiments: Any = [
-        VirtualExperiment(lab, handler, "bo", closing=FLOWS / "trash_plate.yaml", parking=parking)
-        for handler, parking in zip(wanted.handlers, PARKING, strict=False)
-    ]
-    search = Search(lab, experiments, wanted, seed)  # type: ignore[arg-type]
+    parkings = parkings_of(wanted)
+    experiment = VirtualExperiment(
+        lab, "color picker", "bo", closing=FLOWS / "trash_plates.yaml", parkings=parkings
+    )
+    search = Search(lab, experiment, wanted, seed)  # type: ignore[arg-type]
     search.run()
     return search
 

@@ -13,7 +13,9 @@ import pytest
 
 from labos.bootstrap import LabThread, descriptions
 from labos.client import LabClient
+from labos.core.decide.experiments import LoseExperiment
 from labos.core.decide.interventions import ResolveIntervention
+from labos.core.ids import ExperimentId
 from labos.core.registry import decode
 from labos.errors import LabosError
 from labos.node.world import World
@@ -125,10 +127,32 @@ def test_a_cancelled_assay_leaves_no_plate_on_the_bench(tmp_path: Path, cell: st
         ends = {run.workflow: run.status for run in map(client.status, run_ids(client))}
         world = World(str(lab.runtime.settings.world(where)))
         places = {place.partition(".")[0] for place in world.places() if not place.startswith("lid:")}
-    assert ends["throw_away"] == "completed"
+    assert ends["clear_incubator"] == "completed"
     assert places <= {"sciclops", "platecrane"}, "only fresh plates are left"
     assert world.crashes() == []
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_after_its_program_was_killed_plates_leave_the_incubator_if_a_person_says_so() -> None:
+    """Only the slots that hold a plate are asked for one."""
+    with VirtualLab("rpl_growth", 3) as lab:
+        closing = APP / "rpl" / "clear_incubator.yaml"
+        experiment = VirtualExperiment(lab, "growth assay", "bo", closing=closing, slots=[1, 2, 3, 4, 5])
+        payloads = [{"slot": 2}, {"slot": 5}]
+        runs = experiment.submit_all(APP / "rpl" / "create_plate.yaml", payloads)
+        lab.wait(lambda: all(lab.is_over(run) for run in runs))
+        assert lab.kernel is not None
+        state = lab.kernel.state
+        lab.execute(LoseExperiment(ExperimentId(experiment.id), "no sign of life"))
+        (asked,) = state.interventions.open.values()
+        lab.execute(ResolveIntervention(asked.id, "close", "bo"))
+        lab.wait(lambda: not state.experiments.open)
+        closed = lab.runs()[-1]
+        assert (closed.workflow, closed.succeeded) == ("clear_incubator", True)
+        assert [step.key.split("[")[1].partition("]")[0] for step in closed.steps] == ["2", "2", "5", "5"]
+        assert not [place for place in lab.world.places() if place.startswith("liconic")]
+        assert lab.world.crashes() == []
 
 
 def run_ids(client: LabClient) -> list[str]:
@@ -211,6 +235,7 @@ def test_the_workcells_files_are_those_that_the_program_names() -> None:
                 "incubate.yaml",
                 "take_out.yaml",
                 "throw_away.yaml",
+                "clear_incubator.yaml",
                 "way_out.yaml",
             )
         }

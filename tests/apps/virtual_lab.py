@@ -195,6 +195,9 @@ class VirtualExperiment:
     def submit_all(self, workflow: str | Path, payloads: Iterable[Mapping[str, Any]]) -> list[str]:
         return [self._submit(Path(workflow), payload) for payload in payloads]
 
+    def submit(self, workflow: str | Path, payload: Mapping[str, Any], *, key: str = "") -> str:
+        return self._submit(Path(workflow), payload)
+
     def note(self, kind: str, name: str, **facts: Any) -> None:
         self.lab.execute(NoteExperiment(ExperimentId(self.id), kind, name, dict(facts)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from labos.core.closing import plan_closing
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.endings import ending
 from labos.core.decide.runs import flaw_in, plan_digest, record_plan
@@ -235,27 +236,30 @@ def end_without_closing(state: LabState, name: RunId) -> Iterator[Event]:
 
 
 def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:
-    """Clear away an experiment's labware if it has any and said how; else, or if nobody has approved it, end
-    it at once."""
+    """Clear away an experiment's labware if it has any and said how, by the steps that are needed for that;
+    else, or if nobody has approved it, end it at once."""
     experiment = state.experiments.open.get(name)
     if experiment is None or experiment.status == ExperimentStatus.CLOSING:
         return []
     owned = state.bench.list_owned(experiment_owner(name))
-    if owned and experiment.closing and not experiment.held:
-        workflow = state.runs.plans[experiment.closing].plan.workflow
+    plan = plan_closing(state, experiment) if owned and experiment.closing and not experiment.held else None
+    if plan is not None:
+        digest = plan_digest(plan)
+        events = record_plan(state, plan, digest, name)
         return [
             ExperimentClosing(name, why),
+            *events,
             RunSubmitted(
                 run=RunId(f"R{state.runs.named + 1}"),
-                plan=experiment.closing,
-                workflow=workflow,
+                plan=digest,
+                workflow=plan.workflow,
                 user=experiment.user,
                 experiment=name,
                 priority=experiment.priority,
                 payload={},
                 pins={},
                 closing=True,
-                planned_by=state.runs.find_plan_stream(experiment.closing),
+                planned_by=name if events else state.runs.find_plan_stream(digest),
             ),
         ]
     return _end(state, experiment, why)

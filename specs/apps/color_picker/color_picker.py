@@ -16,7 +16,6 @@ import json
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Generator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -24,9 +23,9 @@ from typing import Any
 
 from color_report import Sample, write_picker_report
 from color_solvers import Mixture, distance, solver_of
-from plate_reading import BadPicture, Color, Reading, read_plate
 
 from labos.client import Experiment, LabClient, RunFailed, RunResult
+from labos.client.plate_reading import BadPicture, Color, Reading, read_plate
 from labos.client.report import parser_for, read_payload, run_program
 from labos.errors import BadInput, LabosError
 
@@ -76,16 +75,26 @@ def read_wanted(path: Path) -> Wanted:
         raise BadInput(f"{path}: {error}.") from None
 
 
-class Lane:
-    """A liquid handler with the plate that belongs to it, and an experiment of its own: of the runs of one
-    experiment, only one at a time may use the labware that waits for it."""
+def parkings_of(wanted: Wanted) -> list[str]:
+    """Where the plates wait, one for each liquid handler."""
+    return list(PARKING[: len(wanted.handlers)])
 
-    def __init__(self, search: Search, experiment: Experiment, handler: str, parking: str) -> None:
-        self.search, self.experiment = search, experiment
-        self.handler, self.parking = handler, parking
+
+class Lane:
+    """A liquid handler with the plate that belongs to it."""
+
+    def __init__(self, search: Search, handler: str, parking: str) -> None:
+        self.search, self.handler, self.parking = search, handler, parking
         self._used: int | None = None
         """Wells of the present plate that are filled; None without a plate."""
         self._tips_begun = False
+        self._submitted = 0
+
+    def submit(self, flow: str, payload: dict[str, Any]) -> str:
+        """Its next run, by a key of its own: another liquid handler may be quicker another time."""
+        self._submitted += 1
+        key = f"{self.handler} {self._submitted}"
+        return self.search.experiment.submit(FLOWS / f"{flow}.yaml", payload, key=key)
 
     def work(self, mixtures: Sequence[Mixture]) -> Work:
         """Mix, photograph and read; a full plate is replaced by a fresh one."""
@@ -147,13 +156,12 @@ class Lane:
 
 
 class Search:
-    """From the first plate to the last; notes belong to the first experiment."""
+    """From the first plate to the last."""
 
-    def __init__(self, lab: LabClient, experiments: Sequence[Experiment], wanted: Wanted, seed: int) -> None:
-        self.lab, self.experiment, self.wanted = lab, experiments[0], wanted
+    def __init__(self, lab: LabClient, experiment: Experiment, wanted: Wanted, seed: int) -> None:
+        self.lab, self.experiment, self.wanted = lab, experiment, wanted
         self.solver = solver_of(wanted.solver, wanted.target, seed)
-        lanes = zip(experiments, wanted.handlers, PARKING[: len(wanted.handlers)], strict=True)
-        self.lanes = [Lane(self, *lane) for lane in lanes]
+        self.lanes = [Lane(self, *lane) for lane in zip(wanted.handlers, parkings_of(wanted), strict=True)]
         self.samples: list[Sample] = []
         self.tried = 0
         self.last_picture: Any = None
@@ -207,8 +215,7 @@ class Search:
             except StopIteration as done:
                 found[lane] = done.value
                 return
-            (run,) = lane.experiment.submit_all(FLOWS / f"{flow}.yaml", [payload])
-            waiting[run] = lane, work
+            waiting[lane.submit(flow, payload)] = lane, work
 
         for lane, work in works:
             go_on(lane, work, None)
@@ -263,24 +270,19 @@ def pick_color(
     resume: str = "",
 ) -> str:
     """Run the experiment and write its report; returns what was found and where the data is. With ``resume``,
-    which names the first liquid handler's experiment, all go on where they were."""
-    with ExitStack() as stack:
-        experiments: list[Experiment] = []
-        for number, handler in enumerate(wanted.handlers):
-            experiment = Experiment(
-                lab,
-                "color picker" if number == 0 else f"color picker, {handler}",
-                user,
-                closing=FLOWS / "trash_plate.yaml",
-                closing_payload={"parking": PARKING[number]},
-                workcell=workcell,
-                parking=[PARKING[number]],
-                resume=resume if number == 0 else "",
-                part_of=experiments[0] if experiments else None,
-            )
-            experiments.append(stack.enter_context(experiment))
-        search = Search(lab, experiments, wanted, seed)
-        experiment = search.experiment
+    it goes on where it was."""
+    parkings = parkings_of(wanted)
+    with Experiment(
+        lab,
+        "color picker",
+        user,
+        closing=FLOWS / "trash_plates.yaml",
+        closing_payload={"parkings": parkings},
+        workcell=workcell,
+        parking=parkings,
+        resume=resume,
+    ) as experiment:
+        search = Search(lab, experiment, wanted, seed)
         search.run()
         if not search.samples:
             raise LabosError(

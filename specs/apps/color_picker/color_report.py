@@ -10,9 +10,9 @@ import numpy as np
 from color_solvers import Mixture
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from plate_reading import Color
 
 from labos.client import Experiment
+from labos.client.plate_reading import Color
 from labos.client.report import Report, write_report
 
 

@@ -17,17 +17,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from labos.client import Experiment, LabClient, LabUnreachable, RunResult
+from growth_analysis import BadReading, Curve, check, fit
+from growth_layout import DRUG
+from growth_plots import write_growth_report
+
+from labos.client import Experiment, LabClient, RunResult
 from labos.client.report import Report, parser_for, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [path for path in [str(HERE)] if path not in sys.path]
-
-from growth_analysis import BadReading, Curve, check, fit  # noqa: E402
-from growth_clearing import slots_left, throw_away  # noqa: E402
-from growth_layout import DRUG  # noqa: E402
-from growth_plots import write_growth_report  # noqa: E402
 
 MOST_PLATES = 20
 """Of the first stacker of the incubator."""
@@ -46,38 +44,22 @@ class Outcome(NamedTuple):
 def assay(
     lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int = 1, resume: str = ""
 ) -> Outcome:
-    """Run the experiment and write its data; with ``resume``, it goes on where it was. If it is cancelled,
-    plates that grow are thrown away. Raises BadReading if no plate can be used."""
-    flows, made, lasts = HERE / workcell, list[str](), dict[str, str]()
-    experiment = Experiment(lab, "growth assay", user, workcell=workcell, resume=resume)
-    try:
-        return _assay(lab, experiment, flows, folder, plates, made, lasts)
-    except LabUnreachable:
-        raise
-    except LabosError:
-        ends = [(slot, lab.status(run), _status(lab, lasts.get(run))) for slot, run in enumerate(made, 1)]
-        if any(run.status == "cancelled" for _, *both in ends for run in both if run):
-            flow, left = flows / "throw_away.yaml", slots_left(ends)
-            throw_away(lab, experiment.id, user, workcell, flow, left)
-        raise
-
-
-def _assay(
-    lab: LabClient,
-    experiment: Experiment,
-    flows: Path,
-    folder: Path,
-    plates: int,
-    made: list[str],
-    lasts: dict[str, str],
-) -> Outcome:
-    """The same; ``made`` and ``lasts`` are the runs that make plates, and that read them the last time."""
-    with experiment:
+    """Run the experiment and write its data; with ``resume``, it goes on where it was. However it ends, the
+    lab throws away the plates that still grow. Raises BadReading if no plate can be used."""
+    flows, slots = HERE / workcell, range(1, plates + 1)
+    with Experiment(
+        lab,
+        "growth assay",
+        user,
+        closing=flows / "clear_incubator.yaml",
+        closing_payload={"slots": list(slots)},
+        workcell=workcell,
+        resume=resume,
+    ) as experiment:
         experiment.note("loop_started", "plates", plates=plates, drug=DRUG)
-        for slot in range(1, plates + 1):
-            made.append(experiment.submit(flows / "create_plate.yaml", {"slot": slot}))
-        firsts = dict[str, RunResult]()
-        for slot, run in enumerate(made, 1):
+        made = [experiment.submit(flows / "create_plate.yaml", {"slot": slot}) for slot in slots]
+        firsts, lasts = dict[str, RunResult](), dict[str, str]()
+        for slot, run in zip(slots, made, strict=True):
             # Each is read twelve hours after its own incubation began; the next plates are made meanwhile.
             firsts[run] = _completed(lab, run)
             lasts[run] = experiment.submit(flows / "read_plate.yaml", {"slot": slot, "made_by": run})
@@ -98,10 +80,6 @@ def _assay(
         report = write_growth_report(experiment, folder / experiment.id, first, last_, curve)
         (folder / experiment.id / "readings.json").write_text(data, "utf-8")
     return Outcome(experiment.id, curve, len(good), bad, report)
-
-
-def _status(lab: LabClient, run: str | None) -> RunResult | None:
-    return None if run is None else lab.status(run)
 
 
 def _completed(lab: LabClient, run: str) -> RunResult:

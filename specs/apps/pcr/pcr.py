@@ -20,15 +20,12 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from labos.client import Experiment, LabClient, RunFailed, RunResult
+from labos.client.plate_reading import BadPicture, read_plate
 from labos.client.report import parser_for, read_payload, run_program
 from labos.client.report import write_report as write_page
 from labos.errors import BadInput
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [path for path in [str(HERE.parent / "color_picker")] if path not in sys.path]
-
-from plate_reading import BadPicture, read_plate  # noqa: E402
-
 PUBLISHED = HERE / "published" / "pcr_demo_wf.yaml"
 PICTURES = {False: "Take picture", True: "camera takes picture of plate"}
 CYCLES = {False: "Cycle", True: "Run biometra program"}

@@ -37,11 +37,6 @@ class App(NamedTuple):
     loads_much: bool = False
     """Its libraries need so long to be loaded that others are started when it has begun."""
 
-    @property
-    def experiments(self) -> int:
-        """How many experiments it begins: one for each liquid handler."""
-        return len(self.payload.get("handlers", ["one"]))
-
 
 COLOR_PICKER = App(
     "color_picker",
@@ -102,7 +97,7 @@ TWO_PICKERS = COLOR_PICKER._replace(
         "handlers": ["ot2_cp_gamma", "ot2_growth_beta"],
     },
 )
-"""The color picker with two liquid handlers, each with a plate and an experiment of its own."""
+"""The color picker with two liquid handlers, each with a plate of its own."""
 FIVE = (COLOR_PICKER, PCR, GROWTH_ASSAY, POLYMERS, PENDANT_DROP)
 """Of four users: Bo has two of them."""
 

@@ -164,8 +164,9 @@ def test_a_silent_application_is_asked_about_once() -> None:
 
 def test_it_is_not_closed_over_the_heads_of_its_runs() -> None:
     lab, name = make_parked(closing=CLOSING)
-    run = lab.submit(route("a", "b"), experiment=name)
-    action = lab.start(run)
+    run = lab.submit(route("a", "b", "a"), experiment=name)
+    lab.step(run)
+    action = lab.start(run, 1)
     lab.do(LoseExperiment(name, "no heartbeat"))
     refusal = lab.reject(ResolveIntervention(lab.question().id, "close", "person-1"))
     assert (refusal.code, refusal.message) == ("runs_alive", "The experiment E1 still has runs: R2.")

@@ -16,11 +16,12 @@ R2 = RunId("R2")
 
 
 def closing() -> Driver:
-    """An experiment that has ended; its closing workflow looks for a plate at b, and it stands at a."""
+    """An experiment that has ended; its closing workflow goes by way of b, where bob's plate stands."""
     lab = small()
-    name = lab.experiment(closing=route("b", "trash", name="clear"))
+    name = lab.experiment(closing=route("a", "b", "trash", name="clear"))
     lab.step(lab.submit(route("stack", "a"), experiment=name))
     lab.end(name)
+    lab.step(lab.submit(route("stack", "b"), user="bob"))
     assert lab.state.runs.queued[R2].closing
     return lab
 
@@ -60,7 +61,7 @@ def test_the_question_ends_with_what_it_is_about(how: str) -> None:
     lab = closing()
     look_in(lab, CLOSING_S + 1, Deadlines())
     if how == "begins":
-        lab.stock("b", 1)
+        lab.step(lab.submit(route("b", "c"), user="bob"))
         lab.step("R2")
     else:
         lab.do(CancelRun(R2))

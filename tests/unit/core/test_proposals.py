@@ -251,7 +251,8 @@ def test_whoever_wants_it_approved_says_so() -> None:
 def test_the_lab_itself_is_not_asked() -> None:
     """Closing workflows and rows are LabOS' own doing; they were approved with what they belong to."""
     lab = lab_with(newcomers=9, dangerous=True)
-    lab.do(StartExperiment("app", "ada", work(hazard="hot")), "ada")
+    closing = plan(step("arm", move("a", "trash"), hazard="hot"), name="clear")
+    lab.do(StartExperiment("app", "ada", closing), "ada")
     approve(lab, "E1")
     lab.do(SubmitRun(route("stack", "a"), "ada", experiment=E1), "ada")
     approve(lab, "R1")

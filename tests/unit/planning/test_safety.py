@@ -339,7 +339,7 @@ def test_a_parked_plate_is_counted_once() -> None:
     assert works(lab)
     second = lab.submit(route("stack", "gate", "park"), experiment=name)
     assert lab.pump() == []
-    assert Safety().traps(lab.state, lab.run(second), 0) == [second]
+    assert Safety().traps(lab.state, lab.run(second), 0) == [second, f"experiment:{name}"]
 
 
 def test_nobody_blocks_the_way_of_a_parked_plate_to_its_end() -> None:

@@ -1,0 +1,101 @@
+"""What of a closing workflow has to be done: its steps that find labware of the experiment, by the same rule
+as on the way out of a cancelled run, and those that have nothing to do with labware.
+
+A closing run carries out a plan of these steps only. So one workflow can clear away all places at which an
+experiment may have left something.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import msgspec
+
+from labos.core.branches import order_of
+from labos.core.effects import Needs, list_carried
+from labos.core.ids import experiment_owner
+from labos.core.leaving import Scene, carry_out, is_needed, look_at
+from labos.core.model import MAIN, Hold, Plan, PlanStep, Window
+from labos.core.open_experiments import Experiment
+from labos.core.state import LabState
+
+
+def plan_closing(state: LabState, experiment: Experiment) -> Plan | None:
+    """What is left of an experiment's closing workflow; None if it would clear nothing away."""
+    plan = state.runs.plans[experiment.closing].plan
+    scene = look_at(state, plan.workcell, experiment_owner(experiment.id))
+    chosen = choose(plan, scene, lambda module: any(m == module for m in scene.owner.values()))
+    if not chosen:
+        return None
+    return plan if len(chosen) == len(_main(plan)) or _is_tied(plan, chosen) else narrow(plan, chosen)
+
+
+def choose(plan: Plan, scene: Scene, holds_labware: Callable[[str], bool]) -> list[int]:
+    """The steps that are needed from a scene, which is changed to what they leave; none if no labware is
+    cleared away."""
+    found, clears = [], False
+    for index in order_of(plan, _main(plan)):
+        step = plan.steps[index]
+        works_on = bool(list_carried(step.effects)) or any(isinstance(e, Needs) for e in step.effects)
+        if (not works_on and not holds_labware(step.module)) or is_needed(step, scene):
+            found.append(index)
+            clears = clears or works_on
+            carry_out(step, scene)
+    return sorted(found) if clears else []
+
+
+def narrow(plan: Plan, chosen: Sequence[int]) -> Plan:
+    """The plan with these steps of the workflow only, and with what is there for them: their recoveries and
+    resets, and the way out if its run is cancelled."""
+    main = set(_main(plan)) - set(chosen)
+    kept = [i for i, step in enumerate(plan.steps) if i not in main and step.serves not in main]
+    number = {index: place for place, index in enumerate(kept)}
+    return msgspec.structs.replace(
+        plan,
+        steps=tuple(_renumber(plan, plan.steps[index], number) for index in kept),
+        feeds=tuple(number[index] for index in plan.feeds if index in number),
+        holds=tuple(Hold(h.module, number[h.first], number[h.last]) for h in plan.holds if h.first in number),
+    )
+
+
+def _main(plan: Plan) -> list[int]:
+    return [index for index, step in enumerate(plan.steps) if step.part == MAIN]
+
+
+def _is_tied(plan: Plan, chosen: Sequence[int]) -> bool:
+    """Whether steps cannot be left out, as others read their results, or a module is kept from one of them to
+    another."""
+    left_out = set(_main(plan)) - set(chosen)
+    reads = bool(plan.feeds) or any(step.when is not None for step in plan.steps)
+    cut = any((hold.first in left_out) != (hold.last in left_out) for hold in plan.holds)
+    return reads or cut
+
+
+def _renumber(plan: Plan, step: PlanStep, number: dict[int, int]) -> PlanStep:
+    served = step.serves
+    retry = step.retry
+    if retry is not None and retry.reset is not None:
+        retry = msgspec.structs.replace(retry, reset=number[retry.reset])
+    return msgspec.structs.replace(
+        step,
+        after=tuple(sorted({number[i] for i in _before(plan, step.after, number)})),
+        windows=tuple(
+            _anchor(window, number)
+            for window in step.windows
+            if window.anchor is None or window.anchor in number
+        ),
+        part=number[served] if served is not None else step.part,
+        retry=retry,
+    )
+
+
+def _anchor(window: Window, number: dict[int, int]) -> Window:
+    return window if window.anchor is None else msgspec.structs.replace(window, anchor=number[window.anchor])
+
+
+def _before(plan: Plan, after: Iterable[int], number: dict[int, int]) -> list[int]:
+    """The steps that are done before, with those before each that is left out in its place."""
+    found: list[int] = []
+    for index in after:
+        found += [index] if index in number else _before(plan, plan.steps[index].after, number)
+    return found
