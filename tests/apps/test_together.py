@@ -18,7 +18,7 @@ from tests.support.foreign import java_libraries_of, python_of
 from tests.support.needed import need
 
 SPEED = 1500.0
-EVENTS = 600
+EVENTS = 1000
 """About so many events five applications make after the last of them has begun."""
 
 
@@ -62,6 +62,7 @@ def test_kernel_application_worker_and_broker_are_killed(tmp_path: Path, seed: i
     kills = plan_of(seed, WHAT, EVENTS, times=1 + seed // 4)
     found = run_together(tmp_path, FIVE, speed=SPEED, kills=kills, detach=bool(seed % 2), kafka=True)
     assert found.not_killed == []
+    assert found.together > 0
     assert sum(found.lives.values()) == len(FIVE) + 1 + seed // 4
 
 

@@ -17,7 +17,7 @@ from tests.apps.together.kills import MORE, WHAT, plan_of
 from tests.apps.together.programs import FIVE
 from tests.apps.together.scenario import run_together
 
-EVENTS = 600
+EVENTS = 1000
 """About so many events five applications make after the last of them has begun."""
 
 

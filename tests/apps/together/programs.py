@@ -34,8 +34,6 @@ class App(NamedTuple):
     words: tuple[str, ...] = ()
     packaged: str = ""
     payload: dict[str, Any] = {}
-    loads_much: bool = False
-    """Its libraries need so long to be loaded that others are started when it has begun."""
 
 
 COLOR_PICKER = App(
@@ -47,7 +45,6 @@ COLOR_PICKER = App(
     ("--workcell", "rpl", "--seed", "3"),
     "color_picker/payloads/grey.yaml",
     {"samples": 60, "batch": 6, "close": 0.0, "bad_pictures": "leave_out"},
-    loads_much=True,
 )
 PCR = App(
     "pcr",
@@ -76,7 +73,6 @@ POLYMERS = App(
     ("--seed", "1"),
     "polymers/payloads/blue.yaml",
     {"saturated": "thinner"},
-    loads_much=True,
 )
 PENDANT_DROP = App(
     "pendant_drop",
