@@ -207,7 +207,8 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
     if command.experiment:
         experiment = state.experiments.open.get(command.experiment)
         if experiment is None or experiment.status != ExperimentStatus.OPEN:
-            return Rejection("no_experiment", f"The experiment {command.experiment} is not open.")
+            is_so = "is not open" if experiment is None else f"is {experiment.status}: it takes no more runs"
+            return Rejection("no_experiment", f"The experiment {command.experiment} {is_so}.")
     user = experiment.user if experiment else command.user
     full = queue_is_full(state, user)
     if full:

@@ -46,6 +46,15 @@ def test_one_key_is_one_experiment() -> None:
     assert lab.types().count("plan.recorded") == 1
 
 
+def test_one_that_is_cancelled_takes_no_more_runs_and_says_so() -> None:
+    lab, name = make_parked(closing=CLOSING)
+    run = lab.submit(route("stack", "b"), experiment=name)
+    lab.start(run)
+    lab.do(CancelExperiment(name, "ada"))
+    refused = lab.reject(SubmitRun(route("stack", "c"), "ada", experiment=name))
+    assert refused.message == "The experiment E1 is cancelled: it takes no more runs."
+
+
 def test_the_last_thousand_keys_are_remembered() -> None:
     lab = small(stock=0)
     (event,) = lab.do(StartExperiment("app", "ada", request="k0"))
