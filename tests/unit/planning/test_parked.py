@@ -5,9 +5,12 @@ from __future__ import annotations
 import random
 
 import pytest
+from msgspec.structs import replace
 
-from labos.core.ids import ExperimentId
-from tests.support.bench import Driver, move, plan, route, step, take
+from labos.core.decide.cancelling import CancelRun
+from labos.core.ids import ActionId, ExperimentId
+from labos.core.model import OnError
+from tests.support.bench import Driver, full, move, plan, route, step, take
 from tests.unit.planning.test_safety import nests, works
 
 
@@ -67,6 +70,49 @@ def test_experiments_that_park_much_are_cleared_away_in_any_order(seed: int) -> 
         park = f"park{number + 1}"
         lab.submit(route(park, *way, park, arm=arm), experiment=names[number // 2])
     assert works(lab, seed), lab.describe_stuck()
+    for name in names:
+        lab.end(name)
+    assert works(lab, seed), lab.describe_stuck()
+    assert (lab.state.bench.labware, lab.state.experiments.open) == ({}, {})
+    lab.check_log()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nobody_is_trapped_if_steps_on_parked_plates_fail(seed: int) -> None:
+    """Recoveries go through the gate, too; a run that fails leaves its plate where it was, and the closing
+    workflow finds it there."""
+    rng = random.Random(seed)
+    lab = nests("park1", "park2", "park3", "park4", "gate", "mix1", "mix2", stock=14)
+    names = []
+    for number in (0, 1):
+        parks = [f"park{2 * number + 1}", f"park{2 * number + 2}"]
+        ways = [(a, b) for park in parks for a, b in ((park, "gate"), ("gate", "trash"))]
+        away = [step("arm", move(a, b)) for a, b in (*ways, ("mix1", "trash"), ("mix2", "trash"))]
+        names.append(lab.experiment(closing=plan(*away, name="clear"), user=f"u{number}"))
+        for park in parks:
+            lab.submit(route("stack", "gate", park), experiment=names[-1])
+    assert works(lab, seed), lab.describe_stuck()
+    for _ in range(10):
+        number, mix, arm = rng.randrange(4), rng.choice(["mix1", "mix2"]), rng.choice(["arm", "arm2"])
+        main = plan(
+            step(arm, move(f"park{number + 1}", mix)),
+            step("cam", on_error=OnError("run", then=rng.choice(["fail", "go_on"]))),
+            step(arm, move(mix, f"park{number + 1}")),
+        )
+        over = replace(step(arm, move(mix, "gate")), key="over", part=1)
+        back = replace(step(arm, move("gate", mix)), key="back", part=1, after=(3,))
+        lab.submit(replace(main, steps=(*main.steps, over, back)), experiment=names[number // 2])
+
+    def end(rng: random.Random, action: ActionId) -> None:
+        if lab.state.actions.open[action].module == full("cam") and rng.random() < 0.4:
+            lab.fail(action, "none")
+        else:
+            lab.finish(action)
+
+    lab.work(rng, end=end)
+    assert not lab.state.runs.active, lab.describe_stuck()
+    for run in list(lab.state.runs.queued):
+        lab.do(CancelRun(run))  # its plate is not where it looks for it
     for name in names:
         lab.end(name)
     assert works(lab, seed), lab.describe_stuck()
