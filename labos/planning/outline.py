@@ -26,7 +26,7 @@ from labos.planning.suggested import list_taken
 
 DECK = "deck:"
 
-SEARCH_LIMIT = 60
+SEARCH_LIMIT = 20
 """Interleavings looked at before a start counts as one that traps somebody."""
 
 
@@ -297,10 +297,9 @@ class Outline:
                 self.inside[who], self.ends[who] = False, self.now
 
     @property
-    def value(self) -> tuple[int, int, int]:
-        """How many runs have not come to their ends, when all are over, and the sum of the ends: less is
-        better."""
-        return sum(left > 0 for left in self.left), max(self.ends, default=0), sum(self.ends)
+    def value(self) -> tuple[int, int]:
+        """How many runs have not come to their ends, and when all are over: less is better."""
+        return sum(left > 0 for left in self.left), max(self.ends, default=0)
 
     # -- whether everybody comes to the end ------------------------------------------------------
 

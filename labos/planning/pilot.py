@@ -26,7 +26,8 @@ from labos.planning.outline import Outline, Ways
 from labos.planning.touch import near_key
 
 MOST_WAITING = 8
-"""So many runs that wait take part in a play."""
+"""So many runs that wait can take part in a play. If more of equal rank wait, there is no look ahead: when all
+of them end depends little on which of them is next."""
 
 MOST_OPTIONS = 4
 """So many of them are tried; with nobody for now, a decision takes one play more than that."""
@@ -48,7 +49,7 @@ class Entry(msgspec.Struct, frozen=True):
 NOBODY = -1
 """In place of a run's number: that nobody is let in for now."""
 
-Value = tuple[int, int, int]
+Value = tuple[int, int]
 """How good a play was: less is better (see ``Outline.value``)."""
 
 
@@ -74,7 +75,7 @@ class Pilot:
         """Who is let in now: ``first``, if all else is equal; or another one for which there is an entry; or
         nobody, and what ``first`` waits for then."""
         cell = state.runs.plan_of(first.run).workcell
-        waiting = [first.run, *others][:MOST_WAITING]
+        waiting = [first.run, *others]
         base = len(state.runs.inside(cell))
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:

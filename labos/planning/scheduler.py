@@ -230,7 +230,7 @@ class Scheduler:
                 )
             ]
         if not run.has_started and any(wait is None for _, wait in found):
-            found = self._waits_outside(state, run, now)
+            found = self._explain_outside(state, run, now) or found
         if run.choices and not run.has_started:
             possible = any(wait is None for _, wait in found)  # one of its plans is enough
             found = [] if possible else [each for i, each in enumerate(found) if each not in found[:i]]
@@ -463,11 +463,11 @@ class Scheduler:
         option, step = start
         cell = state.runs.plan_of(option).workcell
         first = Entry(option, step, early=early)
-        overtaken = run.id in state.runs.windowed or self._is_overtaken(state, run)
-        if overtaken or cell in state.suggestions.orders:
+        goes_first = run.id in state.runs.windowed or self._is_overtaken(state, run)
+        if goes_first or cell in state.suggestions.orders:
             return waits if early else first
         equals = self._list_equals(state, option, now)
-        if not differ(state, [*state.runs.inside(cell), *equals], option):
+        if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
             return waits if early else first
         enter = partial(self._find_entry, state, now=now)
         chosen = self.pilot.choose(state, first, equals, now, enter)
@@ -482,7 +482,7 @@ class Scheduler:
             return waits if early else first
         return chosen
 
-    def _waits_outside(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait | None]]:
+    def _explain_outside(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait | None]]:
         """What a run waits for that may be let in, if it had better not be."""
         for option in options_in_order(state, run, now):
             for step in state.runs.plans[option.plan].starts:

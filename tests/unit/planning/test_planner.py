@@ -12,6 +12,7 @@ from labos.core.ids import RunId
 from labos.core.lengths import Times, kind_of
 from labos.core.model import Plan
 from labos.core.runs import RunState
+from labos.core.shares import Usage
 from labos.planner.planner import Planner
 from labos.planner.problem import SchedulingProblem, choose_runs, problem_of
 from labos.planner.solve import Schedule, solve
@@ -30,9 +31,11 @@ def both(name: str) -> Plan:
 
 
 def waits() -> tuple[Driver, RunId, RunId]:
-    """In the order of submission `other` waits for `dev` twice: 2,400 s; the other way round 1,800 s."""
+    """In the order of the lab `other` waits for `dev` twice: 2,400 s; the other way round 1,800 s. The lab
+    does not find that out by itself: the second user has had more lab time."""
     lab = Driver(CELL)
-    first, second = lab.submit(cut("cut")), lab.submit(both("both"))
+    lab.state.shares.usage["bob"] = Usage(600.0 * SECOND, lab.now)
+    first, second = lab.submit(cut("cut"), user="ada"), lab.submit(both("both"), user="bob")
     return lab, first, second
 
 
@@ -74,7 +77,8 @@ def test_an_order_that_came_out_worse_is_taken_back() -> None:
         "as good as what was suggested before"
     )
     lab = Driver(CELL)
-    second, first = lab.submit(both("both")), lab.submit(cut("cut"))
+    lab.state.shares.usage["ada"] = Usage(600.0 * SECOND, lab.now)
+    second, first = lab.submit(both("both"), user="bob"), lab.submit(cut("cut"), user="ada")
     suggest(lab, (first, 0, 0.0), (first, 1, 1.0), (second, 0, 2.0))
     order = find_order(Planner(solver=Fixed(first, second)), lab)
     assert order is not None

@@ -42,7 +42,7 @@ def test_a_run_inside_goes_on_with_its_longest_branch() -> None:
     driver = lab()
     run = driver.submit(two_branches("cam"))
     assert driver.pump() == ["R1#0"]
-    driver.finish(driver.flying()[0])
+    driver.finish(driver.list_flying()[0])
     assert driver.pump() == ["R1#3"], run
 
 
@@ -51,6 +51,6 @@ def test_another_run_that_came_first_goes_first_however_little_of_it_is_left() -
     first = driver.submit(plan(step("cam"), step("arm", take("stack", "x")), step("arm", move("x", "trash"))))
     driver.submit(two_branches("dev"))
     assert driver.pump() == ["R1#0", "R2#0"]
-    for action in driver.flying():
+    for action in driver.list_flying():
         driver.finish(action)
     assert driver.pump() == [f"{first}#1"]
