@@ -26,8 +26,8 @@ from labos.planning.outline import Outline, Ways
 from labos.planning.touch import near_key
 
 MOST_WAITING = 8
-"""So many runs that wait can take part in a play. If more of equal rank wait, there is no look ahead: when all
-of them end depends little on which of them is next."""
+"""So many runs that wait can take part in a play. If more of equal rank wait, there is no look ahead: when
+all of them end depends little on which of them is next."""
 
 MOST_OPTIONS = 4
 """So many of them are tried; with nobody for now, a decision takes one play more than that."""
