@@ -1,10 +1,10 @@
-"""A workcell in outline: what its runs take from one another, as numbers, and how it would go on.
+"""A simplified model of a workcell, for looking ahead often: modules, zones and places are numbers.
 
-For looking ahead often and quickly. Steps take their usual times. A step takes its module, zones and the
+Steps take their usual times. A step takes its module, zones and the
 modules that a hand reaches into while it lasts; labware takes room, and its deck, from the start of the step
 that brings it to the end of the one that carries it away. A step starts as soon as it can, runs inside first,
-if everybody inside can still come to the end. Windows, doors and setpoints are left out. Nothing that must
-hold rests on it.
+if all of them can still reach their ends. Windows, doors and setpoints are left out. No rule of safety
+depends on this model.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from labos.planning.suggested import list_taken
 DECK = "deck:"
 
 SEARCH_LIMIT = 20
-"""Interleavings looked at before a start counts as one that traps somebody."""
+"""Orders of steps that are tried before a start counts as unsafe."""
 
 
 class Task(msgspec.Struct, frozen=True, gc=False):

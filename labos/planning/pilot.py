@@ -1,13 +1,12 @@
-"""Who is let in now, with a look a long way ahead.
+"""Chooses which waiting run starts next, with a look ahead (the pilot method).
 
-Where labware stays on its module until the next one is free, whoever is let in now may block the one that
-takes longest much later. So before a run is let in, the workcell is played forward in outline (``outline``)
-with each of the first of those that may be let in, and with nobody for now; that one is let in with which all
-that is known would be over soonest (the pilot method). Nothing is kept from one decision to the next.
+Where labware stays on its module until the next one is free, the run that starts now may block a longer run
+much later. So before a run starts, the workcell is played forward in a simplified model (``outline``): once
+with each of the first runs that may start, and once with none of them. The run starts with which all known
+work ends soonest. Nothing is kept from one decision to the next.
 
-It chooses only between runs of equal rank: of the same priority, and of users who have had the same share.
-It has nothing to say where all runs are of one kind, or where it is not known well enough what they will do
-(see ``differ``).
+It chooses only between runs of equal rank: of the same priority, and of users with the same share. It does
+not choose if all runs are of one kind, or if their later steps are not known well enough (see ``differ``).
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ MOST_OPTIONS = 4
 """So many of them are tried; with nobody for now, a decision takes one play more than that."""
 
 MARGIN = 0.02
-"""By so much of the time that is left all has to be over sooner for a run to be let in before it can go on
-from its first place."""
+"""A run may start before its second place is free if all work then ends sooner by this part of the time that
+is left."""
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """A run as one of its plans has it, and the first step with which it may be let in. ``early``: by a short
-    forecast it could not go on from there soon."""
+    """A run with one of its plans, and the step with which it may start. ``early``: by the forecast, the
+    place after that step is not free soon."""
 
     run: RunState
     step: int
@@ -47,21 +46,21 @@ class Entry(msgspec.Struct, frozen=True):
 
 
 NOBODY = -1
-"""In place of a run's number: that nobody is let in for now."""
+"""In place of a run's number: no run starts for now."""
 
 Value = tuple[int, int]
 """How good a play was: less is better (see ``Outline.value``)."""
 
 
 class Pilot:
-    """Chooses who is let in. ``plays`` counts."""
+    """Chooses which run starts. ``plays`` counts."""
 
     def __init__(self) -> None:
         self._ways: dict[str, Ways] = {}
         self.plays = 0
 
     def forget(self, cell: str) -> None:
-        """The bench of a workcell is another than it was."""
+        """The bench of a workcell has changed."""
         self._ways.pop(cell, None)
 
     def choose(
@@ -72,8 +71,8 @@ class Pilot:
         now: int,
         find_entry: Callable[[RunState], Entry | None],
     ) -> Entry | Wait:
-        """Who is let in now: ``first``, if all else is equal; or another one for which there is an entry; or
-        nobody, and what ``first`` waits for then."""
+        """The run that starts now: ``first``, if all else is equal, or another one that has an entry; or what
+        ``first`` waits for, if none starts."""
         cell = state.runs.plan_of(first.run).workcell
         waiting = [first.run, *others]
         base = len(state.runs.inside(cell))
@@ -116,14 +115,14 @@ class Pilot:
         return Wait(reasons.SoonerLater(), (near_key(cell),))
 
     def _play(self, outline: Outline, who: int, step: int, witness: list[int]) -> Value:
-        """What comes of it if somebody is let in now."""
+        """How a play goes in which this run starts now."""
         self.plays += 1
         play = outline.copy()
         play.start(who, step, witness)
         return play.go_on().value
 
     def _explain(self, state: LabState, outline: Outline, who: int, step: int, cell: str) -> Wait:
-        """Why somebody had better not be let in now: who inside would wait longest for it."""
+        """Why a run should not start now: the started run that would wait longest for it."""
         play = outline.copy()
         seen: dict[tuple[int, int], tuple[int, int]] = {}
 
@@ -156,9 +155,8 @@ def _is_moving(state: LabState, cell: str) -> bool:
 
 
 def differ(state: LabState, runs: Sequence[RunState], run: RunState) -> bool:
-    """Whether some runs are of another kind than this one, and it is known well enough what each will do: no
-    windows have to be kept, no experiment goes on with runs that nobody knows yet, and nobody who waits has a
-    choice of modules."""
+    """Whether some runs are of another kind than this one, and the later steps of all are known: there are no
+    windows, no experiment that may submit more runs, and no waiting run with a choice of modules."""
     return any(other.plan != run.plan for other in runs) and not any(
         other.experiment or state.runs.plans[other.plan].windowed or (other.choices and not other.has_started)
         for other in (*runs, run)

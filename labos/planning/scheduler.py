@@ -452,7 +452,7 @@ class Scheduler:
         *,
         only_asking: bool = False,
     ) -> Entry | list[Wait]:
-        """Who is let in now: a run that may ``start``, another that ranks with it, or nobody, and what the
+        """The run that starts now: this one if it may ``start``, another of equal rank, or none, and what the
         run waits for then."""
         early = start is None
         if start is None and waits and all(isinstance(wait.reason, reasons.WouldBlock) for wait in waits):
@@ -483,7 +483,7 @@ class Scheduler:
         return chosen
 
     def _explain_outside(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait | None]]:
-        """What a run waits for that may be let in, if it had better not be."""
+        """What a run waits for that may start, if the look ahead is against it."""
         for option in options_in_order(state, run, now):
             for step in state.runs.plans[option.plan].starts:
                 with self.reservations.only_asking():
@@ -495,7 +495,7 @@ class Scheduler:
         return []
 
     def _find_entry(self, state: LabState, run: RunState, now: int) -> Entry | None:
-        """With which first step a run may be let in now; None if with none."""
+        """The step with which a run may start now; None if there is none."""
         step = state.runs.plans[run.plan].starts[0]
         with self.reservations.only_asking():
             wait = self.check_start(state, run, step, now, only_asking=True)
@@ -507,8 +507,8 @@ class Scheduler:
         return None
 
     def _list_equals(self, state: LabState, run: RunState, now: int) -> list[RunState]:
-        """The first of the runs that wait in a workcell and go neither before a run nor behind it but by
-        their age, the oldest first."""
+        """The first of the waiting runs in a workcell that differ in rank from this run only by age, the
+        oldest first."""
         rank = (run.priority, self._make_turn_key(state, now, run)[:-1])
         cell = state.runs.plan_of(run).workcell
         found: list[RunState] = []

@@ -64,7 +64,7 @@ class HoldsUp(Reason, frozen=True):
 
 
 class SoonerLater(Reason, frozen=True):
-    SENTENCE = "it waits outside, because all would be over later if it were let in now"
+    SENTENCE = "it waits outside, because all work would end later if it started now"
     WAKES = ("near",)
 
 
