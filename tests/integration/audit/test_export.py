@@ -333,7 +333,7 @@ def test_what_cannot_be_exported_is_said(kept: Path, capsys: pytest.CaptureFixtu
     Path("full").mkdir()
     Path("full/there").touch()
     export(kept, "crate", "R2", "--to", "full", code=1)
-    assert "full is there already" in capsys.readouterr().err
+    assert "full already exists" in capsys.readouterr().err
     blob = next((kept / "blobs").rglob(FILE["sha256"]))
     away = blob.rename(blob.with_suffix(".away"))
     export(kept, "crate", "R2", "--to", "gone.zip", code=1)

@@ -221,7 +221,7 @@ def test_whatever_changes_in_a_backup_is_found(tmp_path: Path, opened: Open, key
     manifest = json.loads(good[safe / "backup.json"])
     manifest["segments"][0]["state"] = "0" * 64
     (safe / "backup.json").write_text(json.dumps(manifest))
-    check_damaged("seal was not made with this key" if key else "gives another state")
+    check_damaged("seal was not made with this key" if key else "folds to another state")
     blob.write_bytes(b"another protocol")
     with pytest.raises(LogDamaged, match="bytes changed"):
         verify_backup(safe, key=key)

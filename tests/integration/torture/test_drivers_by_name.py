@@ -73,7 +73,7 @@ def test_a_new_driver_takes_no_name_that_is_installed(
 ) -> None:
     assert main(["driver", "new", str(tmp_path / "tecan")]) == 1
     told = capsys.readouterr().err
-    assert "A driver named 'tecan' is installed already, by labos-sdl" in told
+    assert "A driver 'tecan' is already installed, by labos-sdl" in told
     assert not (tmp_path / "tecan").exists()
 
 
