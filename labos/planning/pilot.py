@@ -17,12 +17,13 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.actions import ActionStatus
+from labos.core.reasons import AnyReason
 from labos.core.recurrence import in_zone
 from labos.core.runs import RunState
 from labos.core.state import LabState
-from labos.core.waits import Wait
+from labos.core.waits import Wait, module_key
 from labos.planning.outline import Outline, Ways
-from labos.planning.touch import near_key
+from labos.planning.touch import cell_key, near_key
 
 MOST_WAITING = 8
 """So many runs that wait can take part in a play. If more of equal rank wait, there is no look ahead: when
@@ -78,7 +79,7 @@ class Pilot:
         base = len(state.runs.inside(cell))
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
-            return self._explain_nothing(cell) if first.early else first
+            return _make_wait(state, outline, cell) if first.early else first
         plays: list[tuple[Value, int]] = []
         for number, run in enumerate(waiting):
             step = first.step if not number else state.runs.plans[run.plan].starts[0]
@@ -111,9 +112,6 @@ class Pilot:
             return entry or self._explain(state, outline, base, first.step, cell)
         return early or first
 
-    def _explain_nothing(self, cell: str) -> Wait:
-        return Wait(reasons.SoonerLater(), (near_key(cell),))
-
     def _play(self, outline: Outline, who: int, step: int, witness: list[int]) -> Value:
         """How a play goes in which this run starts now."""
         self.plays += 1
@@ -136,18 +134,24 @@ class Pilot:
 
         witness = outline.find_witness(who, step)
         if witness is None or not outline.is_free(who, step):
-            return self._explain_nothing(cell)
+            return _make_wait(state, outline, cell)
         play.start(who, step, witness)
         play.go_on(see)
         begun = {(other, turn): at for at, other, turn in play.order}
         waits = [(begun[which] - at, which, key) for which, (key, at) in seen.items() if which in begun]
-        on = (near_key(cell),)
         if not waits:
-            return Wait(reasons.SoonerLater(), on)
+            return _make_wait(state, outline, cell)
         _, which, key = max(waits)
         place = self._ways[cell].names[key].partition(":")[2]
         why = reasons.HoldsUp(str(outline.runs[which[0]].id), place, in_zone(begun[which], "UTC"))
-        return Wait(why, on)
+        return _make_wait(state, outline, cell, why)
+
+
+def _make_wait(state: LabState, outline: Outline, cell: str, why: AnyReason | None = None) -> Wait:
+    """A wait that ends when anything changes that the look ahead depends on."""
+    modules = {step.module: True for run in outline.runs for step in state.runs.plan_of(run).steps}
+    on = (cell_key(cell), near_key(cell), *map(module_key, modules))
+    return Wait(why or reasons.SoonerLater(), on)
 
 
 def _is_moving(state: LabState, cell: str) -> bool:

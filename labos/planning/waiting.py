@@ -1,8 +1,7 @@
 """The waiting room: runs that wait to be let in, in bundles of those that wait for the same.
 
 Runs of one *class* (same priority, shape, user, experiment, campaign and due date) differ in nothing but age.
-Classes
-of one *bundle* may start under the same conditions: they have the same priority and shape, no
+Classes of one *bundle* may start under the same conditions: they have the same priority and shape, no
 clock runs for one and not for the others, neither their user nor their experiment has anything on the
 bench where it would make a difference, their user has no quota, and the same is booked for them. So one look
 serves for a whole bundle, and only when somebody of it may start does it matter who.
@@ -317,8 +316,10 @@ def _list_booked(state: LabState, run: RunState, cell: str) -> str:
 
 
 def _starts(plan: PlanState) -> bytes:
+    """What decides whether a run with this plan may start: its first steps, and what all steps use up."""
     steps = [plan.plan.steps[index] for index in plan.starts]
-    return msgspec.json.encode([(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps])
+    first = [(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps]
+    return msgspec.json.encode((first, plan.uses_up))
 
 
 def _list_stations(state: LabState, plan: Plan) -> frozenset[StationName]:

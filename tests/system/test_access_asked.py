@@ -60,7 +60,7 @@ class Terminal:
     def answer(self, answer_to: Callable[[str], str], last: bytes) -> None:
         """Answer each question about a station, and the last one with some keys."""
         while True:
-            asked = self.until(r"\[kept\]: |Enter: no: |\[y/N\]: ")
+            asked = self.until(r"\[kept\]: |Enter: none: |\[y/N\]: ")
             if asked.endswith("[y/N]: "):
                 self.type(last)
                 return
@@ -129,12 +129,12 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
         screen.until(r"\[kept\]: ")
         screen.type(keys)
         assert screen.end(keys) == 130
-        assert "Nothing was told: rpl stays held." in screen.said
+        assert "Nothing was reported: rpl stays held." in screen.said
 
     elsewhere = iter(["nonsense", "wc.nowhere=P3", "wc.output=P3", "wc.output.3=P3", ""])
 
     def answer(asked: str) -> str:
-        if "elsewhere" in asked:
+        if "Other changes" in asked:
             return next(elsewhere, "")
         return "empty" if "sealer.default" in asked or "hidex.default" in asked else ""
 
@@ -154,7 +154,7 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
     elsewhere = iter(["wc.output.3=P3", ""])
     screen.answer(answer, b"y\n")
     assert screen.end() == 0
-    assert screen.said.rstrip().endswith("rpl goes on.")
+    assert screen.said.rstrip().endswith("rpl continues.")
     assert stands(lab, *places) == [[], ["P2"], [], ["P3"]]
     assert lab.interrupt() == 0
     assert lab.disagreements() == []

@@ -379,7 +379,7 @@ def test_a_full_hotel_is_waited_for(working: Lab) -> None:
     assert labos("place", "wc.output", "plate96", *lab.home).returncode == 0
     run = lab.submit(get("tower1"), move("sciclops.exchange", "wc.output", "store"))
     why = "once started with 'get' it could not reach its end now: 'store' needs room at wc.output, where P"
-    lab.expect_wait(run, why, "a run that takes it away")
+    lab.expect_wait(run, why, "submit one that does")
     lab.expect_done(lab.submit(move("wc.output", "wc.trash")), run)
 
 

@@ -55,7 +55,7 @@ def test_a_killed_kernel_is_told_by_who_watches(lab: Up) -> None:
             watcher.send_signal(signal.SIGINT)
             assert watcher.wait(60) == 0
         assert [body["title"] for body in hook.bodies] == ["the kernel has stopped"]
-        assert "lapsed" in str(hook.bodies[0]["text"])
+        assert "has expired" in str(hook.bodies[0]["text"])
         lab.options = ("--no-nodes",)
         lab.start()
         assert lab.interrupt() == 0

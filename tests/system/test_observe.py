@@ -40,7 +40,7 @@ def test_a_plate_is_missed_found_and_given(tmp_path: Path) -> None:
         LabClient(lab.url) as client,
     ):
         (plate,) = [item["id"] for item in client.state()["labware"]]
-        assert "Noted: wc.shelf, empty" in say("observe", "wc.shelf", "empty")
+        assert "Recorded: wc.shelf, empty" in say("observe", "wc.shelf", "empty")
         follows: dict[str, Any] = json.loads(say("observe", "camera.plate_station", "empty", "--json"))
         assert list(follows["uncertain"]) == [plate]
         (question,) = client.state(waits=False)["interventions"]

@@ -218,7 +218,9 @@ def test_an_arm_is_taught_a_station(lab: Up) -> None:
         pose = [value + 0.5 for value in known["sealer.default"]["pose"]]
         told = ",".join(map(str, pose))
         taught = labos("teach", "pf400", "sealer.default", "--pose", told, "--why", "moved", *home)
-        assert taught.stdout == "pf400 finds sealer.default by version 1.\n", taught.stderr
+        assert taught.stdout == "pf400 now reaches sealer.default with version 1 of the pose.\n", (
+            taught.stderr
+        )
         short = labos("teach", "pf400", "sealer.default", "--pose", "1,2", *home)
         assert short.returncode == 1
         now = json.loads(labos("locations", "pf400", "--json", *home).stdout)["sealer.default"]

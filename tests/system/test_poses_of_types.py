@@ -85,7 +85,9 @@ def test_an_arm_finds_each_type_where_it_is(tmp_path: Path) -> None:
             client.teach("crane", "wc.right", OTHER, "ada", labware_type="pcr96")
         pose = ",".join(map(str, OTHER))
         taught = labos("teach", "arm", "wc.right", "--type", "pcr96", "--pose", pose, *at)
-        assert taught.stdout == "arm finds wc.right with a pcr96 by version 1.\n", taught.stderr
+        assert taught.stdout == "arm now reaches wc.right with a pcr96 with version 1 of the pose.\n", (
+            taught.stderr
+        )
         assert carry("plate96") == [("plate96", False)] * 2
         assert carry("pcr96") == [("pcr96", True), ("pcr96", False)]
         known = client.locations("arm")

@@ -223,7 +223,7 @@ def test_a_truncated_write_ahead_log_is_found_by_a_checkpoint(tmp_path: Path) ->
     # The chain alone does not show it: what is left is a whole log.
     assert "is intact" in run_command("verify", "--home", str(cut))
     told = run_command("verify", "--home", str(cut), "--checkpoint", checkpoint, code=1)
-    assert "the end was cut off" in told
+    assert "the log ends at position" in told
 
 
 @pytest.mark.full

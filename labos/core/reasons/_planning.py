@@ -57,7 +57,7 @@ class HoldsUp(Reason, frozen=True):
     SENTENCE = (
         "it waits outside, because run {run} would otherwise wait for it at {place} until about {until}"
     )
-    WAKES = ("near",)
+    WAKES = ("cell", "near", "module")
     run: str
     place: str
     until: str
@@ -65,7 +65,7 @@ class HoldsUp(Reason, frozen=True):
 
 class SoonerLater(Reason, frozen=True):
     SENTENCE = "it waits outside, because all work would end later if it started now"
-    WAKES = ("near",)
+    WAKES = ("cell", "near", "module")
 
 
 class AfterSuggested(Reason, frozen=True):

@@ -27,7 +27,7 @@ def test_a_lab_that_is_closed_leaves_no_search_behind(tmp_path: Path) -> None:
         finder.close()
         with pytest.raises(Refused):
             await asked
-        with pytest.raises(Refused, match="being closed"):
+        with pytest.raises(Refused, match="is closing"):
             await finder.find(SearchQuery())
         await finder.wait_closed()
         assert process.returncode is not None

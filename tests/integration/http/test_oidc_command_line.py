@@ -103,7 +103,7 @@ def line_with(process: subprocess.Popen[str], begin: str) -> str:
 
 def test_a_browser_comes_back_to_the_command(lab: LabThread, shell: Shell) -> None:
     said = shell.run("login", lab.url, "--scope", "submitter", "--days", "30")
-    assert f"You are bob at {lab.url}" in said
+    assert f"You are signed in as bob at {lab.url}" in said
     assert list(shell.tokens) == [lab.url]
     told = json.loads(shell.run("whoami", "--json", LABOS_URL=lab.url))
     assert (told["user"], told["how"], told["scope"]) == ("bob", "token", "submitter")
@@ -129,7 +129,7 @@ def test_a_code_is_typed_into_a_browser_elsewhere(lab: LabThread, shell: Shell) 
             sign_in_at_provider(browser, browser.get(address), "bob", "")
         said, complained = process.communicate(timeout=120)
     assert process.returncode == 0, complained
-    assert "You are bob" in said
+    assert "You are signed in as bob" in said
     assert json.loads(shell.run("whoami", "--json", LABOS_URL=lab.url))["user"] == "bob"
 
 
@@ -140,7 +140,7 @@ def test_an_address_is_pasted(lab: LabThread, shell: Shell) -> None:
             back = sign_in_at_provider(browser, browser.get(address), "bob", "/login/")
         said, complained = process.communicate(f"{back}\n", timeout=120)
     assert process.returncode == 0, complained
-    assert "You are bob" in said
+    assert "You are signed in as bob" in said
     # The same address another time: it belongs to a sign-in that is over.
     said = shell.run("login", lab.url, "--code", typed=f"{back}\n", fails=True)
     assert "not the address of the last page of this sign-in" in said
@@ -348,6 +348,6 @@ def test_a_lab_without_a_client_for_it_asks_for_a_password(
         with pytest.raises(NotFound, match="from a command line"):
             anybody.begin_sign_in(1, **more)
     said = shell.run("login", lab.url, typed="staple of four words\n", LABOS_USER="bob")
-    assert "You are bob" in said
+    assert "You are signed in as bob" in said
     said = shell.run("login", lab.url, "--device", fails=True)
     assert "from a command line" in said

@@ -178,13 +178,13 @@ def test_an_older_backup_does_not_bring_back_what_was_erased_since(tmp_path: Pat
         client.take_out("press", "it smells", "bo")
         say("backup", safe, "--home", str(home))
         assert SECRET.encode() in bytes_of(tmp_path / "safe")
-        assert "whole" in say("verify", "--backup", safe)
+        assert "intact" in say("verify", "--backup", safe)
         (paused,) = events(client, "starts.paused")
         client.erase_words("personal", "ada", records=[paused["position"]])
         shutil.copytree(safe, newer)
         say("backup", newer, "--home", str(home))
         assert SECRET.encode() not in bytes_of(tmp_path / "newer")
-        assert "whole" in say("verify", "--backup", newer)
+        assert "intact" in say("verify", "--backup", newer)
     for file in home.glob("labos.db*"):
         file.unlink()
     say("restore", safe, "--home", str(home))  # the list stands in the lab's folder

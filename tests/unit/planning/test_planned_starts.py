@@ -21,10 +21,17 @@ class Listening(Scheduler):
         self.planned = 0
         self.beyond: list[tuple[str, int]] = []
 
-    def judge(
-        self, state: LabState, run: RunState | None, step: int, now: int, *, only_asking: bool = False
+    def check_start(
+        self,
+        state: LabState,
+        run: RunState | None,
+        step: int,
+        now: int,
+        *,
+        only_asking: bool = False,
+        at_once: bool = False,
     ) -> Wait | None:
-        wait = super().judge(state, run, step, now, only_asking=only_asking)
+        wait = super().check_start(state, run, step, now, only_asking=only_asking, at_once=at_once)
         if wait is not None and run is not None and wait.code == "reserved":
             begins = self.reservations.windows.find_planned_start(state, run, step, now, self.safety)
             self.planned += now < begins < FAR

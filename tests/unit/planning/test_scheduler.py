@@ -469,3 +469,11 @@ def test_who_waits_for_the_place_of_an_open_experiment_is_woken_when_it_closes()
     )  # its closing workflow may wait for the very one that has to be woken
     lab.pump()
     assert lab.work(random.Random(1))
+
+
+def test_what_another_run_lacks_keeps_no_run_with_the_same_first_step_waiting() -> None:
+    lab = small()
+    lab.level("dev", "ink", 0)
+    lab.submit(plan(step("cam", exclusive=False), step("dev", consumes("ink", 1.0)), name="dry"))
+    lab.submit(plan(step("cam", exclusive=False), step("cam"), name="free"))
+    assert lab.pump() == ["R2#0"]
