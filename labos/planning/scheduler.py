@@ -19,6 +19,7 @@ from labos.core import reasons
 from labos.core.decide import Command
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
+from labos.core.effects import list_carried
 from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
@@ -464,8 +465,9 @@ class Scheduler:
         cell = state.runs.plan_of(option).workcell
         first = Entry(option, step, early=early)
         goes_first = run.id in state.runs.windowed or self._is_overtaken(state, run)
-        if goes_first or cell in state.suggestions.orders:
-            return waits if early else first
+        stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
+        if goes_first or not stands or cell in state.suggestions.orders:
+            return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
             return waits if early else first
