@@ -7,7 +7,7 @@ import re
 from labos.core.model import Plan
 from labos.planning.explain import sentence
 from labos.planning.pilot import MOST_OPTIONS, MOST_WAITING
-from tests.support.bench import Driver, module, move, needs, plan, station, step, take, workcell
+from tests.support.bench import Driver, module, move, needs, plan, small, station, step, take, workcell
 
 MACHINES = ("mill", "lathe", "oven")
 CELL = workcell(
@@ -110,3 +110,11 @@ def test_a_decision_takes_a_bounded_number_of_plays() -> None:
     lab.pump()
     assert 2 <= lab.scheduler.pilot.plays <= MOST_OPTIONS + 1
     assert MOST_OPTIONS < MOST_WAITING
+
+
+def test_runs_that_carry_nothing_start_without_a_look_ahead() -> None:
+    lab = small()
+    lab.submit(plan(step("dev"), step("cam"), name="both"))
+    lab.submit(plan(step("cam"), name="short"))
+    lab.pump()
+    assert lab.scheduler.pilot.plays == 0
