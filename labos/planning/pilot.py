@@ -37,7 +37,7 @@ MARGIN = 0.02
 is left."""
 
 
-class Entry(msgspec.Struct, frozen=True):
+class Candidate(msgspec.Struct, frozen=True):
     """A run with one of its plans, and the step with which it may start. ``early``: by the forecast, the
     place after that step is not free soon."""
 
@@ -67,13 +67,13 @@ class Pilot:
     def choose(
         self,
         state: LabState,
-        first: Entry,
+        first: Candidate,
         others: Sequence[RunState],
         now: int,
-        find_entry: Callable[[RunState], Entry | None],
-    ) -> Entry | Wait:
-        """The run that starts now: ``first``, if all else is equal, or another one that has an entry; or what
-        ``first`` waits for, if none starts."""
+        find_candidate: Callable[[RunState], Candidate | None],
+    ) -> Candidate | Wait:
+        """The run that starts now: ``first``, if all else is equal, or another candidate; or what ``first`` waits for,
+        if none starts."""
         cell = state.runs.plan_of(first.run).workcell
         waiting = [first.run, *others]
         base = len(state.runs.inside(cell))
@@ -95,21 +95,21 @@ class Pilot:
             later.advance()
             self.plays += 1
             plays.append((later.go_on().value, NOBODY))
-        early: Entry | None = None
+        early: Candidate | None = None
         early_end = 0
         for value, number in sorted(plays, key=lambda play: (play[0], play[1] == NOBODY, play[1])):
             if number == NOBODY:
-                entry = None
+                candidate = None
             else:
-                entry = first if not number else find_entry(waiting[number])
-                if entry is None:
+                candidate = first if not number else find_candidate(waiting[number])
+                if candidate is None:
                     continue
-                if entry.early:
-                    early, early_end = (entry, value[1]) if early is None else (early, early_end)
+                if candidate.early:
+                    early, early_end = (candidate, value[1]) if early is None else (early, early_end)
                     continue
             if early is not None and early_end <= value[1] - MARGIN * (value[1] - now):
                 return early
-            return entry or self._explain(state, outline, base, first.step, cell)
+            return candidate or self._explain(state, outline, base, first.step, cell)
         return early or first
 
     def _play(self, outline: Outline, who: int, step: int, witness: list[int]) -> Value:

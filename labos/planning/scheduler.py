@@ -30,15 +30,15 @@ from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_may_stay
-from labos.planning.changes import Changes
 from labos.planning.choosing import list_changes, options_in_order
 from labos.planning.deadlines import Deadlines
 from labos.planning.due import UNDATED, DueDates
 from labos.planning.obstacle import obstacle
 from labos.planning.patience import OvertakeCounts
-from labos.planning.pilot import MOST_WAITING, Entry, Pilot, differ
+from labos.planning.pilot import MOST_WAITING, Candidate, Pilot, differ
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
+from labos.planning.setup_order import SetupOrder
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import find_block, find_questions
 from labos.planning.suggested import LAST, Adviser
@@ -99,7 +99,7 @@ class Scheduler:
         self.due_dates = DueDates()
         self.pilot = Pilot()
         self.behind = WorkBehind()
-        self.changes = Changes()
+        self.setup_order = SetupOrder()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -112,7 +112,7 @@ class Scheduler:
         one out before it asks for the next."""
         self._standings.clear()
         self.due_dates.forget()
-        self.changes.forget()
+        self.setup_order.forget()
         for spot in self._order(state, self._wake(state, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
@@ -395,7 +395,7 @@ class Scheduler:
 
     def _rank_own(self, state: LabState, run: RunState, step: int | None) -> tuple[float, int]:
         """What goes before age among the runs of one user: due dates, and what need not be set up."""
-        return self.due_dates.rank(state, run), self.changes.rank(state, run, step)
+        return self.due_dates.rank(state, run), self.setup_order.rank(state, run, step)
 
     # -- letting new runs in -----------------------------------------------------------------
 
@@ -416,7 +416,7 @@ class Scheduler:
                 run = self.room.oldest(state, bundle) or run
                 start, waits = self._free_start(state, run, now)
             chosen = self._choose(state, run, start, waits, now)
-            if not isinstance(chosen, Entry):
+            if not isinstance(chosen, Candidate):
                 for wait in chosen:
                     self.sleepers.sleep((bundle, 0), wait)
                 return
@@ -452,7 +452,7 @@ class Scheduler:
         now: int,
         *,
         only_asking: bool = False,
-    ) -> Entry | list[Wait]:
+    ) -> Candidate | list[Wait]:
         """The run that starts now: this one if it may ``start``, another of equal rank, or none, and what the
         run waits for then."""
         early = start is None
@@ -463,7 +463,7 @@ class Scheduler:
             return waits
         option, step = start
         cell = state.runs.plan_of(option).workcell
-        first = Entry(option, step, early=early)
+        first = Candidate(option, step, early=early)
         goes_first = run.id in state.runs.windowed or self._is_overtaken(state, run)
         stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
         if goes_first or not stands or cell in state.suggestions.orders:
@@ -471,7 +471,7 @@ class Scheduler:
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
             return waits if early else first
-        enter = partial(self._find_entry, state, now=now)
+        enter = partial(self._find_candidate, state, now=now)
         chosen = self.pilot.choose(state, first, equals, now, enter)
         if isinstance(chosen, Wait):
             return waits if early else [chosen]
@@ -496,16 +496,16 @@ class Scheduler:
                         return [(step, each) for each in waits]
         return []
 
-    def _find_entry(self, state: LabState, run: RunState, now: int) -> Entry | None:
+    def _find_candidate(self, state: LabState, run: RunState, now: int) -> Candidate | None:
         """The step with which a run may start now; None if there is none."""
         step = state.runs.plans[run.plan].starts[0]
         with self.reservations.only_asking():
             wait = self.check_start(state, run, step, now, only_asking=True)
             if wait is None:
-                return Entry(run, step)
+                return Candidate(run, step)
             if isinstance(wait.reason, reasons.WouldBlock):
                 wait = self.check_start(state, run, step, now, only_asking=True, at_once=True)
-                return Entry(run, step, early=True) if wait is None else None
+                return Candidate(run, step, early=True) if wait is None else None
         return None
 
     def _list_equals(self, state: LabState, run: RunState, now: int) -> list[RunState]:

@@ -12,7 +12,7 @@ from labos.core.state import LabState
 from labos.planning.forecast import setup_ns
 
 
-class Changes:
+class SetupOrder:
     """Ranks runs by what has to be changed for them; ``forget`` what was worked out after each turn."""
 
     def __init__(self) -> None:
@@ -69,4 +69,4 @@ def _list_setups(state: LabState, cell: str) -> dict[ModuleName, tuple[Setup, An
     return found
 
 
-__all__ = ["Changes"]
+__all__ = ["SetupOrder"]
