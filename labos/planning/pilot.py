@@ -72,8 +72,8 @@ class Pilot:
         now: int,
         find_candidate: Callable[[RunState], Candidate | None],
     ) -> Candidate | Wait:
-        """The run that starts now: ``first``, if all else is equal, or another candidate; or what ``first`` waits
-        for, if none starts."""
+        """The run that starts now: ``first``, if all else is equal, or another candidate; or what ``first``
+        waits for, if none starts."""
         cell = state.runs.plan_of(first.run).workcell
         waiting = [first.run, *others]
         base = len(state.runs.inside(cell))
