@@ -126,46 +126,54 @@ class Scheduler:
         found = examine(state, run, step, now)
         if isinstance(found, Wait):
             return found
+        wait = self._check_time(state, run, step, now)
+        is_outside = not run.has_started
+        if wait is None and is_outside:
+            wait = find_block(state, run)  # let in, it would come to a stand on the bench
+        if wait is None and (is_outside or self.safety.changes_anything(state, run, step)):
+            wait = check_may_stay(state, self.safety, run, step)
+            if wait is None and is_outside and run.id not in state.runs.windowed:
+                wait = self._check_others(state, run, step, now, at_once=at_once)
+            if wait is None:
+                wait = self._check_safety(state, run, step, only_asking=only_asking)
+        return wait
+
+    def _check_time(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
+        """What a step waits for that may not start before its time: bookings, windows, suggested orders."""
         wait = booked.check_start(state, run, step, now) if state.bookings.open else None
         wait = wait or self.reservations.check_start(state, run, step, now, self.safety)
         if wait is None and state.suggestions.orders and not self._is_overtaken(state, run):
             wait = self.adviser.check_start(state, run, step, now)
-        if wait is not None:
-            return wait
-        queued = not run.has_started
-        if queued:
-            stuck = find_block(state, run)
-            if stuck is not None:
-                return stuck  # let in, it would come to a stand on the bench
-        if queued or self.safety.changes_anything(state, run, step):
-            plan = state.runs.plan_of(run)
-            aside = check_may_stay(state, self.safety, run, step)
-            if aside is not None:
-                return aside
-            if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
-                elder = self.elders.find_protected(state, run, now)
-                if elder:
-                    # It protects nothing any more once it has to wait for a booking.
-                    until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
-                    return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
-                early = None
-                if not at_once and not self.adviser.is_time(state, run, step, now):
-                    early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
-                waited = early is not None and any(
-                    run.id == other.id for other in self.room.list_overtaken(state, plan.workcell)
-                )
-                if early is not None and not waited:
-                    return early
-                inside = self.patience.keeps_out(state, run, self.sleepers)
-                if inside is not None:
-                    return Wait(reasons.AfterElder(inside), (near_key(plan.workcell),))
-            trapped = self.safety.traps(state, run, step, only_asking=only_asking)
-            if trapped:
-                self.refusals += 1
-                key, itself = plan.steps[step].key, trapped == [str(run.id)]
-                why = reasons.NoWayOut(key, run.id) if itself else reasons.Unsafe(key, tuple(trapped))
-                return Wait(why, (cell_key(plan.workcell),))
-        return None
+        return wait
+
+    def _check_others(
+        self, state: LabState, run: RunState, step: int, now: int, *, at_once: bool
+    ) -> Wait | None:
+        """What a run without a running clock waits for outside: an older run that was overtaken too often,
+        or its second place, which is not free soon."""
+        cell = state.runs.plan_of(run).workcell
+        elder = self.elders.find_protected(state, run, now)
+        if elder:
+            # It protects nothing any more once it has to wait for a booking.
+            until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
+            return Wait(reasons.AfterElder(elder), (cell_key(cell),), until)
+        if not at_once and not self.adviser.is_time(state, run, step, now):
+            early = check_arrival(state, run, step, now, self._list_plans(state, cell))
+            if early is not None and not self.room.is_overtaken(state, run):
+                return early
+        inside = self.patience.keeps_out(state, run, self.sleepers)
+        return Wait(reasons.AfterElder(inside), (near_key(cell),)) if inside is not None else None
+
+    def _check_safety(self, state: LabState, run: RunState, step: int, *, only_asking: bool) -> Wait | None:
+        """What a step waits for after which somebody could not reach the end any more."""
+        trapped = self.safety.traps(state, run, step, only_asking=only_asking)
+        if not trapped:
+            return None
+        self.refusals += 1
+        plan = state.runs.plan_of(run)
+        key, is_itself = plan.steps[step].key, trapped == [str(run.id)]
+        why = reasons.NoWayOut(key, run.id) if is_itself else reasons.Unsafe(key, tuple(trapped))
+        return Wait(why, (cell_key(plan.workcell),))
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
         """Take note of the keys of new events, before anything else is asked."""

@@ -229,7 +229,8 @@ class WaitingRoom:
 
     def is_overtaken(self, state: LabState, run: RunState) -> bool:
         """Whether a waiting run was passed over too often."""
-        return run in self.list_overtaken(state, state.runs.plan_of(run).workcell)
+        overtaken = self.list_overtaken(state, state.runs.plan_of(run).workcell)
+        return any(other.id == run.id for other in overtaken)  # it may be here with another of its plans
 
     def forget(self, run: RunId, cell: str) -> None:
         """A run waits no more."""
