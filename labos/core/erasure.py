@@ -34,7 +34,7 @@ class ErasureEvent(Event, frozen=True):
 
 @event("words.erasure_asked")
 class ErasureAsked(ErasureEvent, frozen=True):
-    """Somebody wants words erased, which takes a second person by the lab's policy."""
+    """Somebody asks for words to be erased. By the lab's policy, a second person has to agree."""
 
     because: str
     by: str
@@ -44,15 +44,16 @@ class ErasureAsked(ErasureEvent, frozen=True):
 
 @event("words.erasure_refused")
 class ErasureRefused(ErasureEvent, frozen=True):
-    """What waits for a second person is not done."""
+    """The second person did not agree to an erasure, or it was withdrawn; it is not done."""
 
     by: str
 
 
 @event("words.erased")
 class WordsErased(ErasureEvent, frozen=True):
-    """Words that stood beside the log are gone. ``digests`` are those in the references to them, ``records``
-    the positions of the events that were written with them. ``approved_by`` is the second person."""
+    """Words that were stored beside the log are erased. ``digests`` are the digests in the references to
+    them; ``records`` are the positions of the events that refer to them. ``approved_by`` is the second
+    person."""
 
     because: str
     by: str

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a person may answer, and what follows from it."""
+    """A possible answer of a person, and its consequence."""
 
     name: str
     consequence: str
