@@ -11,11 +11,11 @@ from labos.core.registry import TYPES, Event, event
 from labos.core.words import PREFIX, fields_of_words, references_in
 
 REASONS = {
-    "request": "the person who wrote it, or whom it is about, asked for it",
-    "personal": "it tells of a person what does not belong there",
-    "secret": "it holds a password, or what is confidential",
+    "request": "the author, or the person whom the text concerns, asked for it",
+    "personal": "it holds personal data that do not belong there",
+    "secret": "it holds a password or something confidential",
     "mistake": "it was written in the wrong place",
-    "retention": "it was kept for as long as the rules say",
+    "retention": "its retention period has ended",
     "order": "a court or an authority ordered it",
 }
 """Why words may be erased, by code. A text would be words again."""
