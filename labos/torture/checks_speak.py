@@ -1,4 +1,4 @@
-"""Bronze: the driver says what it is, does what it says, and refuses what it cannot do."""
+"""Bronze: the driver describes itself, does what it declares, and refuses impossible requests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labos.torture.session import END_S, TRIES, Done, Failed, LeftOut, Session, 
 
 
 async def about(on: Session) -> None:
-    """about is complete: everything is described, bounded and named once."""
+    """about is complete: everything has a description and limits, and each name is used once."""
     flaws = [*_names(on), *_find_undescribed(on), *_not_there(on)]
     if flaws:
         raise Failed("; ".join(flaws))
@@ -26,7 +26,7 @@ async def about(on: Session) -> None:
 
 
 def _names(on: Session) -> list[str]:
-    """Names that mean nothing, or two things."""
+    """Names that are undefined or ambiguous."""
     about = on.about
     flaws = [
         f"TORTURE has a case for {name}, which is no action" for name in find_unknown_cases(about, on.torture)
@@ -67,7 +67,7 @@ def _flaw(arg: Arg) -> str:
 
 
 def _not_there(on: Session) -> list[str]:
-    """Effects that speak of stations, variables and resources that the driver does not have."""
+    """Effects that name stations, variables and resources that the driver does not have."""
     about = on.about
     stations = {name for station in about.stations for name in (station.name, *station.aliases)}
     flaws = []
@@ -92,7 +92,7 @@ def _not_there(on: Session) -> list[str]:
 
 
 async def happy(on: Session) -> None:
-    """Each action does what its effects say, once, and the module is idle again."""
+    """Each action has exactly its declared effects, once, and the module is then idle again."""
     for case in on.cases:
         spec = on.spec(case)
         await on.fulfil(case)
@@ -136,8 +136,8 @@ def _check_declined(name: str, why: str, outcome: Outcome) -> None:
 def _check_consumed(
     on: Session, spec: ActionSpec, effects: tuple[AnyEffect, ...], before: dict[str, float | None]
 ) -> None:
-    """Each resource is used up as the effects say, and no other. Nothing is said where an amount stands in a
-    file. Raises Failed."""
+    """Check that resources are used up as the effects declare, and no others. An amount from a file is not
+    checked. Raises Failed."""
     spends = [effect for effect in effects if isinstance(effect, Consumes)]
     if sum(isinstance(effect, Consumes) for effect in spec.effects) > len(spends):
         return
@@ -151,7 +151,7 @@ def _check_consumed(
 
 
 async def set_points(on: Session) -> str:
-    """The device's own record has the speeds, times, temperatures and volumes that were asked for."""
+    """The device's own record has the requested speeds, times, temperatures and volumes."""
     tried = [case for case in on.cases if case.record is not None and not case.refused]
     for case in tried:
         for args in (case.args, _other_numbers(on, case)):
@@ -227,7 +227,7 @@ async def _variables(on: Session, name: str, effects: tuple[Any, ...]) -> None:
 
 
 async def invalid(on: Session) -> None:
-    """Wrong arguments and unknown actions are refused for good, and nothing moves."""
+    """Wrong arguments and unknown actions are refused permanently, and nothing moves."""
     since = on.bench.mark()
     calls = [(case.action, *wrong) for case in on.cases for wrong in wrong_args(case, on.spec(case))]
     for name, what, args in [*calls, ("no_such_action", "an action that there is none of", {})]:
@@ -244,7 +244,7 @@ async def invalid(on: Session) -> None:
 
 
 async def duplicate(on: Session) -> None:
-    """The same attempt asked for again, while it runs and after, is carried out once."""
+    """An attempt that is requested again, while it runs and afterwards, is carried out only once."""
     case = on.motion()
     done = await on.midway(case, 0.2)
     again = await on.kernel.send(done.start)
@@ -261,7 +261,7 @@ async def duplicate(on: Session) -> None:
 
 
 async def busy(on: Session) -> None:
-    """While it works it says so, refuses other work for the time being, and answers questions."""
+    """While it works, it reports BUSY, refuses other work for the time being, and answers queries."""
     case = on.motion()
     done, state, other = await _ask_while_it_works(on, case)
     if other.reply.status != "refused" or not other.reply.transient:
@@ -285,8 +285,8 @@ async def busy(on: Session) -> None:
 
 
 async def _ask_while_it_works(on: Session, case: Case) -> tuple[Done, StateReport, Done]:
-    """A motion, its node's state in it, and what came of asking for another: all three for sure while the
-    first was under way, for it still is afterwards. Raises Failed."""
+    """Start a motion, ask for the node's state, and request another motion, all while the first is certainly
+    under way. Raises Failed."""
     for _ in range(TRIES):
         done = await on.midway(case, 0.2)
         state, other = await on.kernel.state(), await on.ask_for(case)

@@ -1,5 +1,5 @@
-"""Silver: whatever happens to the device, the line and the node, the driver never says what is not so, and
-comes back."""
+"""Silver: after any failure of the device, the line or the node, the driver never reports anything false, and
+it recovers."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ if TYPE_CHECKING:
     from labos.torture.relay import Mode, Relay
 
 HELD_S = 20.0
-"""A reply that is held back arrives after this long, if the driver has not given it up before."""
+"""The delay of a reply that is held back, if the driver has not stopped waiting before."""
 
 STOP_S = 10.0
 
 MOST_ORDERS = 4
-"""Of what a driver says in a motion and not at rest, the reply to so many is spoiled, one at a time. That to
-the order that begins it is among them."""
+"""The number of messages that a driver sends only during a motion and whose replies are spoiled, one at a
+time. The order that starts the motion is one of them."""
 
 MENDED_S = 10.0
-"""What went wrong in mid-motion is put right after so long, if the motion has not ended by then."""
+"""The time after which a fault during a motion is repaired, if the motion has not ended by then."""
 
 SLOWNESS = 4.0
-"""A device that is to move for longer than its node needs to start again is so much slower, at least."""
+"""The least factor by which a device is slowed down, so that its motion takes longer than a restart of the
+node."""
 
 IDLE_TOO_SOON = "ready for new work while its device still moves"
 
 
 async def state_is_true(on: Session) -> None:
-    """Levels that it reports are those on the bench; what it observes without having moved is so."""
+    """The levels that it reports are those on the bench, and its observations without a motion are true."""
     case = on.motion()
     done = await on.begin(case)
     await on.end(done)
@@ -59,7 +60,7 @@ async def state_is_true(on: Session) -> None:
 
 
 async def device_error(on: Session) -> None:
-    """An error of the device is reported as one, with what is known of its effects; a reset ends it."""
+    """An error of the device is reported as an error, with the known effects; a reset ends it."""
     if not on.torture.faults:
         raise LeftOut("TORTURE names no fault of the device")
     case = on.motion()
@@ -81,7 +82,7 @@ async def device_error(on: Session) -> None:
 
 
 async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) -> None:
-    """What is said of a motion in which something goes wrong is so, and it can be put right."""
+    """The report about a motion with a fault is true, and the fault can be repaired."""
     done = await on.midway(case)
     for fault in faults:
         on.strike(fault)
@@ -94,7 +95,8 @@ async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) ->
 
 
 async def _end_by_person(on: Session, done: Done) -> None:
-    """What waits for a person, also after it was put right, says so; it is stopped then. Raises Failed."""
+    """An action that waits for a person, also after the repair, must report this; it is then stopped. Raises
+    Failed."""
     if await on.kernel.outcome(done.start, MENDED_S) is not None or not await on.runs(done):
         return
     state = await on.kernel.state()
@@ -104,12 +106,13 @@ async def _end_by_person(on: Session, done: Done) -> None:
 
 
 async def stop(on: Session) -> None:
-    """A stop in mid-motion ends it, or says that it cannot; what is said of the motion is so."""
+    """A stop during a motion ends the motion, or reports that this is impossible; the report about the motion
+    is true."""
     await _check_stop(on, "stop")
 
 
 async def estop(on: Session) -> None:
-    """An emergency stop in mid-motion is reported until a reset, and nothing begins before."""
+    """An emergency stop during a motion is reported until a reset, and nothing starts before the reset."""
     await _check_stop(on, "estop")
 
 
@@ -134,9 +137,9 @@ async def _check_stop(on: Session, command: str) -> None:
 
 
 async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Done, AdminReply, Outcome]:
-    """A motion that was stopped, what the stop said, and how it ended, with the device at rest. One that
-    ended well although it is said to be stopped has gone on if the bench shows it; else it was over
-    before the stop came, and is begun again. Raises Failed."""
+    """Stop a motion; returns the motion, the answer to the stop and the outcome, with the device at rest. If
+    the motion succeeded although the node reports that it was stopped, the bench shows whether it continued
+    after the stop. If it had ended before the stop, the check is repeated. Raises Failed."""
     for _ in range(TRIES):
         done = await on.midway(case)
         reply = await on.kernel.admin(command, STOP_S, by="torture")
@@ -152,7 +155,8 @@ async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Done, Adm
 
 
 async def unplug_before(on: Session) -> None:
-    """Unplugged: an action fails, nothing has moved, and the driver says so; plugged in, it works."""
+    """With the line unplugged, an action fails without motion, and the driver reports this. With the line
+    plugged in, it works."""
     case, relay = on.motion(), _line(on)
     await on.fulfil(case)
     relay.unplug()
@@ -168,7 +172,8 @@ async def unplug_before(on: Session) -> None:
 
 
 async def unplug_during(on: Session) -> None:
-    """Unplugged in mid-motion: the action ends, as failed or unknown; plugged in, it works."""
+    """If the line is unplugged during a motion, the action ends as failed or unknown. With the line plugged
+    in, it works."""
     case, relay = on.motion(), _line(on)
     done = await on.midway(case)
     relay.unplug()
@@ -176,7 +181,8 @@ async def unplug_during(on: Session) -> None:
 
 
 async def unplug_after(on: Session) -> None:
-    """Unplugged while it rests: the node lives and answers; plugged in, it works."""
+    """If the line is unplugged at rest, the node stays alive and answers. With the line plugged in, it
+    works."""
     case, relay = on.motion(), _line(on)
     await on.act(case)
     relay.unplug()
@@ -190,22 +196,23 @@ async def unplug_after(on: Session) -> None:
 
 
 async def lose_reply(on: Session) -> None:
-    """A reply that is lost, at the beginning or in mid-motion, is no success that nobody saw."""
+    """If a reply is lost, at the start of a motion or during it, the driver does not report an unconfirmed
+    success."""
     await _spoil_reply(on, "lose")
 
 
 async def garble_reply(on: Session) -> None:
-    """Noise is never taken for an answer."""
+    """The driver never accepts noise as an answer."""
     await _spoil_reply(on, "garble")
 
 
 async def half_reply(on: Session) -> None:
-    """Nor is half a reply."""
+    """The driver never accepts half a reply as an answer."""
     await _spoil_reply(on, "cut")
 
 
 async def late_reply(on: Session) -> None:
-    """A reply that comes late is not taken for the answer to a later question."""
+    """A late reply is not mistaken for the answer to a later question."""
     case, relay = on.motion(), _line(on)
     for in_motion in (False, True):
         if in_motion:
@@ -223,7 +230,7 @@ async def late_reply(on: Session) -> None:
 
 
 async def say_unasked(on: Session) -> str:
-    """What the device says without having been asked is not taken for an answer."""
+    """A message that the device sends without a question is not mistaken for an answer."""
     case = on.motion()
     needs_a_wire(on)
     if not on.torture.unasked:
@@ -236,7 +243,7 @@ async def say_unasked(on: Session) -> str:
 
 
 async def _orders(on: Session) -> list[bytes]:
-    """What its driver says in a motion and not at rest, the first first. Raises LeftOut, Failed."""
+    """The messages that the driver sends only during a motion, in their order. Raises LeftOut, Failed."""
     case, relay = on.motion(), _line(on)
     if on.orders is None:
         await on.fulfil(case)
@@ -253,7 +260,7 @@ async def _orders(on: Session) -> list[bytes]:
 
 
 async def _one_spoiled(on: Session, mode: Mode, order: bytes, stray: bytes = b"") -> None:
-    """Spoil the reply to one order, as soon as the driver gives it."""
+    """Spoil the reply to one message, as soon as the driver sends the message."""
     case, relay = on.motion(), _line(on)
     await on.fulfil(case)
     on.lay(case)
@@ -290,14 +297,14 @@ async def _spoil_reply(on: Session, mode: Mode) -> None:
 
 
 def _did_spoil(relay: Relay) -> None:
-    """Raises LeftOut: a check of what happens to replies is none where there are none."""
+    """Raises LeftOut if there was no reply to spoil."""
     if not relay.spoiled:
         raise LeftOut("its device said nothing that could be spoiled")
 
 
 async def _settle(on: Session, done: Done, outcome: Outcome) -> None:
-    """After a fault of the line: it is put right, no more was done than is said, the driver looks, is reset,
-    and works."""
+    """Repair the line after a fault; check that the device did no more than was reported, and that the driver
+    observes, can be reset, and works."""
     relay = _line(on)
     relay.restore()
     relay.plug()
@@ -309,7 +316,7 @@ async def _settle(on: Session, done: Done, outcome: Outcome) -> None:
 
 
 async def power_cycle(on: Session) -> None:
-    """The device loses its power, at rest and in mid-motion, and comes back."""
+    """The device loses its power, at rest and during a motion, and comes back."""
     case = on.motion()
     needs_a_wire(on)
     on.switch_off()
@@ -324,8 +331,8 @@ async def power_cycle(on: Session) -> None:
 
 
 async def restart(on: Session) -> None:
-    """The device restarts in mid-motion, as by its watchdog, and answers again at once: that it rests is no
-    success."""
+    """The device restarts during a motion, as by its watchdog, and answers again at once. The driver does not
+    report success only because the device is at rest."""
     case = on.motion()
     needs_a_wire(on)
     done = await on.interrupt(case, on.switch_off_between_answers)
@@ -336,8 +343,8 @@ async def restart(on: Session) -> None:
 
 
 async def power_cut(on: Session) -> None:
-    """The lab loses its power: node and device at once, in mid-motion. Both come back, and nothing is
-    repeated."""
+    """The node and the device lose their power at the same time, during a motion. Both come back, and nothing
+    is repeated."""
     case = on.motion()
     needs_a_wire(on)
     done = await on.midway(case)
@@ -355,7 +362,8 @@ async def power_cut(on: Session) -> None:
 
 
 async def kill_node(on: Session) -> None:
-    """Its node killed in mid-motion: nothing is repeated, and it is not idle before the device rests."""
+    """If the node is killed during a motion, nothing is repeated, and the new node is not idle before the
+    device is at rest."""
     case = on.motion()
     if on.is_wired:
         await on.at_rest()
@@ -379,7 +387,8 @@ async def kill_node(on: Session) -> None:
 
 
 async def _kill_and_start(on: Session, done: Done, fault: Fault | None = None) -> None:
-    """Raises Failed. A ``fault`` of the device is put right when its node is not BUSY, or has waited."""
+    """Kill the node and start it again. A ``fault`` of the device is repaired when its node is not BUSY, or
+    has waited. Raises Failed."""
     on.kill()
     await on.await_node_gone()
     await on.start_node()
@@ -399,15 +408,15 @@ async def _kill_and_start(on: Session, done: Done, fault: Fault | None = None) -
 
 
 async def _check_remembers(on: Session, done: Done) -> None:
-    """A node that was started again knows the attempt. Raises Failed."""
+    """Check that a restarted node knows the attempt. Raises Failed."""
     again = await on.kernel.send(done.start)
     if again.status not in ("interrupted", "running", "finished"):
         raise Failed(f"started again, it tells {done.case.action} as {again.status}: {again.why}")
 
 
 async def _check_reconciled(on: Session, done: Done, outcome: Outcome | None) -> None:
-    """What a node that was started again has found out about an attempt is so, and nothing was done twice.
-    Raises Failed."""
+    """Check that the outcome which a restarted node reports for an attempt is true, and that nothing was done
+    twice. Raises Failed."""
     deeds, expected = on.deeds(done), on.reference[case_key(done.case)]
     if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
         raise Failed(f"started again, it did again: {describe_deeds(twice)}")
@@ -423,7 +432,7 @@ async def _check_reconciled(on: Session, done: Done, outcome: Outcome | None) ->
 
 
 async def event_loop(on: Session) -> None:
-    """In all this, the event loop of its node was never held for more than 50 ms."""
+    """During all checks, the event loop of its node was never blocked for more than 50 ms."""
     if not on.blocks.exists():
         return
     worst = max(on.blocks.read_text("utf-8").splitlines(), key=lambda line: float(line.split("\t")[0]))
@@ -432,8 +441,8 @@ async def event_loop(on: Session) -> None:
 
 
 async def reconciles(on: Session) -> str:
-    """What nobody knew after a fault, the driver has settled at least once, by what the device sees or by its
-    own record, and truly each time."""
+    """After a fault with an unknown outcome, the driver has determined the outcome at least once, from an
+    observation or from the device's own record, and correctly each time."""
     needs_a_wire(on)
     if not on.sights:
         raise LeftOut("what its motion does shows in nothing that could be observed")

@@ -1,4 +1,4 @@
-"""The kernel's side of one node, without a lab: it gives the module its settings, asks, and remembers."""
+"""The kernel's side for one node, without a lab: it gives the node its settings, and sends requests."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ _encode = msgspec.json.Encoder().encode
 
 
 class Kernel:
-    """Asks one module's node what a kernel would ask. ``told`` is what the node learns of its module."""
+    """Sends the requests of a kernel to the node of one module. ``told`` is the configuration that the node
+    gets."""
 
     def __init__(self, bus: ZenohBus, endpoint: str, module: str, told: SetupReply, home: Path) -> None:
         self.endpoint, self.module = endpoint, module
@@ -55,7 +56,7 @@ class Kernel:
 
     @classmethod
     async def open(cls, module: str, told: SetupReply, home: Path) -> Kernel:
-        """With a bus of its own."""
+        """Open it with its own bus."""
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
@@ -72,7 +73,7 @@ class Kernel:
 
     @property
     def node_lives(self) -> bool:
-        """Whether a node of the module shows itself on the bus."""
+        """Whether a node of the module is alive on the bus."""
         return bool(self._alive)
 
     # -- asking ------------------------------------------------------------------------------
@@ -86,12 +87,12 @@ class Kernel:
         return await self._query("action", message, ActionReply)
 
     async def ask(self, start: Start) -> ActionReply:
-        """What became of it."""
+        """Ask for the status of an attempt."""
         asked = Ask(self.lab, self.epoch, start.action, start.attempt, start.position)
         return await self._query("action", asked, ActionReply)
 
     async def outcome(self, start: Start, limit_s: float) -> Outcome | None:
-        """How it ended; None if it has not within the time, or nobody can say."""
+        """The outcome; None if it has not ended in time, or its outcome is unknown."""
         deadline = asyncio.get_running_loop().time() + limit_s
         while asyncio.get_running_loop().time() < deadline:
             reply = await self.ask(start)
@@ -114,7 +115,7 @@ class Kernel:
         return await self._query("admin", request, AdminReply, limit_s)
 
     async def until(self, reached: Callable[[StateReport], bool], limit_s: float) -> StateReport | None:
-        """The state as soon as it is as wanted; None if it never is, or nobody answers."""
+        """Wait for a state that fulfils the condition; None if there is none in time, or no answer."""
         deadline = asyncio.get_running_loop().time() + limit_s
         while asyncio.get_running_loop().time() < deadline:
             try:

@@ -1,5 +1,5 @@
-"""One driver under torture: its node in a process that can be killed, its device behind a line that can
-be cut, its bench, and who asks it."""
+"""One driver under torture: its node in a process that can be killed, its device behind a line that can be
+cut, its bench, and the kernel's side."""
 
 from __future__ import annotations
 
@@ -32,33 +32,34 @@ WORKCELL, MODULE = "torture", "device"
 START_S = 60.0
 REST_S = 60.0
 END_S = 120.0
-"""However slow the machine: a node starts, a device comes to rest, an action ends within this."""
+"""The longest time, also on a slow machine, for a node to start, a device to come to rest, or an action to
+end."""
 
 
 SHARE = 0.4
-"""Of a motion, after which it is interrupted if its driver names no moment."""
+"""The part of a motion after which it is interrupted if its driver names no moment."""
 
 LEAST_SHARE = 0.2
-"""A device that notes what it does earlier in its motion than this, notes it when it begins."""
+"""A device that records a motion before this part of it counts as recording it at its start."""
 
 TRIES = 3
-"""On a busy machine a motion may be over before it can be interrupted: so often is it tried."""
+"""The number of attempts to interrupt a motion, because on a busy machine a motion may end before."""
 
 
 DEPTH = 6
-"""An action may need another one before it, which needs a third, so many times."""
+"""The longest chain of actions that each need another one before."""
 
 
 class Failed(Exception):
-    """The driver does not keep what every driver must."""
+    """The driver does not fulfil a requirement for all drivers."""
 
 
 class LeftOut(Exception):
-    """The check cannot be made on this driver."""
+    """The check is not possible for this driver."""
 
 
 class Done(msgspec.Struct, frozen=True):
-    """One attempt at an action: what was asked, from which moment on, what the node said."""
+    """One attempt at an action: the request, its start and the answer of the node."""
 
     case: Case
     start: Start
@@ -67,10 +68,10 @@ class Done(msgspec.Struct, frozen=True):
 
 
 class Session:
-    """``reference`` holds what each action does when all goes well; ``sights`` what the driver saw, and
-    what was true, after outcomes that nobody knew; ``orders`` what it says in a motion and not at rest.
-    ``took_s`` is how long an action takes by its node, ``moved_s`` when the last of its ``motions`` was
-    seen on the bench: a driver may go on waiting long after its device has come to rest."""
+    """``reference`` has the motions of each action without faults. ``sights`` are the driver's observations
+    and the truth after unknown outcomes. ``orders`` are the messages that the driver sends only during a
+    motion. ``took_s`` is the duration of an action by its node, and ``moved_s`` the time of the last of its
+    ``motions`` on the bench, because a driver may wait long after its device has come to rest."""
 
     def __init__(
         self, reference: str, node: type[Node], torture: Torture, folder: Path, motion_s: float
@@ -105,7 +106,7 @@ class Session:
 
     @property
     def blocks(self) -> Path:
-        """Where the node notes how its event loop was held up."""
+        """The file in which the node records blocks of its event loop."""
         return self.folder / "blocks.txt"
 
     def spec(self, case: Case) -> ActionSpec:
@@ -184,18 +185,18 @@ class Session:
         self.powered = True
 
     def mend(self, fault: Fault) -> None:
-        """Put right what was made to fail, if a reset does not."""
+        """Repair a fault that was caused, if a reset does not end it."""
         if fault.mend is not None:
             fault.mend(self.device, self.bench.world)
 
     def switch_off_between_answers(self) -> None:
-        """The device loses its power when it has answered what it was asked, so that nothing is lost."""
+        """Switch the device off after it has answered all questions, so that nothing is lost."""
         assert self.relay is not None
         self.relay.wait_for_device()
         self.switch_off()
 
     def strike(self, fault: Fault) -> None:
-        """Make the device fail, in its own thread where it has one that can be asked."""
+        """Make the device fail, in its own thread if it has one."""
         at_once = getattr(self.device, "do_at_once", None)
         if at_once is None:
             fault.strike(self.device, self.bench.world)
@@ -203,7 +204,7 @@ class Session:
             at_once(lambda: fault.strike(self.device, self.bench.world))
 
     def slow_down(self, slowness: float) -> None:
-        """Another device of the kind, so many times slower than the first."""
+        """Use another device of the kind, slower than the first by this factor."""
         self.slowness = slowness
         rested = self._rested[0] == self._asked
         if self.powered:
@@ -213,7 +214,7 @@ class Session:
             self._rested = (self._asked, self.bench.mark())
 
     async def slow_both_down(self, slowness: float) -> None:
-        """The device, and with it how long its driver waits. Both begin afresh."""
+        """Slow down the device and the waiting time of its driver. Both are started again."""
         self.slow_down(slowness)
         self.kill()
         await self.await_node_gone()
@@ -221,7 +222,7 @@ class Session:
         await self.recover()
 
     async def start_node(self) -> None:
-        """Returns when it answers. Raises Failed."""
+        """Start the node; returns when it answers. Raises Failed."""
         process = self._process = self._spawn()
         began = time.monotonic()
         deadline = time.monotonic() + START_S
@@ -243,7 +244,7 @@ class Session:
             return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log)
 
     def kill(self) -> None:
-        """The node's process dies, here and now."""
+        """Kill the node's process at once."""
         process, self._process = self._process, None
         if process is not None:
             process.kill()
@@ -266,13 +267,13 @@ class Session:
     # -- the bench ---------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Somebody takes all plates away."""
+        """Remove all plates."""
         self.bench.clear()
         if self.torture.clear is not None:
             self.torture.clear(self.device, self.bench.world)
 
     def lay(self, case: Case) -> None:
-        """Somebody puts what a case needs where it is needed, and nothing else."""
+        """Put only the labware on the bench that a case needs."""
         self.clear()
         self.bench.lay(case, self.spec(case))
         if case.prepare is not None:
@@ -281,20 +282,20 @@ class Session:
     # -- acting ------------------------------------------------------------------------------
 
     async def begin(self, case: Case) -> Done:
-        """Lay the bench for a case, bring the module into the condition that it needs, and ask for it."""
+        """Prepare the bench and the module for a case, and request its action."""
         await self.fulfil(case)
         self.lay(case)
         return await self.ask_for(case)
 
     async def ask_for(self, case: Case) -> Done:
-        """Ask for it, on the bench as it is."""
+        """Request the action, on the bench as it is."""
         self._asked += 1
         since = self.bench.mark()
         start = self.kernel.request(case.action, case.args)
         return Done(case, start, since, await self.kernel.send(start))
 
     async def end(self, done: Done) -> Outcome:
-        """Its outcome, held against what happened. Raises Failed."""
+        """Wait for the outcome, and compare it with the motions. Raises Failed."""
         outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
         if outcome is None:
             reply = await self.kernel.ask(done.start)
@@ -306,7 +307,8 @@ class Session:
         return outcome
 
     async def learn(self, done: Done) -> Outcome:
-        """Its outcome, and what of it is seen on the bench until when. Raises Failed."""
+        """Wait for the outcome; record the number of motions and the time of the last one on the bench.
+        Raises Failed."""
         name, began, seen = done.case.action, time.monotonic(), self.bench.mark()
         self.moved_s[name] = 0.0
         ends = asyncio.create_task(self.end(done))
@@ -318,7 +320,7 @@ class Session:
         return await ends
 
     async def act(self, case: Case) -> Outcome:
-        """Do it from its beginning to its end, all being well. Raises Failed."""
+        """Carry out an action completely, without faults. Raises Failed."""
         began = time.monotonic()
         done = await self.begin(case)
         outcome = await self.end(done)
@@ -328,7 +330,7 @@ class Session:
         return outcome
 
     async def judge(self, done: Done, outcome: Outcome) -> None:
-        """Hold what a node says of an attempt against the bench. Raises Failed."""
+        """Compare the node's report about an attempt with the bench. Raises Failed."""
         name = done.case.action
         expected = self.reference.get(case_key(done.case))
         if not outcome.succeeded:
@@ -360,8 +362,8 @@ class Session:
         return self.bench.deeds(done.since, gates=works_a_gate(self.spec(done.case)))
 
     async def fulfil(self, case: Case, depth: int = 0) -> None:
-        """Bring the module's variables to where the case needs them, by the driver's own actions, which may
-        need something themselves. Raises Failed."""
+        """Bring the module's variables to the values that the case needs, with the driver's own actions,
+        which may need other actions. Raises Failed."""
         wanted = [
             (effect.variable, effect.value)
             for effect in self.bench.effects(case, self.spec(case))
@@ -406,7 +408,7 @@ class Session:
     # -- the motion that is interrupted ------------------------------------------------------
 
     def motion(self) -> Case:
-        """The action whose middle is long enough to be interrupted. Raises LeftOut, Failed."""
+        """An action that is long enough to be interrupted. Raises LeftOut, Failed."""
         if not self.reference:
             raise Failed("not made: no action does what it should")
         names = [case for case in self.cases if not case.refused and self.spec(case).exclusive]
@@ -418,8 +420,8 @@ class Session:
         return max(names, key=lambda c: (moves_labware(self.spec(c)), self.spec(c).duration_s))
 
     async def midway(self, case: Case, share: float | None = None) -> Done:
-        """Begin a motion, and return while the device is in the middle of it: at the next of the driver's
-        ``moments``, or after a share of the time that it takes. Raises Failed."""
+        """Start a motion, and return while the device is moving: at the next of the driver's ``moments``, or
+        after a part of its duration. Raises Failed."""
         for _ in range(TRIES):
             done = await self.begin(case)
             if done.reply.status != "accepted":
@@ -436,8 +438,8 @@ class Session:
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
     async def interrupt(self, case: Case, switch_off: Callable[[], None]) -> Done:
-        """Begin a motion, and switch its device off in its middle. It is begun again if it had just ended, as
-        it may on a busy computer: such an end says nothing of the driver. Raises Failed."""
+        """Start a motion, and switch the device off during it. If the motion has just ended, which can happen
+        on a busy computer and says nothing about the driver, it is started again. Raises Failed."""
         for _ in range(TRIES):
             done = await self.midway(case)
             switch_off()
@@ -449,7 +451,8 @@ class Session:
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
     def motion_of(self, case: Case) -> float:
-        """How long its device moves, in s: by the bench, and never for as long as only its node says."""
+        """The duration of the device's motion in s: by the bench if that shows its end, else by the node, up
+        to `motion_s`."""
         took_s = min(self.took_s[case.action], self.motion_s)
         return self.moved_s[case.action] if self._shows_its_end(case) else took_s
 
@@ -458,25 +461,26 @@ class Session:
         return self.moved_s[case.action] >= LEAST_SHARE * took_s
 
     def _is_over(self, done: Done) -> bool:
-        """Whether all of it is done on the bench, whatever its node says; nothing is in mid-motion then."""
+        """Whether all its motions have ended on the bench, whatever its node reports."""
         if self.torture.moments or not self._shows_its_end(done.case):
             return False
         return len(self.bench.motions(done.since)) >= self.motions[done.case.action]
 
     async def _moment(self, done: Done) -> None:
-        """Wait until the device is seen to be where it is to be interrupted, or it is over."""
+        """Wait until the device is at the point at which it should be interrupted, or until the motion has
+        ended."""
         has_come = self.torture.moments[self._interrupted % len(self.torture.moments)]
         while not has_come(self.device, self.bench.world) and await self.runs(done):
             await asyncio.sleep(POLL_S)
         self._interrupted += 1
 
     async def runs(self, done: Done) -> bool:
-        """Whether its node says that it is still under way."""
+        """Whether its node reports that it is still under way."""
         return (await self.kernel.ask(done.start)).status == "running"
 
     async def at_rest(self) -> None:
-        """Wait until nothing has moved for as long as the longest motion takes; at once, if nothing was
-        asked for since that was so. Raises Failed."""
+        """Wait until nothing has moved for the duration of the longest motion. Returns at once if there was
+        no request since the last rest. Raises Failed."""
         if self._rested == (self._asked, self.bench.mark()):
             return
         still_s = 1.2 * self.motion_s * self.slowness
@@ -488,7 +492,7 @@ class Session:
     # -- coming back -------------------------------------------------------------------------
 
     def put_right(self) -> bool:
-        """The device has power, and nothing ails the line; True if it had to be switched on."""
+        """Switch the device on and repair the line; True if the device was off."""
         if self.relay is None:
             return False
         self.relay.restore()
@@ -498,8 +502,8 @@ class Session:
         return wrong
 
     async def recover(self) -> None:
-        """What a person does after a failure: put the line right, wait, clear the bench, reset. Raises
-        Failed if the module is not IDLE then, or if the reset did what nobody asked for."""
+        """Recover from a failure as a person does: repair the line, wait, clear the bench, reset. Raises
+        Failed if the module is then not IDLE, or if the reset caused other motions."""
         if self.relay is not None:
             self.relay.restore()
             self.relay.plug()
@@ -532,15 +536,15 @@ class Session:
             raise Failed(f"it stays {state.status}{f': {state.error}' if state.error else ''}")
 
     async def works_again(self, case: Case) -> None:
-        """After a recovery all is as before. Raises Failed."""
+        """Check that the driver works as before after a recovery. Raises Failed."""
         try:
             await self.act(case)
         except Failed as error:
             raise Failed(f"after the recovery, {error}") from None
 
     async def ready(self) -> None:
-        """Whatever a check before did: a node that lives, a device at rest, a whole line; one that was
-        switched on has been reset, as by whoever switches it on. Raises Failed."""
+        """Prepare for the next check: a live node, a device at rest, and a repaired line. A device that had
+        to be switched on is reset. Raises Failed."""
         fresh = self.put_right()
         with contextlib.suppress(NoAnswer):
             if self._process is not None and self._process.poll() is None:
