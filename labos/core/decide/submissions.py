@@ -6,7 +6,7 @@ approved run waits for its turn as any other.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from typing import Any
 
@@ -22,6 +22,7 @@ from labos.core.campaigns import (
 )
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.batches import SubmitRuns, list_new, name_run
 from labos.core.decide.campaigns import (
     AmendCampaign,
     SubmitCampaign,
@@ -83,6 +84,8 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
         return decision
     if isinstance(command, SubmitWithLabware):
         return _with_labware(state, command, decision, actor)
+    if isinstance(command, SubmitRuns):
+        return _each_of_batch(state, command, decision, actor)
     if isinstance(command, ApplyPolicy):
         return _not_by_program(state, actor) or decision
     events = list(decision)
@@ -109,6 +112,7 @@ _SUBMISSIONS = (
     ApplyPolicy,
     SubmitRun,
     SubmitWithLabware,
+    SubmitRuns,
     SubmitCampaign,
     StartExperiment,
     AmendCampaign,
@@ -125,6 +129,28 @@ def _with_labware(
     if isinstance(run, Rejection):
         return run
     return chain(decision, [event for event in run if isinstance(event, ApprovalRequested)])
+
+
+def _each_of_batch(state: LabState, command: SubmitRuns, decision: Iterable[Event], actor: str) -> Decision:
+    """Each run of several waits as any run."""
+    new = list_new(state, command)
+    for number, run in new.items():
+        high = refuse_priority(state, run, actor)
+        if high is not None:
+            return name_run(command, number, high)
+    return _hold_each(state, list(new.values()), decision, actor)
+
+
+def _hold_each(
+    state: LabState, runs: list[SubmitRun], decision: Iterable[Event], actor: str
+) -> Iterator[Event]:
+    """Each event is folded before the next one is asked for."""
+    left = iter(runs)
+    for event in decision:
+        yield event
+        if isinstance(event, RunSubmitted):
+            request = _request_for_run(state, next(left), [event], actor)
+            yield from () if request is None else (request,)
 
 
 def _not_by_program(state: LabState, actor: str) -> Rejection | None:
