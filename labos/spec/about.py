@@ -39,7 +39,8 @@ class ArgAbout(Part):
 
 class ActionAbout(Part):
     """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``;
-    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``."""
+    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``;
+    ``duration_from`` is where the duration is found if arguments decide it, such as ``20 + {seconds}``."""
 
     description: str = ""
     args: dict[Name, ArgAbout] = {}
@@ -52,6 +53,7 @@ class ActionAbout(Part):
     result: str = ""
     returns: Any = None
     dangerous: str = ""
+    duration_from: str = ""
 
 
 class StationAbout(Part):
@@ -187,6 +189,7 @@ def _action(name: str, action: ActionAbout) -> ActionSpec:
         recovers=action.recovers,
         returns=action.returns,
         dangerous=action.dangerous,
+        duration_from=action.duration_from,
     )
 
 
