@@ -321,6 +321,7 @@ RIGHTS: dict[type[Command], Right] = {
     bookings.NearBooking: _INSIDE,
     campaigns.RefuseRow: _INSIDE,
     campaigns.SubmitRow: _INSIDE,
+    campaigns.SubmitRows: _INSIDE,
     cancelling.GiveUpWayOut: _INSIDE,
     cancelling.TakeWayOut: _INSIDE,
     choices.BindAnew: _INSIDE,

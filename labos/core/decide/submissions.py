@@ -21,12 +21,16 @@ from labos.core.campaigns import (
     Terms,
 )
 from labos.core.canonical import canonical, digest
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides
 from labos.core.decide.batches import SubmitRuns, list_new, name_run
 from labos.core.decide.campaigns import (
     AmendCampaign,
+    RefuseRow,
     SubmitCampaign,
     SubmitRow,
+    SubmitRows,
+    refuse_row,
+    submit_row,
 )
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import StartExperiment
@@ -44,7 +48,7 @@ from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
-from labos.core.users import ON_BEHALF, person_of
+from labos.core.users import LABOS, ON_BEHALF, person_of
 
 
 class ApplyPolicy(Command, frozen=True):
@@ -59,6 +63,27 @@ def apply_policy(state: LabState, command: ApplyPolicy) -> Decision:
     if (state.approvals.applied, state.approvals.policy) == (command.digest, command.policy):
         return []
     return [PolicyApplied(command.digest, command.policy)]
+
+
+@decides(SubmitRows)
+def submit_rows(state: LabState, command: SubmitRows) -> Decision:
+    """The first row is decided as if it were alone; of the others, as many as may be."""
+    first = _decide_next_row(state, command.rows[0]) if command.rows else []
+    return first if isinstance(first, Rejection) else _submit_rows(state, command.rows)
+
+
+def _submit_rows(state: LabState, rows: tuple[SubmitRow | RefuseRow, ...]) -> Iterator[Event]:
+    for row in rows:
+        decision = _decide_next_row(state, row)
+        if isinstance(decision, Rejection):
+            return
+        yield from decision
+
+
+def _decide_next_row(state: LabState, row: SubmitRow | RefuseRow) -> Decision:
+    decision = submit_row(state, row) if isinstance(row, SubmitRow) else refuse_row(state, row)
+    held = hold_for_approval(state, row, decision, LABOS)
+    return held if isinstance(held, Rejection) else check_recordable(held)
 
 
 def name_both_actors(command: Command, actor: str) -> Command:
