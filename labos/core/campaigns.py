@@ -225,12 +225,14 @@ class Campaign(msgspec.Struct):
     @property
     def takes_rows(self) -> bool:
         """Whether a further row may be submitted now."""
-        return (
-            self.status == CampaignStatus.OPEN
-            and self.left > 0
-            and not explain_stop(self)
-            and self.queued < ROWS_QUEUED
-        )
+        return self.room > 0
+
+    @property
+    def room(self) -> int:
+        """How many further rows may be submitted now."""
+        if self.status != CampaignStatus.OPEN or explain_stop(self):
+            return 0
+        return max(min(self.left, ROWS_QUEUED - self.queued), 0)
 
 
 class EndedCampaign(msgspec.Struct):

@@ -99,6 +99,15 @@ class RunSubmission(msgspec.Struct, frozen=True):
     approval: str = ""
 
 
+class RunsSubmission(msgspec.Struct, frozen=True):
+    """The ids of the runs, in the order of their payloads, and what the workflow's files made the lab remark.
+    ``approvals`` say why runs wait for one, one sentence for each that does."""
+
+    runs: list[str]
+    warnings: tuple[Finding, ...] = ()
+    approvals: tuple[str, ...] = ()
+
+
 class RunReference(msgspec.Struct, frozen=True):
     run: str
 

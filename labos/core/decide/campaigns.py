@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import Any
 
@@ -94,6 +94,15 @@ class RefuseRow(Command, frozen=True):
     campaign: CampaignId
     row: int
     why: str
+
+
+class SubmitRows(Command, frozen=True):
+    """The next rows of a campaign become runs, or cannot, one after the other, as long as there is room."""
+
+    rows: tuple[SubmitRow | RefuseRow, ...]
+
+    def parts(self) -> Sequence[Command]:
+        return self.rows
 
 
 class PauseCampaign(Command, frozen=True):
