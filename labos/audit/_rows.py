@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from labos.audit.tables import TABLES, Table
+from labos.core.registry import Event
 
 Key = tuple[Any, ...]
 Row = dict[str, Any]
@@ -37,8 +38,11 @@ class RowChanges:
         """A row, in the order of its columns, of a table that only grows."""
         self._added[table.name].append(values)
 
-    def put(self, table: Table, row: Row) -> Row:
-        """A row that is new, or takes the place of another one."""
+    def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
+        """A row that is new, or takes the place of another one. A column of which ``row`` says nothing has
+        what the ``event`` says under its name; it is empty if that says nothing, either."""
+        said = {column.stored: getattr(event, column.stored, column.empty) for column in table.columns}
+        row = {**said, **row}
         key = tuple(row[name] for name in table.key)
         self._known[table.name][key] = self._changed[table.name][key] = row
         return row
