@@ -26,6 +26,7 @@ from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.steps import StepUnexpected
+from labos.core.structs import make_from
 from labos.core.viewer import RestrictedCampaign, Visibility
 from labos.core.words import Words
 
@@ -292,20 +293,7 @@ def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: 
         campaigns.requests[event.request] = event.campaign
         while len(campaigns.requests) > REQUESTS_KEPT:
             del campaigns.requests[next(iter(campaigns.requests))]
-    campaigns.open[event.campaign] = Campaign(
-        id=event.campaign,
-        name=event.name,
-        user=event.user,
-        workflow=event.workflow,
-        workcell=event.workcell,
-        rows=event.rows,
-        table=event.table,
-        definition=event.definition,
-        submitted_at=at,
-        terms=event.terms,
-        cloned_from=event.cloned_from,
-        due=event.due,
-    )
+    campaigns.open[event.campaign] = make_from(Campaign, event, id=event.campaign, submitted_at=at)
     if event.visibility != "lab":
         campaigns.restricted[event.campaign] = RestrictedCampaign(
             event.user, event.workcell, event.visibility

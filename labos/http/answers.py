@@ -9,7 +9,7 @@ from labos.http.asking import NodeAnswer
 from labos.http.campaigns import CampaignView, Estimate
 from labos.http.teaching import LocationPose
 from labos.ports import EventLine
-from labos.services.runs import RunHistory, StepHistory
+from labos.services.runs import StepHistory
 from labos.services.shares import ShareAccount
 from labos.services.signatures import Signature
 from labos.spec.findings import Finding
@@ -74,10 +74,6 @@ class RunDetail(msgspec.Struct, frozen=True):
     campaign: str
     busy: list[tuple[int, int]]
     due_at: int
-
-    @classmethod
-    def make(cls, story: RunHistory) -> RunDetail:
-        return cls(**{name: getattr(story, name) for name in cls.__struct_fields__})
 
 
 class Runs(msgspec.Struct, frozen=True):

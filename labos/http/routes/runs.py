@@ -7,6 +7,7 @@ from itertools import islice
 
 from labos.core.envelope import Record
 from labos.core.runs import RUN_ENDS
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.http.answers import (
     ExperimentReference,
@@ -52,7 +53,7 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
     names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
     stories = [await call.service.story(name) for name in names]
     return Runs(
-        runs=[RunDetail.make(story) for story in stories if story.campaign not in call.hidden],
+        runs=[make_from(RunDetail, story) for story in stories if story.campaign not in call.hidden],
         position=shown[-1].position if shown else query.after,
         more=len(left) > len(shown),
         ended_position=over[0].head.position if over else 0,
@@ -71,7 +72,7 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     story = await call.service.story(path.run, query.wait)
     if story.campaign in call.hidden:
         raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
-    return RunDetail.make(story)
+    return make_from(RunDetail, story)
 
 
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
