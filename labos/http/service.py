@@ -425,8 +425,8 @@ class LabService:
             raise error_of(lacks)
 
     def hear(self, experiment: str, actor: str) -> None:
-        """The application lives. Raises Forbidden for somebody else's: the program that keeps it alive goes
-        on with it."""
+        """The application is running. Raises Forbidden for somebody else's: the program that keeps it alive
+        goes on with it."""
         self.check_noting(experiment, actor)
         self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
 

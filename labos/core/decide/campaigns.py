@@ -379,7 +379,7 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 
 
 def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
-    """A campaign that must not go on is stopped, and one with nothing left to do is completed."""
+    """A campaign that may not continue is stopped. A campaign without remaining work is completed."""
     for name in list(state.campaigns.due):
         campaign = state.campaigns.open[name]
         if why := explain_stop(campaign):
@@ -390,7 +390,7 @@ def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
 
 
 def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
-    """The campaigns of a user who may not act any more submit no further row until somebody resumes them."""
+    """The campaigns of a disabled user are paused until somebody resumes them."""
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
         answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
         yield from () if isinstance(answer, Rejection) else answer

@@ -239,7 +239,7 @@ RIGHTS: dict[type[Command], Right] = {
     signatures.SignRecords: _SIGNING,
     proposals.ApproveProposal: Right(
         "operator",
-        "an operator; what is one's own only if the policy says so",
+        "an operator; for own submissions, only if the policy allows it",
         targets.find_proposal_target,
         "by",
     ),
@@ -264,7 +264,7 @@ RIGHTS: dict[type[Command], Right] = {
     ),
     interventions.ResolveIntervention: Right(
         "submitter",
-        "an operator; what becomes of a run or an experiment: also its owner",
+        "an operator; for questions about a run or an experiment also its owner",
         targets.list_question_targets,
         "by",
     ),
@@ -336,7 +336,7 @@ RIGHTS: dict[type[Command], Right] = {
     nodes.JoinNode: _INSIDE,
     nodes.LoseNode: _INSIDE,
     nodes.Quarantine: _INSIDE,
-    nodes.RecordStops: Right("viewer", "whoever stopped it: it is recorded in any case"),
+    nodes.RecordStops: Right("viewer", "the person who stopped it; it is recorded in any case"),
     nodes.ReportState: _INSIDE,
     runs.BreachWindow: _INSIDE,
     shorter.ReportShorterLog: _INSIDE,
