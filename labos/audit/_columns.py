@@ -23,6 +23,11 @@ class Column(msgspec.Struct, frozen=True):
     def stored(self) -> str:
         return f"{self.name}_s" if self.kind == "time" else self.name
 
+    @property
+    def empty(self) -> str | bool | None:
+        """What stands in it where nothing is known."""
+        return "" if self.kind == "text" else False if self.kind == "flag" else None
+
 
 class Table(msgspec.Struct, frozen=True):
     """``view`` is what people read it as (empty: nobody does). Rows of a table that only ``grows`` are never

@@ -27,6 +27,7 @@ from labos.core.open_experiments import Experiments
 from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event, event
 from labos.core.runs import RunCancelled, RunCompleted, RunEvent, RunFailed, Runs, let_wait_anew
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 PAST_KEPT = 1_000
@@ -179,7 +180,7 @@ def fold_policy_applied(approvals: Approvals, event: PolicyApplied, at: int) -> 
 
 def fold_approval_requested(approvals: Approvals, event: ApprovalRequested, at: int) -> None:
     approvals.open.pop(event.subject, None)
-    approvals.open[event.subject] = Proposal(**msgspec.structs.asdict(event), requested_at=at)
+    approvals.open[event.subject] = make_from(Proposal, event, requested_at=at)
 
 
 def fold_approval_given(approvals: Approvals, event: ApprovalGiven, at: int) -> None:

@@ -14,6 +14,7 @@ import msgspec
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.recurrence import DAY_NS, times_between
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 LEAD_NS = 30 * 60 * 1_000_000_000
@@ -276,22 +277,7 @@ def fold_booking_ended(bookings: Bookings, event: BookingEnded, at: int) -> None
 
 def _write(bookings: Bookings, event: BookingMade | BookingChanged, at: int) -> None:
     bookings.made += 1
-    bookings.open[event.booking] = Booking(
-        event.booking,
-        event.target,
-        event.begins,
-        event.ends,
-        event.by,
-        event.user,
-        event.group,
-        event.maintenance,
-        event.why,
-        event.zone,
-        event.rule,
-        event.last,
-        bookings.made,
-        at,
-    )
+    bookings.open[event.booking] = make_from(Booking, event, id=event.booking, made=bookings.made, made_at=at)
     bookings.on.setdefault(event.target, {})[event.booking] = True
 
 

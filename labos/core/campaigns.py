@@ -26,6 +26,7 @@ from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.steps import StepUnexpected
+from labos.core.structs import make_from
 from labos.core.viewer import RestrictedCampaign, Visibility
 from labos.core.words import Words
 
@@ -227,12 +228,14 @@ class Campaign(msgspec.Struct):
     @property
     def takes_rows(self) -> bool:
         """Whether a further row may be submitted now."""
-        return (
-            self.status == CampaignStatus.OPEN
-            and self.left > 0
-            and not explain_stop(self)
-            and self.queued < ROWS_QUEUED
-        )
+        return self.room > 0
+
+    @property
+    def room(self) -> int:
+        """How many further rows may be submitted now."""
+        if self.status != CampaignStatus.OPEN or explain_stop(self):
+            return 0
+        return max(min(self.left, ROWS_QUEUED - self.queued), 0)
 
 
 class EndedCampaign(msgspec.Struct):
@@ -292,20 +295,7 @@ def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: 
         campaigns.requests[event.request] = event.campaign
         while len(campaigns.requests) > REQUESTS_KEPT:
             del campaigns.requests[next(iter(campaigns.requests))]
-    campaigns.open[event.campaign] = Campaign(
-        id=event.campaign,
-        name=event.name,
-        user=event.user,
-        workflow=event.workflow,
-        workcell=event.workcell,
-        rows=event.rows,
-        table=event.table,
-        definition=event.definition,
-        submitted_at=at,
-        terms=event.terms,
-        cloned_from=event.cloned_from,
-        due=event.due,
-    )
+    campaigns.open[event.campaign] = make_from(Campaign, event, id=event.campaign, submitted_at=at)
     if event.visibility != "lab":
         campaigns.restricted[event.campaign] = RestrictedCampaign(
             event.user, event.workcell, event.visibility

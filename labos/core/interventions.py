@@ -7,6 +7,7 @@ import msgspec
 from labos.core.effects import AnyEffect
 from labos.core.ids import InterventionId, LabwareId
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.topics import AnyTopic, Choice, Topic
 from labos.core.words import Words
 
@@ -128,19 +129,8 @@ def fold_intervention_requested(interventions: Interventions, event: Interventio
     if event.intervention in interventions.open:
         raise ValueError(f"{event.intervention} is open already")
     interventions.named += 1
-    interventions.open[event.intervention] = Intervention(
-        id=event.intervention,
-        kind=event.kind,
-        subject=event.subject,
-        text=event.text,
-        choices=event.choices,
-        run=event.run,
-        module=event.module,
-        labware=event.labware,
-        motions=event.motions,
-        requested_at=at,
-        due_at=event.due_at,
-        topic=event.topic,
+    interventions.open[event.intervention] = make_from(
+        Intervention, event, id=event.intervention, requested_at=at
     )
     interventions.by_subject.setdefault(event.subject, {})[event.intervention] = True
     if event.run:

@@ -206,7 +206,9 @@ class ActionSpec(msgspec.Struct, frozen=True):
     pure queries do not. One that ``recovers`` may start while the module is in error, and its
     success ends the error. What is done ``by_person`` ends when a person says so. ``returns`` is the result
     of a module that is simulated by its description alone. ``dangerous`` names what may hurt or cannot be
-    undone (laser, hot, irreversible …); empty for most."""
+    undone (laser, hot, irreversible …); empty for most. ``duration_from`` is where the duration is found if
+    arguments or the file that an action runs decide it: ``{seconds}``, ``20 + {minutes}`` (in the unit of the
+    argument), ``{file:protocol:resources.seconds}``."""
 
     name: str
     description: str = ""
@@ -222,6 +224,7 @@ class ActionSpec(msgspec.Struct, frozen=True):
     by_person: bool = False
     returns: Any = None
     dangerous: str = ""
+    duration_from: str = ""
 
 
 class Station(msgspec.Struct, frozen=True):

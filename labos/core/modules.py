@@ -24,6 +24,7 @@ from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ModuleSpec
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 
@@ -487,8 +488,7 @@ def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> No
 
 
 def fold_module_calibrated(modules: Modules, event: ModuleCalibrated, at: int) -> None:
-    told = Calibration(at, event.by, event.certificate, event.file, event.until)
-    modules.by_name[event.module].calibrations[event.what] = told
+    modules.by_name[event.module].calibrations[event.what] = make_from(Calibration, event, at=at)
 
 
 def find_unproven(

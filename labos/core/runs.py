@@ -22,6 +22,7 @@ from labos.core.plans import (
     release_plan,
 )
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.topics import ClosingWaits
 from labos.core.words import Words
 
@@ -389,21 +390,13 @@ def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) 
     plan = runs.plans[event.plan]
     for one in event.choices or (event.plan,):
         runs.plans[one].uses += 1
-    run = RunState(
+    run = make_from(
+        RunState,
+        event,
         id=event.run,
-        plan=event.plan,
-        workflow=event.workflow,
-        user=event.user,
-        experiment=event.experiment,
-        priority=event.priority,
         position=position,
         submitted_at=at,
-        closing=event.closing,
-        anchors=event.anchors,
-        campaign=event.campaign,
         unapproved=any(runs.plans[one].dangers for one in event.choices or (event.plan,)),
-        choices=event.choices,
-        due_at=event.due_at,
     )
     runs.queued[event.run] = run
     if event.anchors:

@@ -9,7 +9,7 @@ from labos.http.asking import NodeAnswer
 from labos.http.campaigns import CampaignView, Estimate
 from labos.http.teaching import LocationPose
 from labos.ports import EventLine
-from labos.services.runs import RunHistory, StepHistory
+from labos.services.runs import StepHistory
 from labos.services.shares import ShareAccount
 from labos.services.signatures import Signature
 from labos.spec.findings import Finding
@@ -75,10 +75,6 @@ class RunDetail(msgspec.Struct, frozen=True):
     busy: list[tuple[int, int]]
     due_at: int
 
-    @classmethod
-    def make(cls, story: RunHistory) -> RunDetail:
-        return cls(**{name: getattr(story, name) for name in cls.__struct_fields__})
-
 
 class Runs(msgspec.Struct, frozen=True):
     """A page of runs. ``position`` is the position of the last submission on it; ``more``: there are later
@@ -97,6 +93,15 @@ class RunSubmission(msgspec.Struct, frozen=True):
     run: str
     warnings: tuple[Finding, ...] = ()
     approval: str = ""
+
+
+class RunsSubmission(msgspec.Struct, frozen=True):
+    """The ids of the runs, in the order of their payloads, and what the workflow's files made the lab remark.
+    ``approvals`` say why runs wait for one, one sentence for each that does."""
+
+    runs: list[str]
+    warnings: tuple[Finding, ...] = ()
+    approvals: tuple[str, ...] = ()
 
 
 class RunReference(msgspec.Struct, frozen=True):

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from labos.core.decide.batches import MOST_RUNS
 from labos.core.signatures import Meaning
 from labos.core.suggestions import MOST_STEPS
 from labos.core.viewer import Visibility
@@ -67,6 +68,41 @@ class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         Line,
         says("the time by which the run should end: a time, or a duration from now (`12h`); empty: none"),
     ] = ""
+
+
+class NewRuns(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """A run of a workflow for each payload."""
+
+    workflow: Annotated[WorkflowText, says("the workflow, with the files that it names")]
+    payloads: Annotated[
+        list[dict[str, Any]],
+        msgspec.Meta(min_length=1, max_length=MOST_RUNS),
+        says("values for the workflow, of one run each"),
+    ]
+    user: Asker = ""
+    workcell: Annotated[Name, says("needed if the lab has several")] = ""
+    priority: Annotated[Priority, says("higher goes first; 0")] = 0
+    experiment: Annotated[Name, says("the experiment to which they belong; it must be the user's")] = ""
+    place: Annotated[
+        list[Placing],
+        msgspec.Meta(max_length=MOST_ENTRIES),
+        says("labware that was put on the bench for them; recorded once with the runs, or not at all"),
+    ] = []
+    propose: Annotated[bool, says("they wait for an approval, whatever the policy says")] = False
+    due: Annotated[
+        Line, says("when they should be over: a time, or how long from now (`12h`); empty: never")
+    ] = ""
+    keys: Annotated[
+        list[Name],
+        msgspec.Meta(max_length=MOST_RUNS),
+        says("a key for each run: the same twice is one run; left out: the request's key with `-0`, `-1` …"),
+    ] = []
+    files: Annotated[
+        list[Names],
+        msgspec.Meta(max_length=MOST_RUNS),
+        says("for each run, the names of the workflow's files that it has; left out: all of them"),
+    ] = []
+    first: Annotated[Limit, says("so many payloads were sent before these: errors count them, too")] = 0
 
 
 class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

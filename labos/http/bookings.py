@@ -10,6 +10,7 @@ from labos.core.bookings import Booking, BookingSpan
 from labos.core.decide.bookings import NewTerms
 from labos.core.recurrence import DAY_NS
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import person_of
 from labos.errors import BadInput, NotFound
 from labos.http.bodies import By
@@ -153,24 +154,17 @@ def view(booking: Booking, over: tuple[str, ...] = ()) -> BookingView:
         if booking.began
         else booking.next_span(booking.handled)
     )
-    return BookingView(
-        booking.id,
-        booking.target,
-        booking.begins,
-        booking.ends,
-        booking.user,
-        booking.group,
-        booking.maintenance,
-        booking.why,
-        booking.zone,
-        booking.rule,
-        booking.last,
-        booking.by,
-        bool(booking.began),
-        span.begins if span is not None else 0,
-        span.ends if span is not None else 0,
-        booking.skipped,
-        over,
+    return make_from(
+        BookingView,
+        booking,
+        begins_at=booking.begins,
+        ends_at=booking.ends,
+        last_at=booking.last,
+        now=bool(booking.began),
+        next_begins_at=span.begins if span is not None else 0,
+        next_ends_at=span.ends if span is not None else 0,
+        skipped_at=booking.skipped,
+        over=over,
     )
 
 
@@ -213,16 +207,13 @@ def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarVie
 
 
 def _time(span: BookingSpan, booking: Booking) -> BookedTime:
-    return BookedTime(
-        booking.id,
-        booking.target,
-        span.begins,
-        span.ends,
-        booking.user,
-        booking.group,
-        booking.maintenance,
-        booking.why,
-        booking.began == span.begins,
+    return make_from(
+        BookedTime,
+        booking,
+        booking=booking.id,
+        begins_at=span.begins,
+        ends_at=span.ends,
+        now=booking.began == span.begins,
     )
 
 
@@ -240,15 +231,13 @@ def terms_of(state: LabState, body: NewBooking) -> NewTerms:
         )
     if body.maintenance:
         user = group = ""
-    return NewTerms(
+    return make_from(
+        NewTerms,
+        body,
         begins=body.begins_at,
         ends=body.ends_at,
         user=user,
         group=group,
-        maintenance=body.maintenance,
-        why=body.why,
-        zone=body.zone,
-        rule=body.rule,
         last=body.last_at,
     )
 

@@ -16,6 +16,7 @@ from labos.core.decide.runs import NOBODYS
 from labos.core.ids import CampaignId, local
 from labos.core.model import MAIN, Plan
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import person_of
 from labos.core.viewer import Visibility
 from labos.errors import BadInput, KeyReused, SpecError
@@ -385,25 +386,10 @@ def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:
 
 
 def view_of(state: LabState, campaign: Campaign) -> CampaignView:
-    return CampaignView(
-        id=campaign.id,
-        name=campaign.name,
-        user=campaign.user,
-        workflow=campaign.workflow,
-        workcell=campaign.workcell,
-        status=campaign.status,
-        why=campaign.why,
-        rows=campaign.rows,
-        queued=campaign.queued,
+    return make_from(
+        CampaignView,
+        campaign,
         active=len(campaign.runs) - campaign.queued,
-        completed=campaign.completed,
-        failed=campaign.failed,
-        cancelled=campaign.cancelled,
-        refused=campaign.refused,
-        left=campaign.left,
         lab_time_s=campaign.spent_ns / 1e9 * state.lab.pace,
-        used=campaign.used,
-        terms=campaign.terms,
         visibility=state.campaigns.visibility_of(campaign.id),
-        cloned_from=campaign.cloned_from,
     )

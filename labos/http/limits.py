@@ -152,6 +152,9 @@ def check_fields(told: msgspec.Struct) -> None:
             check_person(value, field)
         elif field in ("payload", "facts", "result"):
             _check_table(value, field)
+        elif field == "payloads":
+            for number, payload in enumerate(value):
+                _check_table(payload, f"{field}[{number}]")
 
 
 def _check_table(value: Any, field: str) -> None:

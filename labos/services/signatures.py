@@ -13,6 +13,7 @@ from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.registry import decode
 from labos.core.runs import RUN_ENDS, RunSubmitted
 from labos.core.signatures import RecordsSigned, RunSigned, digest_of_records
+from labos.core.structs import make_from
 from labos.errors import NotFound, Refused
 from labos.ports import LogQuery
 from labos.services.log import Log
@@ -149,20 +150,16 @@ def _signature(
         known[subject] = _digest_subject(log, subject, kind)
     runs = event.runs if isinstance(event, RecordsSigned) else 0
     at = record.head.recorded_at
-    return Signature(
+    return make_from(
+        Signature,
+        event,
         subject=subject,
         kind=kind,
         run=subject if kind == "run" else "",
-        by=event.by,
-        meaning=event.meaning,
-        why=event.why,
-        method=event.method,
         at=at,
         time=iso_time(at),
         position=record.head.position,
         runs=runs,
-        records=event.records,
-        digest=event.digest,
         holds=known[subject] == Signed(kind, runs, event.records, event.digest),
     )
 

@@ -63,7 +63,7 @@ class People(Processes):
         """The probability that the person has no time on a visit."""
         self.done_jobs: set[str] = set()
         self._seen: int | None = None
-        self._untold: dict[tuple[str, str], str] = {}
+        self._unreported: dict[tuple[str, str], str] = {}
         """The person's changes on the bench that were not reported to a kernel yet."""
         self._inside = False
         """Whether the person may still have access."""
@@ -99,7 +99,7 @@ class People(Processes):
                 pass
             await asyncio.sleep(0.5)
 
-    async def _until(self, holds: Callable[[LabState], bool], look_s: float = LOOK_S) -> None:
+    async def _await(self, holds: Callable[[LabState], bool], look_s: float = LOOK_S) -> None:
         while True:
             kernel = self.kernel
             if kernel is not None:
@@ -110,7 +110,7 @@ class People(Processes):
                     pass
             await asyncio.sleep(look_s)
 
-    async def _until_written(self) -> None:
+    async def _await_written(self) -> None:
         """Wait until the kernel and the disk have the same events. A replaced kernel does not have all of
         them, so its successor has to answer first."""
         while True:
@@ -125,7 +125,7 @@ class People(Processes):
                 pass
             await asyncio.sleep(0.5)
 
-    async def _user(self, job: Job) -> None:
+    async def _act_as_user(self, job: Job) -> None:
         await asyncio.sleep(job.after_s)
         experiment = ExperimentId("")
         if job.experiment is not None:
@@ -141,10 +141,10 @@ class People(Processes):
             command = msgspec.structs.replace(run, **changes)
             await self._insist(command, lambda state, r=request: r in state.runs.requests)  # type: ignore[misc]
             name = self.fold_log().runs.requests[request]
-            await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
+            await self._await(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
         if experiment:
             await self._insist(EndExperiment(experiment), lambda state: _is_closed(state, experiment))
-            await self._until(lambda state: experiment not in state.experiments.open)
+            await self._await(lambda state: experiment not in state.experiments.open)
         self.done_jobs.add(job.name)
 
     async def _refill(self, kernel: Kernel) -> None:
@@ -177,18 +177,18 @@ class People(Processes):
         if not state.runs.active and any(isinstance(why, reasons.NoWayOut) for why in whys):
             known = state.bench.stations
             places = {n: True for n, s in known.items() if s.labware and not s.spec.is_storage}
-        self._cleared |= {place for place in places if _is_left(state, place)}
-        await self._tell_cleared(kernel)
+        self._cleared |= {place for place in places if _is_left_behind(state, place)}
+        await self._report_cleared(kernel)
 
-    async def _tell_cleared(self, kernel: Kernel) -> None:
+    async def _report_cleared(self, kernel: Kernel) -> None:
         """Remove the labware at the cleared places and report it; repeat the report until a kernel has
         received it."""
         for place in sorted(self._cleared):
             if not await self._may_touch(kernel):
                 return
             self._reach_in(kernel)
-            if _is_left(kernel.state, place):
-                with self._in_peace():
+            if _is_left_behind(kernel.state, place):
+                with self._suspend_faults():
                     for plate in self.world.at(bench_name(kernel.state.bench.stations[place].spec)):
                         self.world.carry(plate, "")
                     await self._tell(kernel, UnloadStation(place, "person"))
@@ -204,7 +204,7 @@ class People(Processes):
             self.world.stock(local(stack), kind, count)
             await self._tell(kernel, LoadStation(stack, kind, count))
 
-    async def _person(self) -> None:
+    async def _act_as_person(self) -> None:
         """The person: from time to time looks at the bench and answers questions."""
         while True:
             await asyncio.sleep(2 * LOOK_S)
@@ -225,7 +225,7 @@ class People(Processes):
                     if self.is_moving(question.module):
                         continue  # nobody reaches into that
                     unknown = isinstance(question.topic, UnknownAction)
-                    if unknown and not await self._rests(kernel, question.module):
+                    if unknown and not await self._is_over_for(kernel, question.module):
                         continue  # it may go on when its node is back
                     if not await self._may_touch(kernel):
                         break  # what fell first is asked about first
@@ -239,7 +239,7 @@ class People(Processes):
             except (LabosError, TimeoutError, Killed):
                 continue
 
-    async def _rests(self, kernel: Kernel, name: str) -> bool:
+    async def _is_over_for(self, kernel: Kernel, name: str) -> bool:
         """Whether the module has a node or is out of service. The person takes a module out of service whose
         node will never come back."""
         module = kernel.state.modules.by_name[ModuleName(name)]
@@ -274,8 +274,8 @@ class People(Processes):
         if not self._inside and (access is None or access.by != "person"):
             return
         asked = {(question.kind, question.subject) for question in kernel.state.interventions.open.values()}
-        self._untold = {about: choice for about, choice in self._untold.items() if about in asked}
-        if not any(self._untold.values()):
+        self._unreported = {about: choice for about, choice in self._unreported.items() if about in asked}
+        if not any(self._unreported.values()):
             await self._insist(EndAccess(cell, "person"), lambda state: cell not in state.lab.access)
             self._inside = False
 
@@ -291,19 +291,19 @@ class People(Processes):
         self._reach_in(kernel)
         about = (question.kind, question.subject)
         before = self.world.last_motion()
-        remembered = self._untold.pop(about, "")
+        remembered = self._unreported.pop(about, "")
         choice = remembered or look(self.world, kernel.state, question)
         moved = bool(remembered) or self.world.last_motion() > before
         try:
-            with self._in_peace(moved):
+            with self._suspend_faults(moved):
                 await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
         except (LabosError, TimeoutError, Killed):
-            self._untold[about] = choice if moved else ""
+            self._unreported[about] = choice if moved else ""
             raise
 
     @contextmanager
-    def _in_peace(self, moved: bool = True) -> Iterator[None]:
-        """Suppress faults while a person who has ``moved`` something reports it."""
+    def _suspend_faults(self, moved: bool = True) -> Iterator[None]:
+        """No fault is drawn while somebody who has ``moved`` something reports it."""
         calm = self.faults.calm
         self.faults.calm = calm or moved
         try:
@@ -325,11 +325,11 @@ class People(Processes):
         """Stop a module in an emergency, without a kernel."""
         await asyncio.sleep(after_s)
         bus = self.network.endpoint(Process("person"))
-        await stop_modules(bus, await self._lab_id(), [module], "person")
+        await stop_modules(bus, await self._await_lab_id(), [module], "person")
 
     async def _meddle(self, meddle: Meddle) -> None:
         """Interfere with a run when one of its steps has started."""
-        await self._until(lambda _: meddle.request in self.fold_log().runs.requests)
+        await self._await(lambda _: meddle.request in self.fold_log().runs.requests)
         name = self.fold_log().runs.requests[meddle.request]
 
         def has_begun(state: LabState) -> bool:
@@ -339,7 +339,7 @@ class People(Processes):
             # A kernel that another one has ended may have given this name to a shorter run.
             return meddle.step < len(run.steps) and run.steps[meddle.step].status != PENDING
 
-        await self._until(has_begun, look_s=1.0)  # a picture takes five
+        await self._await(has_begun, look_s=1.0)  # a picture takes five
         for after_s, deed in meddle.deeds(name):
             await asyncio.sleep(after_s)
             if isinstance(deed, str):
@@ -362,7 +362,7 @@ def _is_closed(state: LabState, experiment: ExperimentId) -> bool:
     return found is None or found.status == "closing"
 
 
-def _is_left(state: LabState, place: StationName) -> bool:
+def _is_left_behind(state: LabState, place: StationName) -> bool:
     """Whether the labware at a place does not belong to a run any more."""
     left = [item for item in state.bench.labware.values() if item.station == place]
     return bool(left) and all(item.owner.startswith(("user:", SHARED)) for item in left)

@@ -4,7 +4,7 @@ and spoils the line. The suite compares the answers of the node with the motion 
 """
 
 from labos.torture.report import MEANING, RANKS, Badge, Finding, Report
-from labos.torture.suite import CHECKS, declaration, is_person, says, torture
+from labos.torture.suite import CHECKS, describe_check, find_declaration, is_person, torture
 
 __all__ = [
     "CHECKS",
@@ -13,8 +13,8 @@ __all__ = [
     "Badge",
     "Finding",
     "Report",
-    "declaration",
+    "describe_check",
+    "find_declaration",
     "is_person",
-    "says",
     "torture",
 ]

@@ -59,6 +59,54 @@ class GeneratedRuns(Calls):
             request=request or self._ids.new(),
         )
 
+    def _submit_runs(
+        self,
+        workflow: Mapping[str, Any],
+        payloads: Sequence[Mapping[str, Any]],
+        user: str,
+        *,
+        workcell: str = "",
+        priority: int = 0,
+        experiment: str = "",
+        place: Sequence[Mapping[str, Any]] = (),
+        propose: bool = False,
+        due: str = "",
+        keys: Sequence[str] = (),
+        files: Sequence[Sequence[str]] = (),
+        first: int = 0,
+        request: str = "",
+    ) -> dict[str, Any]:
+        """Queue a run of a workflow for each payload, all of them or none. The runs are queued in one step:
+        all of them, or none. So the first one starts when the lab knows the last one. ``workflow``: the
+        workflow, with the files that it names. ``payloads``: values for the workflow, of one run each.
+        ``user``: the user who asks; ignored in a lab that has users, where it is the user who has signed in.
+        ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the
+        experiment to which they belong; it must be the user's. ``place``: labware that was put on the bench
+        for them; recorded once with the runs, or not at all. ``propose``: they wait for an approval, whatever
+        the policy says. ``due``: when they should be over: a time, or how long from now (``12h``); empty:
+        never. ``keys``: a key for each run: the same twice is one run; left out: the request's key with
+        ``-0``, ``-1`` …. ``files``: for each run, the names of the workflow's files that it has; left out:
+        all of them. ``first``: so many payloads were sent before these: errors count them, too. Returns
+        ``runs``, ``warnings``, ``approvals``. Raises NotFound, Refused, BadInput."""
+        return self._post(
+            "/runs/batch",
+            {
+                "workflow": workflow,
+                "payloads": payloads,
+                "user": user,
+                "workcell": workcell,
+                "priority": priority,
+                "experiment": experiment,
+                "place": place,
+                "propose": propose,
+                "due": due,
+                "keys": keys,
+                "files": files,
+                "first": first,
+            },
+            request=request or self._ids.new(),
+        )
+
     def _get_run(self, run: str, *, wait: float = 0.0) -> dict[str, Any]:
         """Show a run with its steps, or its end. ``wait``: seconds to wait for its end. Returns ``id``,
         ``workflow``, ``workcell``, ``user``, ``experiment``, ``submitted_at``, ``steps``, ``status``,

@@ -28,6 +28,7 @@ from labos.core.recurrence import DAY_NS, LATEST, fault_of_rule, in_zone, zone_o
 from labos.core.registry import Event
 from labos.core.roles import role_in
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import BookedPlace, in_batches, name_some
 from labos.core.users import person_of, rank
 from labos.core.words import Words
@@ -202,20 +203,14 @@ def _event(
     over: tuple[str, ...],
 ) -> Event:
     terms = command.terms
-    return kind(
-        name,
-        target,
-        terms.begins,
-        terms.ends,
-        command.by,
-        terms.user,
-        terms.group,
-        terms.maintenance,
-        terms.why or "",
-        terms.zone,
-        terms.rule,
-        terms.last,
-        over,
+    return make_from(
+        kind,
+        terms,
+        booking=name,
+        target=target,
+        by=command.by,
+        why=terms.why or "",
+        over=over,
     )
 
 
@@ -348,20 +343,14 @@ def _first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> Bookin
 
 
 def _as_booking(name: str, target: str, terms: NewTerms) -> Booking:
-    return Booking(
-        name,
-        target,
-        terms.begins,
-        terms.ends,
-        "",
-        terms.user,
-        terms.group,
-        terms.maintenance,
-        "",
-        terms.zone,
-        terms.rule,
-        terms.last,
-        0,
+    return make_from(
+        Booking,
+        terms,
+        id=name,
+        target=target,
+        by="",
+        why="",
+        made=0,
     )
 
 

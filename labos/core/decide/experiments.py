@@ -33,6 +33,7 @@ from labos.core.registry import Event
 from labos.core.rules import CLOSING_S, closes_late_at
 from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import ClosingWaits, LostExperiment
 from labos.core.words import Words
 
@@ -124,14 +125,12 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
         closing = plan_digest(command.closing)
         events += record_plan(state, command.closing, closing, name)
     events.append(
-        ExperimentStarted(
-            name,
-            command.name,
-            command.user,
-            closing,
-            command.priority,
-            command.request,
-            tuple(dict.fromkeys(command.parking)),
+        make_from(
+            ExperimentStarted,
+            command,
+            experiment=name,
+            closing=closing,
+            parking=tuple(dict.fromkeys(command.parking)),
         )
     )
     return events

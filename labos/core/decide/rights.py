@@ -14,6 +14,7 @@ import msgspec
 from labos.core.decide import (
     access,
     actions,
+    batches,
     bookings,
     calibrations,
     campaigns,
@@ -216,6 +217,7 @@ RIGHTS: dict[type[Command], Right] = {
         "user",
     ),
     composites.SubmitWithLabware: Right("submitter", "as for the run; for labware, an operator"),
+    batches.SubmitRuns: Right("submitter", "as for each of the runs; for labware, an operator"),
     runs.PauseRun: Right("submitter", _OWN, targets.find_run_target),
     runs.ResumeRun: Right("submitter", _OWN, targets.find_run_target),
     cancelling.CancelRun: Right("submitter", _OWN, targets.find_run_target),
@@ -319,6 +321,7 @@ RIGHTS: dict[type[Command], Right] = {
     bookings.NearBooking: _INSIDE,
     campaigns.RefuseRow: _INSIDE,
     campaigns.SubmitRow: _INSIDE,
+    campaigns.SubmitRows: _INSIDE,
     cancelling.GiveUpWayOut: _INSIDE,
     cancelling.TakeWayOut: _INSIDE,
     choices.BindAnew: _INSIDE,

@@ -14,6 +14,7 @@ from labos.core.decide.submissions import ApplyPolicy
 from labos.core.ids import CampaignId
 from labos.core.policy import Policy
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.http.approval_forecast import ProposalForecast, forecast_proposal
 from labos.http.bodies import Amendment, Amounts, Limit
@@ -227,11 +228,8 @@ def _proposal(call: Call, path: OfProposal) -> Proposal:
 
 
 def _view(state: LabState, proposal: Proposal) -> ProposalView:
-    shown = {name: getattr(proposal, name) for name in ProposalView.__struct_fields__ if name in _SHARED}
-    return ProposalView(**shown, sentence=sentence(state, proposal.subject), terms=_terms(state, proposal))
-
-
-_SHARED = frozenset(Proposal.__struct_fields__) - {"terms"}
+    said = sentence(state, proposal.subject)
+    return make_from(ProposalView, proposal, sentence=said, terms=_terms(state, proposal))
 
 
 def _terms(state: LabState, proposal: Proposal) -> Terms | None:

@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 
 from labos.audit.find import MOST_FOUND, SearchQuery, SearchResult
+from labos.core.structs import make_from
 from labos.errors import Refused
 from labos.http.limits import Line, Time, says
 from labos.http.method import Method
@@ -53,8 +54,9 @@ async def find_entries(call: Call, query: FindQuery) -> SearchResult:
     if finder is None:
         raise Refused("This lab has no search index.", remedy="Ask in its folder: labos find")
     return await finder.find(
-        SearchQuery(
-            words=query.words,
+        make_from(
+            SearchQuery,
+            query,
             kinds=tuple(query.kind),
             users=tuple(query.user),
             workcells=tuple(query.workcell),
@@ -63,11 +65,6 @@ async def find_entries(call: Call, query: FindQuery) -> SearchResult:
             runs=tuple(query.run),
             statuses=tuple(query.status),
             keywords=tuple(query.keyword),
-            since=query.since,
-            until=query.until,
-            limit=query.limit,
-            offset=query.offset,
-            facets=query.facets,
             hidden=tuple(sorted(call.hidden)),
         )
     )

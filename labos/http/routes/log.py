@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 import msgspec
 from starlette.responses import Response, StreamingResponse
 
+from labos.core.structs import make_from
 from labos.http import wire
 from labos.http.answers import EventPage
 from labos.http.files import send_file
@@ -91,14 +92,7 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
 
 
 def _log_query(query: EventFilter) -> LogQuery:
-    return LogQuery(
-        after=query.after,
-        types=tuple(query.type),
-        streams=tuple(query.stream),
-        correlation=query.correlation,
-        actor=query.actor,
-        mentions=query.mentions,
-    )
+    return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream))
 
 
 OPERATIONS = declare(

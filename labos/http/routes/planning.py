@@ -13,6 +13,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ExperimentId, RunId, local
 from labos.core.model import MAIN
+from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.users import person_of
 from labos.errors import NotFound
@@ -100,16 +101,10 @@ async def list_actions(call: Call, path: OfModule) -> ActionList:
     if found is None:
         raise NotFound(f"Nobody has described what {local(name)} can do.", remedy="Install its driver.")
     actions = [
-        ActionView(
-            name=action.name,
-            description=action.description,
-            duration_s=action.duration_s,
-            dangerous=action.dangerous,
-            result=action.result,
-            arguments=[
-                ArgumentView(**{field: getattr(arg, field) for field in ArgumentView.__struct_fields__})
-                for arg in action.args
-            ],
+        make_from(
+            ActionView,
+            action,
+            arguments=[make_from(ArgumentView, arg) for arg in action.args],
         )
         for action in sorted(found.actions, key=lambda action: not action.exclusive)
     ]
@@ -140,13 +135,10 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
     asked = [] if isinstance(answer, Rejection) else [e for e in answer if isinstance(e, ApprovalRequested)]
     choices = list_choices(compiled.plans)
     steps = [
-        PlannedStep(
-            key=step.key,
+        make_from(
+            PlannedStep,
+            step,
             module=local(step.module),
-            action=step.action,
-            args=step.args,
-            after=step.after,
-            duration_s=step.duration_s,
             dangerous=step.hazard,
             choices=choices.get(step.key, []),
         )

@@ -7,6 +7,7 @@ from itertools import islice
 
 from labos.core.envelope import Record
 from labos.core.runs import RUN_ENDS
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.http.answers import (
     ExperimentReference,
@@ -15,8 +16,10 @@ from labos.http.answers import (
     RunDetail,
     RunReference,
     Runs,
+    RunsSubmission,
     RunSubmission,
 )
+from labos.http.batches import submit_batch
 from labos.http.bodies import (
     By,
     ExperimentEnd,
@@ -25,6 +28,7 @@ from labos.http.bodies import (
     NewExperiment,
     NewFile,
     NewRun,
+    NewRuns,
     RunCancel,
     RunPause,
 )
@@ -49,7 +53,7 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
     names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
     stories = [await call.service.story(name) for name in names]
     return Runs(
-        runs=[RunDetail.make(story) for story in stories if story.campaign not in call.hidden],
+        runs=[make_from(RunDetail, story) for story in stories if story.campaign not in call.hidden],
         position=shown[-1].position if shown else query.after,
         more=len(left) > len(shown),
         ended_position=over[0].head.position if over else 0,
@@ -68,7 +72,7 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     story = await call.service.story(path.run, query.wait)
     if story.campaign in call.hidden:
         raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
-    return RunDetail.make(story)
+    return make_from(RunDetail, story)
 
 
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
@@ -85,6 +89,14 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
         due=body.due,
     )
     return RunSubmission(run, findings, sentence(call.kernel.state, run))
+
+
+async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
+    """The runs are queued in one step: all of them, or none. So the first one starts when the lab knows the
+    last one."""
+    runs, findings = await submit_batch(call.service, body, call.key)
+    approvals = (sentence(call.kernel.state, run) for run in runs)
+    return RunsSubmission(runs, findings, tuple(filter(None, approvals)))
 
 
 async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
@@ -162,6 +174,8 @@ async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
 
 
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+_TIMED = _WORKFLOW.replace("seal}", "seal, args: {time: payload.time}}")
+_PAYLOADS = [{"time": 2}, {"time": 4}]
 _RUN = {
     "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
     "user": "ada",
@@ -189,6 +203,20 @@ OPERATIONS = (
         logs_key=True,
         example=_RUN,
         example_answer={"run": "R1", "warnings": []},
+        largest_body=LARGEST_BODY,
+    ),
+    Operation(
+        route="POST /runs/batch",
+        handler=submit_runs,
+        client=Method("_submit_runs", "workflow, payloads, user", key="given"),
+        summary="Queue a run of a workflow for each payload, all of them or none",
+        tag="runs",
+        needs="submitter",
+        status=201,
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        logs_key=True,
+        example={"workflow": {"text": _TIMED, "name": "seal.yaml"}, "user": "ada", "payloads": _PAYLOADS},
+        example_answer={"runs": ["R1", "R2"], "warnings": []},
         largest_body=LARGEST_BODY,
     ),
     Operation(

@@ -8,6 +8,7 @@ import msgspec
 
 from labos.core.decide.erasure import MOST_RECORDS, RefuseErasure
 from labos.core.erasure import REASONS, Erasure
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.http.erasing import ErasureDone, erase
 from labos.http.limits import Asker, Name, Time, says
@@ -96,7 +97,7 @@ def _find_erasure(call: Call, name: str) -> Erasure:
 
 
 def _view(name: str, asked: Erasure) -> ErasureView:
-    return ErasureView(name, asked.because, asked.by, asked.records, asked.user, asked.asked_at)
+    return make_from(ErasureView, asked, erasure=name)
 
 
 _DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
