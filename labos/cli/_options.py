@@ -157,19 +157,23 @@ def lab_options(command: F) -> F:
 
 
 def web_options(about: str) -> Callable[[F], F]:
-    """Options of commands that serve HTTP: TLS, a proxy, and names of what they serve (``about``)."""
+    """Options of commands that serve HTTP: TLS, a proxy, and names of what they serve (``about``). They are
+    called as the settings are."""
 
     def add(command: F) -> F:
         for option in reversed(
             (
                 click.option(
                     "--tls-cert",
+                    "tls_certificate",
                     type=click.Path(dir_okay=False),
+                    default="",
                     help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
                 ),
                 click.option(
                     "--tls-key",
                     type=click.Path(dir_okay=False),
+                    default="",
                     help="The private key of --tls-cert, a PEM file.",
                 ),
                 click.option(
