@@ -76,8 +76,7 @@ class GeneratedAccounts(Calls):
     def tokens(self, user: str = "") -> list[dict[str, Any]]:
         """Tokens of programs. Without their secrets, which the lab does not know. ``user``: whose, if not the
         asking user's own; for admins."""
-        found: list[dict[str, Any]] = self._get("/tokens", user=user)["tokens"]
-        return found
+        return self._get("/tokens", user=user)["tokens"]
 
     def make_token(
         self, label: str = "", *, scope: str = "submitter", days: float = 90.0, user: str = ""
@@ -94,8 +93,7 @@ class GeneratedAccounts(Calls):
 
     def people(self) -> list[dict[str, Any]]:
         """Who users are."""
-        found: list[dict[str, Any]] = self._get("/people")["people"]
-        return found
+        return self._get("/people")["people"]
 
     def set_password(self, user: str, password: str, present: str = "") -> None:
         """Change a user's password. All sessions of the user end; tokens stay. ``password``: the new one, of

@@ -50,7 +50,7 @@ class GeneratedApprovals(Calls):
         most; 0 for no limit. ``lab_time_s``: so much module time at most; 0 for no limit. ``consumables``: so
         much at most, by kind of consumable. ``alike``: of a run of an experiment: further runs of its
         workflow in it, with other values, need none. Returns the digest. Raises Refused."""
-        found: str = self._post(
+        return self._post(
             f"/approvals/{in_path(subject)}/approve",
             {
                 "by": by,
@@ -65,16 +65,14 @@ class GeneratedApprovals(Calls):
             },
             repeat=True,
         )["digest"]
-        return found
 
     def refuse(self, subject: str, by: str, *, comment: str = "") -> str:
         """Do not let a submission go on. It is cancelled. A change of a campaign is not made, and the
         campaign goes on as before. ``comment``: a word about it for the log. Returns the digest. Raises
         Refused."""
-        found: str = self._post(
+        return self._post(
             f"/approvals/{in_path(subject)}/refuse", {"by": by, "comment": comment}, repeat=True
         )["digest"]
-        return found
 
     def policy(self) -> dict[str, Any]:
         """Which submissions wait for an approval, and how high a priority may be. Returns ``applied``,

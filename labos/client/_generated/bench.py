@@ -23,20 +23,16 @@ class GeneratedBench(Calls):
     def place(self, station: str, labware: str, by: str) -> str:
         """Say that labware was put on an empty station. ``station``: the station. ``labware``: its type.
         Returns the labware. Raises NotFound, Refused."""
-        found: str = self._post("/stations/place", {"station": station, "labware": labware, "by": by})[
-            "labware"
-        ]
-        return found
+        return self._post("/stations/place", {"station": station, "labware": labware, "by": by})["labware"]
 
     def load(self, station: str, labware: str, by: str, *, count: int = 1, lot: str = "") -> list[str]:
         """Say that labware was loaded. On top of a stack, or into free slots. What the station does not
         accept or has no room for is refused. ``station``: the station. ``labware``: its type. ``count``: how
         many pieces; 1 if not said. ``lot``: their lot, which each piece keeps as its variable ``lot``.
         Returns the labware. Raises NotFound, Refused."""
-        found: list[str] = self._post(
+        return self._post(
             "/stations/load", {"station": station, "labware": labware, "by": by, "count": count, "lot": lot}
         )["labware"]
-        return found
 
     def unload(self, station: str, by: str, *, labware: str = "", count: int | None = None) -> dict[str, Any]:
         """Say that labware was taken away. It has left the bench. What a run or an experiment that has not
@@ -66,10 +62,9 @@ class GeneratedBench(Calls):
         types of labware by station. ``workcell``: whose stations ``empty`` means, if the lab has several.
         ``empty``: stations that nobody has spoken of stand empty. Returns the declared. Raises NotFound,
         Refused."""
-        found: dict[str, list[str]] = self._post(
+        return self._post(
             "/stations/declare", {"stations": stations or {}, "by": by, "workcell": workcell, "empty": empty}
         )["declared"]
-        return found
 
     def round(self) -> dict[str, Any]:
         """What has to be said of the bench after the log lost its end. What is known of a log that has lost
@@ -132,7 +127,7 @@ class GeneratedBench(Calls):
         of all faults. ``text``: the sheet, CSV. ``name``: what errors call the sheet. ``labware``: the plate,
         where the sheet does not say. ``station``: or where it stands. ``replace``: take the place of an
         earlier sheet. Returns the plates. Raises NotFound, Refused, BadInput."""
-        found: dict[str, int] = self._post(
+        return self._post(
             "/samples",
             {
                 "text": text,
@@ -144,4 +139,3 @@ class GeneratedBench(Calls):
             },
             repeat=True,
         )["plates"]
-        return found

@@ -13,8 +13,7 @@ class GeneratedBookings(Calls):
     def bookings(self, target: str = "") -> list[dict[str, Any]]:
         """Which bookings there are. Those that are not over, in the order of their next times. ``target``:
         only those of this module (its workcell's among them) or of this workcell. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get("/bookings", target=target)["bookings"]
-        return found
+        return self._get("/bookings", target=target)["bookings"]
 
     def book(
         self,

@@ -13,8 +13,7 @@ class GeneratedCampaigns(Calls):
 
     def campaigns(self) -> list[dict[str, Any]]:
         """Campaigns that have not been completed."""
-        found: list[dict[str, Any]] = self._get("/campaigns")["campaigns"]
-        return found
+        return self._get("/campaigns")["campaigns"]
 
     def _submit_campaign_file(
         self,
@@ -169,8 +168,7 @@ class GeneratedCampaigns(Calls):
 
     def shares(self) -> list[dict[str, Any]]:
         """Who is to have which part of the lab, and who has had which. Returns the accounts."""
-        found: list[dict[str, Any]] = self._get("/shares")["accounts"]
-        return found
+        return self._get("/shares")["accounts"]
 
     def apply_shares(self, text: str, file: str, by: str) -> None:
         """Let weights and quotas be as a shares file says. ``text``: the file. ``file``: what errors call the

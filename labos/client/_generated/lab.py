@@ -34,8 +34,7 @@ class GeneratedLab(Calls):
         """What the nodes of modules answer now. Asks the modules' nodes over the bus, now, for two seconds at
         most. Nothing moves. ``module``: a module; may be repeated; without it all are asked. ``check``: each
         also says who it is and what its device sees; nothing moves. Returns the modules."""
-        found: list[dict[str, Any]] = self._get("/nodes", module=module, check=int(check))["modules"]
-        return found
+        return self._get("/nodes", module=module, check=int(check))["modules"]
 
     def _pause_target(self, target: str, by: str, *, why: str = "", stay: bool = False) -> dict[str, Any]:
         """Pause a run, an experiment, a module, a workcell or the lab. Of what is paused nothing more is

@@ -25,10 +25,7 @@ class GeneratedModules(Calls):
         """Begin or end the transcript of a device's wires. The module's running node writes down every byte
         on its device's wires, or no more ([links](../links.md)). ``on``: left out or true: from now on, in a
         new file; false: no more. Returns the file. Raises Refused."""
-        found: str = self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)[
-            "file"
-        ]
-        return found
+        return self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)["file"]
 
     def replenish(
         self,
@@ -47,7 +44,7 @@ class GeneratedModules(Calls):
         ``unit``: of the amount, as ``mL``; the resource's own if left out. ``lot``: the lot of the new pack.
         ``expires``: the date until which it is good, as ``2027-05-31``. ``instead``: what was left of the old
         packs was taken out; ``false`` if left out. Returns the amount. Raises Refused."""
-        found: float = self._post(
+        return self._post(
             f"/modules/{in_path(module, 2)}/replenish",
             {
                 "resource": resource,
@@ -59,13 +56,11 @@ class GeneratedModules(Calls):
                 "instead": instead,
             },
         )["amount"]
-        return found
 
     def locations(self, module: str) -> dict[str, dict[str, Any]]:
         """Where a manipulator finds stations. By station; version 0 is the workcell file's. Labware types
         with poses of their own stand below ``types``."""
-        found: dict[str, dict[str, Any]] = self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
-        return found
+        return self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
 
     def teach(
         self,
@@ -81,12 +76,11 @@ class GeneratedModules(Calls):
         station. ``pose``: numbers, as many as before. ``why``: a word for the log. ``labware_type``: the pose
         is for labware of this type only; the station needs one of its own first. Returns the version. Raises
         Refused."""
-        found: int = self._post(
+        return self._post(
             f"/modules/{in_path(module, 2)}/locations",
             {"station": station, "pose": pose, "by": by, "why": why, "labware_type": labware_type},
             repeat=True,
         )["version"]
-        return found
 
     def calibrate(
         self,
@@ -155,10 +149,9 @@ class GeneratedModules(Calls):
         """Ask to reach into a workcell. Nothing more starts there. ``lab.access`` in the state says when it
         is ``granted``, and of which modules nobody knows whether they are at rest (``perhaps_moving``).
         ``why``: what for. ``park``: false: arms stay where they are. Returns the parking. Raises Refused."""
-        found: list[str] = self._post(
+        return self._post(
             f"/workcells/{in_path(workcell)}/access", {"by": by, "why": why, "park": park}, repeat=True
         )["parking"]
-        return found
 
     def _end_workcell_access(
         self, workcell: str, by: str, *, note: str = "", changed: Sequence[Mapping[str, Any]] = ()

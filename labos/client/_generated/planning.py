@@ -30,12 +30,11 @@ class GeneratedPlanning(Calls):
         start without it. ``steps``: in any order; none: no advice any more. ``until``: until when it counts
         (UTC ns). ``position``: the log's position that it was worked out from. Returns the steps. Raises
         NotFound, Refused."""
-        found: int = self._post(
+        return self._post(
             f"/workcells/{in_path(workcell)}/order",
             {"steps": steps, "until": until, "position": position, "by": by},
             repeat=True,
         )["steps"]
-        return found
 
     def _check_run(
         self,

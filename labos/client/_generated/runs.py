@@ -150,10 +150,9 @@ class GeneratedRuns(Calls):
         """Keep a file of an experiment. Keep a file of an experiment that has not ended, such as the result
         of a computation. It is had again at ``/files/{sha256}``. Twice is once. ``content``: the file, in
         base64. Returns the sha256. Raises NotFound."""
-        found: str = self._post(
+        return self._post(
             f"/experiments/{in_path(experiment)}/files", {"content": content}, user=user, repeat=True
         )["sha256"]
-        return found
 
     def heartbeat(self, experiment: str, user: str = "") -> None:
         """Say that the application lives. The application lives."""

@@ -26,8 +26,7 @@ class GeneratedSignatures(Calls):
     def signatures(self, run: str) -> list[dict[str, Any]]:
         """Who has signed the record of a run. In the order of the log. ``holds``: the record of the run is
         the one that was signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
-        return found
+        return self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
 
     def sign_experiment(
         self, experiment: str, meaning: str, password: str, *, why: str = ""
@@ -46,10 +45,7 @@ class GeneratedSignatures(Calls):
     def experiment_signatures(self, experiment: str) -> list[dict[str, Any]]:
         """Who has signed the record of an experiment. In the order of the log. ``holds``: the records are
         those that were signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/experiments/{in_path(experiment)}/signatures")[
-            "signatures"
-        ]
-        return found
+        return self._get(f"/experiments/{in_path(experiment)}/signatures")["signatures"]
 
     def sign_campaign(self, campaign: str, meaning: str, password: str, *, why: str = "") -> dict[str, Any]:
         """Sign the record of a campaign that has ended. As for a run. The signature binds to all records of
@@ -66,5 +62,4 @@ class GeneratedSignatures(Calls):
     def campaign_signatures(self, campaign: str) -> list[dict[str, Any]]:
         """Who has signed the record of a campaign. In the order of the log. ``holds``: the records are those
         that were signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/campaigns/{in_path(campaign)}/signatures")["signatures"]
-        return found
+        return self._get(f"/campaigns/{in_path(campaign)}/signatures")["signatures"]
