@@ -62,10 +62,10 @@ def by_people(name: str, about: str) -> Column:
     return Column(name, "text", about, by_people=True)
 
 
-POSITION = whole("position", "Where in the log it stands.")
-AT = time("at", "When it was recorded.")
-RUN = text("run", "The run in whose course it happened; empty if none.")
-ACTION = text("action", "The action that did it; empty if none.")
+POSITION = whole("position", "Its position in the log.")
+AT = time("at", "The time at which it was recorded.")
+RUN = text("run", "The run during which it happened; empty if none.")
+ACTION = text("action", "The action that caused it; empty if none.")
 LABWARE = text("labware", "The labware's id.")
 MODULE = text("module", "The module, as `workcell/module`.")
 

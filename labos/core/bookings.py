@@ -51,21 +51,21 @@ class BookingTerms(BookingEvent, frozen=True):
 
 @event("booking.made")
 class BookingMade(BookingTerms, frozen=True):
-    """Somebody booked a module or a workcell. ``over`` are bookings that it was made over, by force."""
+    """Somebody booked a module or a workcell. ``over`` lists the bookings that it overrides."""
 
     over: tuple[str, ...] = ()
 
 
 @event("booking.changed")
 class BookingChanged(BookingTerms, frozen=True):
-    """A booking is for another time or for somebody else. All of it is said again."""
+    """A booking has another time or another owner. The event holds the whole booking."""
 
     over: tuple[str, ...] = ()
 
 
 @event("booking.cancelled")
 class BookingCancelled(BookingEvent, frozen=True):
-    """A booking is cancelled; of a repeated one, all times that were still to come."""
+    """A booking is cancelled. If it repeats, all its future times are cancelled."""
 
     by: str
     why: Words = ""
@@ -73,7 +73,7 @@ class BookingCancelled(BookingEvent, frozen=True):
 
 @event("booking.skipped")
 class BookingSkipped(BookingEvent, frozen=True):
-    """One time of a repeated booking is left out: the one that begins at ``begins`` (UTC ns)."""
+    """One time of a repeated booking is left out. ``begins`` is the beginning of that time (UTC ns)."""
 
     begins: int
     by: str
@@ -89,7 +89,7 @@ class Occasion(BookingEvent, frozen=True):
 
 @event("booking.neared")
 class BookingNeared(Occasion, frozen=True):
-    """A booking begins soon: who has to clear the place is told."""
+    """A booking begins soon. LabOS notifies the users who have to clear the place."""
 
 
 @event("booking.began")
@@ -99,7 +99,7 @@ class BookingBegan(Occasion, frozen=True):
 
 @event("booking.ended")
 class BookingEnded(Occasion, frozen=True):
-    """The time of a booking is over; ``over``: it does not come again."""
+    """The time of a booking has ended. ``over``: the booking does not repeat again."""
 
     over: bool = False
 

@@ -63,9 +63,10 @@ class Estimate(msgspec.Struct, frozen=True):
 
 
 class CampaignView(msgspec.Struct, frozen=True):
-    """``status``: proposed, open, paused, stopped or cancelled. Of its ``rows``, ``left`` are those that are
-    no runs yet. ``lab_time_s`` is module time, ``used`` are consumables. ``visibility``: who sees it
-    (lab, group or private); ``cloned_from`` is the campaign that it repeats."""
+    """``status``: proposed, open, paused, stopped or cancelled. ``left`` is the number of its ``rows`` that
+    have not been submitted as runs. ``lab_time_s`` is the used module time, and ``used`` are the used
+    consumables. ``visibility``: who sees it (lab, group or private). ``cloned_from`` is the campaign from
+    which it was copied."""
 
     id: str
     name: str

@@ -234,9 +234,9 @@ class LevelView(msgspec.Struct, frozen=True):
 
 
 class LabView(msgspec.Struct, frozen=True):
-    """``position``: the position of the log that this shows; ``now``: the kernel's
-    time (UTC nanoseconds); ``runs``: active ones and the first 100 queued; ``queued``: how many are queued;
-    ``resources`` by ``workcell/module:resource``."""
+    """``position``: the position of the log that this state shows. ``now``: the kernel's time (UTC
+    nanoseconds). ``runs``: active runs and the first 100 queued runs. ``queued``: the number of queued runs.
+    ``resources`` are by ``workcell/module:resource``."""
 
     lab: LabInfo
     position: int
@@ -260,7 +260,7 @@ def lab_view(
     waits: bool = True,
     hidden: frozenset[CampaignId] = frozenset(),
 ) -> LabView:
-    """Everything that is alive in the lab, but for the runs of the campaigns ``hidden``."""
+    """The present state of the lab, without the runs of the campaigns ``hidden``."""
     state, now = kernel.state, kernel.clock.now_ns()
     queued = list(state.runs.queued.values())
     seen = [run for run in queued if run.campaign not in hidden] if hidden else queued

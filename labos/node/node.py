@@ -116,12 +116,15 @@ def action(
     recovers: bool = False,
     by_person: bool = False,
     dangerous: str = "",
+    duration_from: str = "",
 ) -> Callable[[F], F]:
     """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders. One that
     ``recovers`` may start while the module is in error, and its success ends the error. What is
     done ``by_person`` stands in the inbox, and ends when a person says so. ``dangerous`` names what may hurt
     or cannot be undone (``laser``, ``hot``, ``irreversible`` …): a workcell may ask for a second person
-    then."""
+    then. ``duration_from`` is where its duration is found if it depends on the arguments: ``{seconds}``,
+    ``20 + {minutes}`` in the unit of the parameter, ``{file:protocol:resources.seconds}``; ``duration_s``
+    counts where nothing is found there."""
 
     def mark(method: F) -> F:
         method.__labos_action__ = {  # type: ignore[attr-defined]
@@ -134,6 +137,7 @@ def action(
             "recovers": recovers,
             "by_person": by_person,
             "dangerous": dangerous,
+            "duration_from": duration_from,
         }
         return method
 

@@ -10,8 +10,6 @@ The scheduler keeps nothing that it could not work out again from the state.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from functools import partial
-from itertools import islice
 
 import msgspec
 
@@ -19,29 +17,28 @@ from labos.core import reasons
 from labos.core.decide import Command
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
-from labos.core.effects import list_carried
 from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds, options, queue_key
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, options
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
+from labos.planning.admission import Admission
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_may_stay
-from labos.planning.choosing import list_changes, options_in_order
+from labos.planning.choosing import list_changes
 from labos.planning.deadlines import Deadlines
-from labos.planning.due import UNDATED, DueDates
-from labos.planning.obstacle import obstacle
+from labos.planning.elders import Elders
 from labos.planning.patience import OvertakeCounts
-from labos.planning.pilot import MOST_WAITING, Candidate, Pilot, differ
+from labos.planning.pilot import Candidate
+from labos.planning.ranking import Ranking, Spot
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
-from labos.planning.setup_order import SetupOrder
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import find_block, find_questions
-from labos.planning.suggested import LAST, Adviser
+from labos.planning.suggested import Adviser
 from labos.planning.touch import (
     BEGUN,
     BENCH,
@@ -59,8 +56,7 @@ from labos.planning.touch import (
     sort_keys,
 )
 from labos.planning.urgency import is_urgent
-from labos.planning.waiting import Kind, Turn, WaitingRoom, modules_of
-from labos.planning.work_behind import WorkBehind
+from labos.planning.waiting import Kind, WaitingRoom
 
 MOST_BUNDLES = 50
 """So many are asked for what they need: a decision costs no more with a longer queue."""
@@ -72,15 +68,6 @@ class StepStart(msgspec.Struct, frozen=True):
     run: RunId
     step: int
     plan: str = ""
-
-
-class Spot(msgspec.Struct, frozen=True):
-    """Something to look at: a step of an active run, or a bundle of runs that wait and which of
-    them is first."""
-
-    run: RunState
-    step: int
-    bundle: str = ""
 
 
 class Scheduler:
@@ -96,26 +83,20 @@ class Scheduler:
         self.room = WaitingRoom()
         self.patience = OvertakeCounts()
         self.adviser = Adviser()
-        self.due_dates = DueDates()
-        self.pilot = Pilot()
-        self.behind = WorkBehind()
-        self.setup_order = SetupOrder()
+        self.ranking = Ranking(self.reservations, self.adviser)
+        self.elders = Elders(self.room, self.safety, self.reservations)
+        self.admission = Admission(self.room, self.reservations, self.ranking, self.adviser, self.check_start)
         self._cells: dict[str, str] = {}
-        self._standings: dict[str, tuple[float, float]] = {}
-        self._futile: dict[tuple[RunId, str], bool] = {}
-        self._futile_at: int | None = None
         self._fresh = True
         self._touched = sort_keys([EVERYTHING])
 
     def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
         """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
         one out before it asks for the next."""
-        self._standings.clear()
-        self.due_dates.forget()
-        self.setup_order.forget()
-        for spot in self._order(state, self._wake(state, now), now):
+        self.ranking.forget()
+        for spot in self.ranking.sort(state, self._wake(state, now), self.patience, now):
             if spot.bundle:
-                yield from self._admissions(state, spot.bundle, spot.run, now)
+                yield from self._let_in(state, spot.bundle, spot.run, now)
             else:
                 # Only now: until it is looked at, others may overtake it.
                 self.sleepers.wake((spot.run.id, spot.step))
@@ -145,46 +126,54 @@ class Scheduler:
         found = examine(state, run, step, now)
         if isinstance(found, Wait):
             return found
+        wait = self._check_time(state, run, step, now)
+        is_outside = not run.has_started
+        if wait is None and is_outside:
+            wait = find_block(state, run)  # let in, it would come to a stand on the bench
+        if wait is None and (is_outside or self.safety.changes_anything(state, run, step)):
+            wait = check_may_stay(state, self.safety, run, step)
+            if wait is None and is_outside and run.id not in state.runs.windowed:
+                wait = self._check_others(state, run, step, now, at_once=at_once)
+            if wait is None:
+                wait = self._check_safety(state, run, step, only_asking=only_asking)
+        return wait
+
+    def _check_time(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
+        """What a step waits for that may not start before its time: bookings, windows, suggested orders."""
         wait = booked.check_start(state, run, step, now) if state.bookings.open else None
         wait = wait or self.reservations.check_start(state, run, step, now, self.safety)
         if wait is None and state.suggestions.orders and not self._is_overtaken(state, run):
             wait = self.adviser.check_start(state, run, step, now)
-        if wait is not None:
-            return wait
-        queued = not run.has_started
-        if queued:
-            stuck = find_block(state, run)
-            if stuck is not None:
-                return stuck  # let in, it would come to a stand on the bench
-        if queued or self.safety.changes_anything(state, run, step):
-            plan = state.runs.plan_of(run)
-            aside = check_may_stay(state, self.safety, run, step)
-            if aside is not None:
-                return aside
-            if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
-                elder = self._find_protected(state, run, now)
-                if elder:
-                    # It protects nothing any more once it has to wait for a booking.
-                    until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
-                    return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
-                early = None
-                if not at_once and not self.adviser.is_time(state, run, step, now):
-                    early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
-                waited = early is not None and any(
-                    run.id == other.id for other in self.room.list_overtaken(state, plan.workcell)
-                )
-                if early is not None and not waited:
-                    return early
-                inside = self.patience.keeps_out(state, run, self.sleepers)
-                if inside is not None:
-                    return Wait(reasons.AfterElder(inside), (near_key(plan.workcell),))
-            trapped = self.safety.traps(state, run, step, only_asking=only_asking)
-            if trapped:
-                self.refusals += 1
-                key, itself = plan.steps[step].key, trapped == [str(run.id)]
-                why = reasons.NoWayOut(key, run.id) if itself else reasons.Unsafe(key, tuple(trapped))
-                return Wait(why, (cell_key(plan.workcell),))
-        return None
+        return wait
+
+    def _check_others(
+        self, state: LabState, run: RunState, step: int, now: int, *, at_once: bool
+    ) -> Wait | None:
+        """What a run without a running clock waits for outside: an older run that was overtaken too often,
+        or its second place, which is not free soon."""
+        cell = state.runs.plan_of(run).workcell
+        elder = self.elders.find_protected(state, run, now)
+        if elder:
+            # It protects nothing any more once it has to wait for a booking.
+            until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
+            return Wait(reasons.AfterElder(elder), (cell_key(cell),), until)
+        if not at_once and not self.adviser.is_time(state, run, step, now):
+            early = check_arrival(state, run, step, now, self._list_plans(state, cell))
+            if early is not None and not self.room.is_overtaken(state, run):
+                return early
+        inside = self.patience.keeps_out(state, run, self.sleepers)
+        return Wait(reasons.AfterElder(inside), (near_key(cell),)) if inside is not None else None
+
+    def _check_safety(self, state: LabState, run: RunState, step: int, *, only_asking: bool) -> Wait | None:
+        """What a step waits for after which somebody could not reach the end any more."""
+        trapped = self.safety.traps(state, run, step, only_asking=only_asking)
+        if not trapped:
+            return None
+        self.refusals += 1
+        plan = state.runs.plan_of(run)
+        key, is_itself = plan.steps[step].key, trapped == [str(run.id)]
+        why = reasons.NoWayOut(key, run.id) if is_itself else reasons.Unsafe(key, tuple(trapped))
+        return Wait(why, (cell_key(plan.workcell),))
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
         """Take note of the keys of new events, before anything else is asked."""
@@ -231,7 +220,7 @@ class Scheduler:
                 )
             ]
         if not run.has_started and any(wait is None for _, wait in found):
-            found = self._explain_outside(state, run, now) or found
+            found = [*self.admission.explain(state, run, now)] or found
         if run.choices and not run.has_started:
             possible = any(wait is None for _, wait in found)  # one of its plans is enough
             found = [] if possible else [each for i, each in enumerate(found) if each not in found[:i]]
@@ -248,7 +237,7 @@ class Scheduler:
             self._cells = _cells(state)
         for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
-            self.pilot.forget(cell)
+            self.admission.pilot.forget(cell)
             self.room.refill(state, cell)
         for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
@@ -316,7 +305,7 @@ class Scheduler:
             waits = seen[kind] = self._waits_at_start(state, run, now)
         for wait in waits:
             self.sleepers.sleep(name, wait)
-        first = self._find_first(state, who, now) if not waits else None
+        first = self.admission.find_first(state, who, now) if not waits else None
         return Spot(first, 0, who) if first is not None else None
 
     def _waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
@@ -339,189 +328,27 @@ class Scheduler:
         bundle = self.room.note(state, queued) if queued is not None else ""
         return [(bundle, 0)] if bundle else []
 
-    # -- order -------------------------------------------------------------------------------
-
-    def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(
-            spot: Spot,
-        ) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int, int, float]:
-            run, waits = spot.run, bool(spot.bundle)
-            deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
-            behind = 0.0 if waits else -self.behind.measure(state, run.plan, spot.step)
-            if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, 0, run.position, behind)
-            calm, share = not is_urgent(state, run, now), self._find_share_used(state, now, run.user)
-            orders = state.suggestions.orders
-            advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
-            due, change = self._rank_own(state, run, None if waits else spot.step)
-            return (
-                deadline,
-                1,
-                calm,
-                -run.priority,
-                advised,
-                waits,
-                share,
-                due,
-                change,
-                run.position,
-                behind,
-            )
-
-        return sorted(spots, key=rank)
-
-    def _is_overtaken(self, state: LabState, run: RunState) -> bool:
-        """Whether a run has waited for so long that nobody's advice holds it up."""
-        if run.has_started:
-            return self.patience.is_over(run.id)
-        return run in self.room.list_overtaken(state, state.runs.plan_of(run).workcell)
-
-    def _find_share_used(self, state: LabState, now: int, user: str) -> tuple[float, float]:
-        """The lab time that a user's group and the user have had for their weights, worked out once in a
-        turn."""
-        standing = self._standings.get(user)
-        if standing is None:
-            standing = self._standings[user] = state.shares.find_share_used(user, now)
-        return standing
-
-    def _make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
-        own = self._rank_own(state, run, None)
-        return (
-            not is_urgent(state, run, now),
-            *self._find_share_used(state, now, run.user),
-            *own,
-            run.position,
-        )
-
-    def _rank_own(self, state: LabState, run: RunState, step: int | None) -> tuple[float, int]:
-        """What goes before age among the runs of one user: due dates, and what need not be set up."""
-        return self.due_dates.rank(state, run), self.setup_order.rank(state, run, step)
-
     # -- letting new runs in -----------------------------------------------------------------
 
-    def _find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
-        first = self.room.first(state, bundle, partial(self._make_turn_key, state, now))
-        if first is None or not state.suggestions.orders or self._is_overtaken(state, first):
-            return first
-        return self.adviser.find_next(state, first, now)
-
-    def _admissions(
-        self, state: LabState, bundle: str, first: RunState | None, now: int
-    ) -> Iterator[StepStart]:
-        run = first
+    def _let_in(self, state: LabState, bundle: str, first: RunState, now: int) -> Iterator[StepStart]:
+        run: RunState | None = first
         while run is not None:
-            start, waits = self._free_start(state, run, now)
-            if start is None and any(isinstance(wait.reason, reasons.AfterElder) for wait in waits):
-                # Somebody older than the elder need not wait with the others.
-                run = self.room.oldest(state, bundle) or run
-                start, waits = self._free_start(state, run, now)
-            chosen = self._choose(state, run, start, waits, now)
+            chosen = self.admission.choose(state, bundle, run, now)
             if not isinstance(chosen, Candidate):
                 for wait in chosen:
                     self.sleepers.sleep((bundle, 0), wait)
                 return
-            run = option = chosen.run
-            free = chosen.step
-            self.room.let_in(state, option, urgent=is_urgent(state, run, now))
-            self.patience.count_start(state, option, free, self.sleepers)
-            yield StepStart(run.id, free, option.plan if run.choices else "")
-            if run.id in state.runs.queued:
+            option = chosen.run
+            self.room.let_in(state, option, urgent=is_urgent(state, option, now))
+            self.patience.count_start(state, option, chosen.step, self.sleepers)
+            yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
+            if option.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
-            run = self._find_first(state, bundle, now)
+            run = self.admission.find_first(state, bundle, now)
 
-    def _free_start(
-        self, state: LabState, run: RunState, now: int
-    ) -> tuple[tuple[RunState, int] | None, list[Wait]]:
-        """A run as one of its plans has it, and the first step with which it may be let in; or what each of
-        them waits for."""
-        waits: list[Wait] = []
-        for option in options_in_order(state, run, now):
-            for step in self.behind.sort(state, option.plan, state.runs.plans[option.plan].starts):
-                wait = self.check_start(state, option, step, now)
-                if wait is None:
-                    return (option, step), []
-                waits.append(wait)
-        return None, waits
-
-    def _choose(
-        self,
-        state: LabState,
-        run: RunState,
-        start: tuple[RunState, int] | None,
-        waits: list[Wait],
-        now: int,
-        *,
-        only_asking: bool = False,
-    ) -> Candidate | list[Wait]:
-        """The run that starts now: this one if it may ``start``, another of equal rank, or none, and what the
-        run waits for then."""
-        early = start is None
-        if start is None and waits and all(isinstance(wait.reason, reasons.WouldBlock) for wait in waits):
-            option = options_in_order(state, run, now)[0]
-            start = option, state.runs.plans[option.plan].starts[0]
-        if start is None:
-            return waits
-        option, step = start
-        cell = state.runs.plan_of(option).workcell
-        first = Candidate(option, step, early=early)
-        goes_first = run.id in state.runs.windowed or self._is_overtaken(state, run)
-        stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
-        if goes_first or not stands or cell in state.suggestions.orders:
-            return waits if early else first  # a run that carries nothing stands in nobody's way
-        equals = self._list_equals(state, option, now)
-        if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
-            return waits if early else first
-        enter = partial(self._find_candidate, state, now=now)
-        chosen = self.pilot.choose(state, first, equals, now, enter)
-        if isinstance(chosen, Wait):
-            return waits if early else [chosen]
-        if chosen == first and not early:
-            return first
-        wait = self.check_start(
-            state, chosen.run, chosen.step, now, at_once=chosen.early, only_asking=only_asking
-        )
-        if wait is not None:
-            return waits if early else first
-        return chosen
-
-    def _explain_outside(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait | None]]:
-        """What a run waits for that may start, if the look ahead is against it."""
-        for option in options_in_order(state, run, now):
-            for step in state.runs.plans[option.plan].starts:
-                with self.reservations.only_asking():
-                    wait = self.check_start(state, option, step, now, only_asking=True)
-                    if wait is None:
-                        chosen = self._choose(state, run, (option, step), [], now, only_asking=True)
-                        waits = chosen if isinstance(chosen, list) else []
-                        return [(step, each) for each in waits]
-        return []
-
-    def _find_candidate(self, state: LabState, run: RunState, now: int) -> Candidate | None:
-        """The step with which a run may start now; None if there is none."""
-        step = state.runs.plans[run.plan].starts[0]
-        with self.reservations.only_asking():
-            wait = self.check_start(state, run, step, now, only_asking=True)
-            if wait is None:
-                return Candidate(run, step)
-            if isinstance(wait.reason, reasons.WouldBlock):
-                wait = self.check_start(state, run, step, now, only_asking=True, at_once=True)
-                return Candidate(run, step, early=True) if wait is None else None
-        return None
-
-    def _list_equals(self, state: LabState, run: RunState, now: int) -> list[RunState]:
-        """The first of the waiting runs in a workcell that differ in rank from this run only by age, the
-        oldest first."""
-        rank = (run.priority, self._make_turn_key(state, now, run)[:-1])
-        cell = state.runs.plan_of(run).workcell
-        found: list[RunState] = []
-        for bundle in self.room.within(cell)[:MOST_WAITING]:
-            for head in self.room.heads(state, bundle):
-                if (head.priority, self._make_turn_key(state, now, head)[:-1]) != rank or find_holds(head):
-                    continue
-                group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
-                found += [state.runs.queued[name] for name in islice(group, MOST_WAITING)]
-        found = [other for other in found if other.id != run.id and other.id not in state.runs.windowed]
-        return sorted(found, key=lambda other: other.position)
+    def _is_overtaken(self, state: LabState, run: RunState) -> bool:
+        """Whether a run has waited for so long that nobody's advice holds it up."""
+        return self.patience.is_over(run.id) if run.has_started else self.room.is_overtaken(state, run)
 
     def _list_plans(self, state: LabState, cell: str) -> Iterator[Plan]:
         """Plans of those who are in a workcell, and of some who wait for it: one of each bundle."""
@@ -530,47 +357,6 @@ class Scheduler:
             run = self.room.anybody(state, bundle)
             if run is not None:
                 yield state.runs.plan_of(run)
-
-    def _find_protected(self, state: LabState, run: RunState, now: int) -> str:
-        """The elder run that this run has to stay out for; empty if there is none."""
-        plan = state.runs.plans[run.plan]
-        mine: set[ModuleName] | None = None
-        for elder in self.room.list_overtaken(state, plan.plan.workcell):
-            if elder.position >= run.position or find_holds(elder):
-                continue
-            mine = mine or {step.module for step in plan.plan.steps}
-            if mine.isdisjoint(modules_of(state, elder)):
-                continue
-            if any(self._is_next(state, option, now, bool(plan.windowed)) for option in options(elder)):
-                return str(elder.id)
-        return ""
-
-    def _is_next(self, state: LabState, elder: RunState, now: int, windowed: bool) -> bool:
-        """Whether a run would come in next, with the plan that it has here, if nobody else was let in."""
-        first = state.runs.plans[elder.plan].starts[0]
-        found = examine(state, elder, first, now)
-        if isinstance(found, Wait) and found.blocked:
-            return False  # it waits for a person: nobody has to wait with it
-        if self._is_hopeless(state, elder):
-            return False  # a later step of it does, or what it waits for no run inside moves away
-        if state.bookings.open and booked.check_start(state, elder, first, now) is not None:
-            return False  # it waits until somebody else's booking is over
-        # It may wait for a time: who reserves nothing does not put it off.
-        return windowed or not self._is_reserved(state, elder, first, now)
-
-    def _is_hopeless(self, state: LabState, elder: RunState) -> bool:
-        """Whether a run could not come to its end in an empty workcell either."""
-        if self._futile_at != state.position:
-            self._futile_at = state.position
-            self._futile.clear()
-        known = self._futile.get((elder.id, elder.plan))
-        if known is None:
-            known = find_block(state, elder) is not None or bool(obstacle(self.safety, state, elder))
-            self._futile[elder.id, elder.plan] = known
-        return known
-
-    def _is_reserved(self, state: LabState, run: RunState, step: int, now: int) -> bool:
-        return self.reservations.check_start(state, run, step, now, self.safety) is not None
 
 
 def list_ready_steps(state: LabState, run: RunState) -> list[int]:

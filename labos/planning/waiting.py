@@ -227,6 +227,11 @@ class WaitingRoom:
             del counts[name]
         return [state.runs.queued[name] for name, count in counts.items() if round(count, 6) >= PATIENCE]
 
+    def is_overtaken(self, state: LabState, run: RunState) -> bool:
+        """Whether a waiting run was passed over too often."""
+        overtaken = self.list_overtaken(state, state.runs.plan_of(run).workcell)
+        return any(other.id == run.id for other in overtaken)  # it may be here with another of its plans
+
     def forget(self, run: RunId, cell: str) -> None:
         """A run waits no more."""
         self._passed_over.get(cell, {}).pop(run, None)

@@ -38,10 +38,10 @@ SIGNED = (RunSigned.TYPE, RecordsSigned.TYPE)
 
 
 class Signature(msgspec.Struct, frozen=True):
-    """One signature, under a run, an experiment or a campaign (``kind``), the ``subject``. ``run`` is the
-    same for a run, else empty; ``runs`` is how many runs belong to it. ``records`` and ``digest`` are what
-    was signed; ``holds`` is whether the record is the same now. ``at`` in UTC ns, ``time`` the same for
-    people."""
+    """One signature for the record of a run, an experiment or a campaign (``kind``), the ``subject``. For a
+    run, ``run`` is the same id, else empty; ``runs`` is the number of runs that belong to it. ``records`` and
+    ``digest`` are the number and the digest of the signed records; ``holds``: the record is still the same.
+    ``at`` is the time in UTC ns, and ``time`` is the same time as text."""
 
     subject: str
     kind: Kind

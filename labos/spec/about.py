@@ -40,7 +40,8 @@ class ArgAbout(Part):
 
 class ActionAbout(Part):
     """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``;
-    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``."""
+    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``;
+    ``duration_from`` is where the duration is found if arguments decide it, such as ``20 + {seconds}``."""
 
     description: str = ""
     args: dict[Name, ArgAbout] = {}
@@ -53,6 +54,7 @@ class ActionAbout(Part):
     result: str = ""
     returns: Any = None
     dangerous: str = ""
+    duration_from: str = ""
 
 
 class StationAbout(Part):

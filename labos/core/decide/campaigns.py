@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import Any
 
@@ -95,6 +95,15 @@ class RefuseRow(Command, frozen=True):
     campaign: CampaignId
     row: int
     why: str
+
+
+class SubmitRows(Command, frozen=True):
+    """The next rows of a campaign become runs, or cannot, one after the other, as long as there is room."""
+
+    rows: tuple[SubmitRow | RefuseRow, ...]
+
+    def parts(self) -> Sequence[Command]:
+        return self.rows
 
 
 class PauseCampaign(Command, frozen=True):
@@ -370,7 +379,7 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 
 
 def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
-    """A campaign that must not go on is stopped, and one with nothing left to do is completed."""
+    """A campaign that may not continue is stopped. A campaign without remaining work is completed."""
     for name in list(state.campaigns.due):
         campaign = state.campaigns.open[name]
         if why := explain_stop(campaign):
@@ -381,7 +390,7 @@ def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
 
 
 def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
-    """The campaigns of a user who may not act any more submit no further row until somebody resumes them."""
+    """The campaigns of a disabled user are paused until somebody resumes them."""
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
         answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
         yield from () if isinstance(answer, Rejection) else answer

@@ -236,7 +236,7 @@ def _resolve_question(
 
 
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
-    """An operator is asked, and an earlier question about the same is withdrawn."""
+    """An operator is asked, and an earlier question about the same subject is withdrawn."""
     for question in _questions(state, event.subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it was changed, and is asked anew")
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
@@ -260,7 +260,7 @@ def withdraw_approval_question(
     | ExperimentClosing
     | ExperimentEnded,
 ) -> Iterator[Event]:
-    """Nobody is asked any more about what has ended."""
+    """The question about an approval is withdrawn when its subject has ended."""
     subject = event.campaign if hasattr(event, "campaign") else event.experiment
     for question in _questions(state, subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it has ended")

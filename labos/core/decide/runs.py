@@ -54,6 +54,8 @@ STEPS_PER_EVENT = 16
 QUOTA = "quota"
 """The code of a rejection of a run for which its user's quota leaves no room."""
 
+QUOTA_REMEDY = "Wait until some have begun, or cancel some."
+
 
 NOBODYS = CampaignId("")
 """In place of the campaign of a run that belongs to none."""
@@ -220,7 +222,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
     user = experiment.user if experiment else command.user
     full = explain_full_queue(state, user)
     if full:
-        return Rejection(QUOTA, full, "Wait until some have begun, or cancel some.")
+        return Rejection(QUOTA, full, QUOTA_REMEDY)
     run = RunId(f"R{state.runs.named + 1}")
     try:
         plans = {plan_digest(plan, command.apart): plan for plan in command.plans}

@@ -57,7 +57,7 @@ class ActionView(msgspec.Struct, frozen=True):
 
 
 class ActionList(msgspec.Struct, frozen=True):
-    """What a module can do."""
+    """List the actions of a module."""
 
     module: str
     driver: str
@@ -80,8 +80,9 @@ class PlannedStep(msgspec.Struct, frozen=True):
 
 
 class CheckedRun(msgspec.Struct, frozen=True):
-    """What a run would be. ``demand`` is what its plan asks of the lab; ``approval`` says why it would wait
-    for one, and ``refusal`` why it would be refused as things are now (both empty: it would not)."""
+    """The run as it would be submitted. ``demand`` is the work and material that its plan needs. ``approval``
+    is the reason why it would wait for an approval, and ``refusal`` is the reason why it would be refused in
+    the present state (empty: it would not)."""
 
     workflow: str
     workcell: str
@@ -93,7 +94,7 @@ class CheckedRun(msgspec.Struct, frozen=True):
 
 
 async def list_actions(call: Call, path: OfModule) -> ActionList:
-    """Its actions, with the arguments that a step of a workflow gives them."""
+    """The actions and their arguments, as a step of a workflow uses them."""
     name = call.service.module(path.module)
     spec = call.kernel.state.modules.by_name[name].spec
     found = find_description(spec, call.service.parts.descriptions)
@@ -111,7 +112,7 @@ async def list_actions(call: Call, path: OfModule) -> ActionList:
 
 
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
-    """Nothing is submitted, nothing is kept."""
+    """Nothing is submitted or stored."""
     service, state = call.service, call.kernel.state
     service.expect_role(body.user, "submitter")  # before anything is planned
     workcell = await service.workcell_for(body.workflow, body.workcell)
@@ -165,8 +166,8 @@ class OrderedStep(msgspec.Struct, frozen=True):
 
 
 class SuggestedOrder(msgspec.Struct, frozen=True):
-    """The order that ``by`` suggests for a workcell, the earliest first. It counts up to ``until`` (UTC ns;
-    0: nothing is suggested)."""
+    """The order that ``by`` suggests for a workcell, the earliest step first. It is valid until ``until``
+    (UTC ns; 0: no suggestion)."""
 
     workcell: str
     by: str
@@ -175,7 +176,7 @@ class SuggestedOrder(msgspec.Struct, frozen=True):
 
 
 async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
-    """Of steps that have started, or whose run has ended, nothing is said."""
+    """Steps that have started, or whose run has ended, are not in the answer."""
     state = call.kernel.state
     if path.workcell not in state.lab.workcells:
         raise NotFound(
@@ -194,14 +195,14 @@ async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
 
 
 class StepsLeft(msgspec.Struct, frozen=True):
-    """How many of the suggested steps are still to start."""
+    """The number of suggested steps that have not started."""
 
     steps: int
 
 
 async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
-    """It replaces what was suggested before. Steps of runs that have ended are left out. What is suggested
-    never makes a step start that could not start without it."""
+    """It replaces the previous suggestion. Steps of ended runs are ignored. A suggestion never starts a step
+    that could not start without it."""
     steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
     asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
     events = await call.kernel.execute(asked, body.by)
@@ -215,7 +216,7 @@ OPERATIONS = (
         route="GET /modules/{module}/actions",
         handler=list_actions,
         client=Method("actions"),
-        summary="What a module can do",
+        summary="List the actions of a module",
         tag="modules",
         needs="viewer",
     ),
@@ -223,7 +224,7 @@ OPERATIONS = (
         route="GET /workcells/{workcell}/order",
         handler=show_order,
         client=Method("suggested_order"),
-        summary="In which order a planner suggests that the next steps of a workcell start",
+        summary="Show the order that a planner suggests for the next steps of a workcell",
         tag="workcells",
         needs="viewer",
         problems=("not_found",),
@@ -232,7 +233,7 @@ OPERATIONS = (
         route="POST /workcells/{workcell}/order",
         handler=suggest_order,
         client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
-        summary="Suggest in which order the next steps of a workcell start",
+        summary="Suggest an order for the next steps of a workcell",
         tag="workcells",
         needs="operator",
         problems=("not_found", "refused"),
@@ -247,7 +248,7 @@ OPERATIONS = (
         route="POST /runs/check",
         handler=check_run,
         client=Method("_check_run", "workflow, user=''", repeat=True),
-        summary="What a run of a workflow would be, without submitting it",
+        summary="Check a run of a workflow without submitting it",
         tag="runs",
         needs="submitter",
         problems=("not_found", "refused", "spec_error", "spec_errors"),

@@ -60,7 +60,7 @@ def test_what_has_a_long_way_behind_the_shared_machine_goes_first() -> None:
 def test_runs_of_one_kind_go_by_age_without_a_look() -> None:
     lab = lab_with(LONG_FIRST, LONG_FIRST)
     assert lab.pump() == ["R1#0"]
-    assert lab.scheduler.pilot.plays == 0
+    assert lab.scheduler.admission.pilot.plays == 0
 
 
 def test_a_higher_priority_goes_first_all_the_same() -> None:
@@ -108,7 +108,7 @@ def test_a_decision_takes_a_bounded_number_of_plays() -> None:
     stops = [("mill", 10.0 * number) for number in range(3, 23)]
     lab = lab_with(*(way(f"way {number}", stop, ("oven", 30.0)) for number, stop in enumerate(stops)))
     lab.pump()
-    assert 2 <= lab.scheduler.pilot.plays <= MOST_OPTIONS + 1
+    assert 2 <= lab.scheduler.admission.pilot.plays <= MOST_OPTIONS + 1
     assert MOST_OPTIONS < MOST_WAITING
 
 
@@ -117,4 +117,4 @@ def test_runs_that_carry_nothing_start_without_a_look_ahead() -> None:
     lab.submit(plan(step("dev"), step("cam"), name="both"))
     lab.submit(plan(step("cam"), name="short"))
     lab.pump()
-    assert lab.scheduler.pilot.plays == 0
+    assert lab.scheduler.admission.pilot.plays == 0

@@ -1,0 +1,175 @@
+"""Which waiting run is let in: the first that may start, or another of equal rank by the look ahead
+(``pilot``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import islice
+from typing import Protocol
+
+import msgspec
+
+from labos.core import reasons
+from labos.core.effects import list_carried
+from labos.core.runs import RunState, find_holds, queue_key
+from labos.core.state import LabState
+from labos.core.waits import Wait
+from labos.planning.choosing import options_in_order
+from labos.planning.pilot import MOST_WAITING, Candidate, Pilot, differ
+from labos.planning.ranking import Ranking
+from labos.planning.reservations import Reservations
+from labos.planning.suggested import Adviser
+from labos.planning.waiting import WaitingRoom
+
+
+class CheckStart(Protocol):
+    """What a step waits for (``Scheduler.check_start``)."""
+
+    def __call__(
+        self,
+        state: LabState,
+        run: RunState | None,
+        step: int,
+        now: int,
+        *,
+        only_asking: bool = False,
+        at_once: bool = False,
+    ) -> Wait | None: ...
+
+
+class Possible(msgspec.Struct, frozen=True):
+    """How a waiting run could start by the rules: as one of its plans has it, with this first step; or, with
+    no ``start``, what each of its first steps waits for."""
+
+    start: tuple[RunState, int] | None
+    waits: list[Wait]
+
+
+class Admission:
+    """Chooses who is let in."""
+
+    def __init__(
+        self,
+        room: WaitingRoom,
+        reservations: Reservations,
+        ranking: Ranking,
+        adviser: Adviser,
+        check_start: CheckStart,
+    ) -> None:
+        self.pilot = Pilot()
+        self._room = room
+        self._reservations = reservations
+        self._ranking = ranking
+        self._adviser = adviser
+        self._check_start = check_start
+
+    def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
+        """Who of a bundle is next."""
+        first = self._room.first(state, bundle, partial(self._ranking.make_turn_key, state, now))
+        if first is None or not state.suggestions.orders or self._room.is_overtaken(state, first):
+            return first
+        return self._adviser.find_next(state, first, now)
+
+    def choose(self, state: LabState, bundle: str, run: RunState, now: int) -> Candidate | list[Wait]:
+        """Who starts now, if ``run`` is the next of its bundle; or what the bundle waits for."""
+        possible = self._find_start(state, run, now)
+        if possible.start is None and any(
+            isinstance(wait.reason, reasons.AfterElder) for wait in possible.waits
+        ):
+            # Somebody older than the elder need not wait with the others.
+            run = self._room.oldest(state, bundle) or run
+            possible = self._find_start(state, run, now)
+        return self._look_ahead(state, run, possible, now)
+
+    def explain(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
+        """What a run waits for that may start, if the look ahead is against it."""
+        for option in options_in_order(state, run, now):
+            for step in state.runs.plans[option.plan].starts:
+                with self._reservations.only_asking():
+                    wait = self._check_start(state, option, step, now, only_asking=True)
+                    if wait is None:
+                        possible = Possible((option, step), [])
+                        chosen = self._look_ahead(state, run, possible, now, only_asking=True)
+                        waits = chosen if isinstance(chosen, list) else []
+                        return [(step, each) for each in waits]
+        return []
+
+    def _find_start(self, state: LabState, run: RunState, now: int) -> Possible:
+        waits: list[Wait] = []
+        for option in options_in_order(state, run, now):
+            for step in self._ranking.behind.sort(state, option.plan, state.runs.plans[option.plan].starts):
+                wait = self._check_start(state, option, step, now)
+                if wait is None:
+                    return Possible((option, step), [])
+                waits.append(wait)
+        return Possible(None, waits)
+
+    def _look_ahead(
+        self, state: LabState, run: RunState, possible: Possible, now: int, *, only_asking: bool = False
+    ) -> Candidate | list[Wait]:
+        """The run that starts now: this one if it may start, another of equal rank, or none, and what the
+        run waits for then."""
+        start, waits = possible.start, possible.waits
+        early = start is None
+        if start is None and waits and all(isinstance(wait.reason, reasons.WouldBlock) for wait in waits):
+            option = options_in_order(state, run, now)[0]
+            start = option, state.runs.plans[option.plan].starts[0]
+        if start is None:
+            return waits
+        option, step = start
+        cell = state.runs.plan_of(option).workcell
+        first = Candidate(option, step, early=early)
+        goes_first = run.id in state.runs.windowed or self._room.is_overtaken(state, run)
+        stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
+        if goes_first or not stands or cell in state.suggestions.orders:
+            return waits if early else first  # a run that carries nothing stands in nobody's way
+        equals = self._list_equals(state, option, now)
+        if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
+            return waits if early else first
+        enter = partial(self._find_candidate, state, now=now)
+        chosen = self.pilot.choose(state, first, equals, now, enter)
+        if isinstance(chosen, Wait):
+            return waits if early else [chosen]
+        if chosen == first and not early:
+            return first
+        wait = self._check_start(
+            state, chosen.run, chosen.step, now, at_once=chosen.early, only_asking=only_asking
+        )
+        if wait is not None:
+            return waits if early else first
+        return chosen
+
+    def _find_candidate(self, state: LabState, run: RunState, now: int) -> Candidate | None:
+        """The step with which a run may start now; None if there is none."""
+        step = state.runs.plans[run.plan].starts[0]
+        with self._reservations.only_asking():
+            wait = self._check_start(state, run, step, now, only_asking=True)
+            if wait is None:
+                return Candidate(run, step)
+            if isinstance(wait.reason, reasons.WouldBlock):
+                wait = self._check_start(state, run, step, now, only_asking=True, at_once=True)
+                return Candidate(run, step, early=True) if wait is None else None
+        return None
+
+    def _list_equals(self, state: LabState, run: RunState, now: int) -> list[RunState]:
+        """The first of the waiting runs in a workcell that differ in rank from this run only by age, the
+        oldest first."""
+        rank = self._make_rank(state, run, now)
+        cell = state.runs.plan_of(run).workcell
+        found: list[RunState] = []
+        for head in self._list_heads(state, cell):
+            if self._make_rank(state, head, now) != rank or find_holds(head):
+                continue
+            group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+            found += [state.runs.queued[name] for name in islice(group, MOST_WAITING)]
+        found = [other for other in found if other.id != run.id and other.id not in state.runs.windowed]
+        return sorted(found, key=lambda other: other.position)
+
+    def _list_heads(self, state: LabState, cell: str) -> Iterator[RunState]:
+        for bundle in self._room.within(cell)[:MOST_WAITING]:
+            yield from self._room.heads(state, bundle)
+
+    def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
+        """The rank of a waiting run without its age."""
+        return run.priority, *self._ranking.make_turn_key(state, now, run)[:-1]

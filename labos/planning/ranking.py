@@ -1,0 +1,110 @@
+"""Who goes first: the order in which steps and waiting runs are tried.
+
+The rules are listed in ``docs/scheduling.md`` (*Which step goes first*)."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.planning.due import UNDATED, DueDates
+from labos.planning.patience import OvertakeCounts
+from labos.planning.reservations import Reservations
+from labos.planning.setup_order import SetupOrder
+from labos.planning.suggested import LAST, Adviser
+from labos.planning.urgency import is_urgent
+from labos.planning.waiting import Turn
+from labos.planning.work_behind import WorkBehind
+
+
+class Spot(msgspec.Struct, frozen=True):
+    """Something to look at: a step of an active run, or a bundle of runs that wait and which of
+    them is first."""
+
+    run: RunState
+    step: int
+    bundle: str = ""
+
+
+class Rank(msgspec.Struct, frozen=True, order=True):
+    """The less, the sooner; a later field counts where all before it are equal."""
+
+    deadline: int
+    is_patient: bool
+    is_calm: bool
+    low_priority: int
+    advised: int
+    is_waiting: bool
+    share_used: tuple[float, float]
+    due: float
+    change: int
+    position: int
+    work_behind: float
+
+
+class Ranking:
+    """Ranks what may start. What it has worked out counts for one turn (``forget``)."""
+
+    def __init__(self, reservations: Reservations, adviser: Adviser) -> None:
+        self.behind = WorkBehind()
+        self._reservations = reservations
+        self._adviser = adviser
+        self._due_dates = DueDates()
+        self._setup_order = SetupOrder()
+        self._shares: dict[str, tuple[float, float]] = {}
+
+    def forget(self) -> None:
+        """A new turn begins."""
+        self._shares.clear()
+        self._due_dates.forget()
+        self._setup_order.forget()
+
+    def sort(self, state: LabState, spots: list[Spot], patience: OvertakeCounts, now: int) -> list[Spot]:
+        """What may start, in the order in which it is tried."""
+        return sorted(spots, key=lambda spot: self._rank(state, spot, patience, now))
+
+    def make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
+        """What orders waiting runs of the same needs and priority."""
+        own = self._rank_own(state, run, None)
+        return (
+            not is_urgent(state, run, now),
+            *self._find_share_used(state, now, run.user),
+            *own,
+            run.position,
+        )
+
+    def _rank(self, state: LabState, spot: Spot, patience: OvertakeCounts, now: int) -> Rank:
+        run, waits = spot.run, bool(spot.bundle)
+        step = None if waits else spot.step
+        deadline = self._reservations.urgency(state, run, step, now)
+        behind = 0.0 if step is None else -self.behind.measure(state, run.plan, step)
+        if not waits and patience.is_over(run.id):
+            nobody = (0.0, 0.0)
+            return Rank(deadline, False, False, 0, 0, False, nobody, UNDATED, 0, run.position, behind)
+        advised = self._adviser.start_of(state, run, step, now) if state.suggestions.orders else LAST
+        due, change = self._rank_own(state, run, step)
+        return Rank(
+            deadline,
+            True,
+            not is_urgent(state, run, now),
+            -run.priority,
+            advised,
+            waits,
+            self._find_share_used(state, now, run.user),
+            due,
+            change,
+            run.position,
+            behind,
+        )
+
+    def _find_share_used(self, state: LabState, now: int, user: str) -> tuple[float, float]:
+        """The lab time that a user's group and the user have had for their weights."""
+        share = self._shares.get(user)
+        if share is None:
+            share = self._shares[user] = state.shares.find_share_used(user, now)
+        return share
+
+    def _rank_own(self, state: LabState, run: RunState, step: int | None) -> tuple[float, int]:
+        """What goes before age among the runs of one user: due dates, and what need not be set up."""
+        return self._due_dates.rank(state, run), self._setup_order.rank(state, run, step)
