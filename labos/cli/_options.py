@@ -141,6 +141,16 @@ def asker_options(command: F) -> F:
     return user_option(home_option(json_option(wrap)))  # type: ignore[return-value]
 
 
+def lab_and_json(command: F) -> F:
+    """``--home`` and ``--json``; the command gets ``asker: Asker``, of whom it is not said who it is."""
+
+    @wraps(command)
+    def wrap(*args: Any, home: str | None, as_json: bool, **options: Any) -> Any:
+        return command(*args, asker=Asker(None, home, as_json), **options)
+
+    return home_option(json_option(wrap))  # type: ignore[return-value]
+
+
 def lab_options(command: F) -> F:
     """Options of commands that may run a kernel themselves."""
     seed = "The seed of the simulated instruments' random durations."

@@ -10,7 +10,15 @@ import click
 from labos.cli._bookings import in_words, show_bookings
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import Asker, asker_options, find_user, home_option, json_option, user_option
+from labos.cli._options import (
+    Asker,
+    asker_options,
+    find_user,
+    home_option,
+    json_option,
+    lab_and_json,
+    user_option,
+)
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput
 
@@ -196,19 +204,16 @@ def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
 
 @command.command("show")
 @_booking
-@home_option
-@json_option
-def show(booking: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def show(booking: str, asker: Asker) -> None:
     """Show the times of BOOKING and for whom it is.
 
     \b
     labos book show B3
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         found = client.booking(booking)
-    if as_json:
+    if asker.as_json:
         show_json(found)
     else:
         show_bookings([found])
