@@ -56,9 +56,8 @@ def sign_in(url: str, home: str | None, *, behalf: str = "", token: str = "") ->
     return LabClient(url, behalf=behalf, **options)
 
 
-def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> MCPServer[Any]:
-    """The server of a lab. ``lab`` gives the client for each call, which may have its own user. ``user`` is
-    the user who proposes in a lab without users."""
+def make_server(lab: LabClient | Callable[[], LabClient]) -> MCPServer[Any]:
+    """The server of a lab; ``lab`` may be asked anew for each call, as whose it is."""
     from mcp.server.mcpserver import MCPServer
     from mcp.types import ToolAnnotations
 
@@ -69,8 +68,8 @@ def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> M
     ask = (lambda: lab) if isinstance(lab, LabClient) else lab
     groups: tuple[tuple[Callable[[LabClient], Any], tuple[str, ...], bool], ...] = (
         (Look, LOOK, True),
-        (lambda found: Plan(found, user), PLAN, True),
-        (lambda found: Propose(found, user), PROPOSE, False),
+        (lambda found: Plan(found, USER), PLAN, True),
+        (lambda found: Propose(found, USER), PROPOSE, False),
     )
     for group, names, only_looks in groups:
         for name in names:

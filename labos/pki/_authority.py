@@ -24,7 +24,7 @@ from labos.clock import Clock, SystemClock
 from labos.errors import BadInput, NotFound, Refused
 from labos.pki._credentials import CA, CERTIFICATE, KEY, MEMBERS, Credentials, Stamp, read_members, stamp_of
 from labos.pki._party import SERVERS, CertificateEntry, Members, PartyIdentity, folder_name
-from labos.private import create_file, make_folder, sync_folder
+from labos.private import make_folder, replace_file, sync_folder
 
 CA_KEY, REVOKED = "ca.key", "crl.pem"
 MOST_ADDRESSES = 32
@@ -127,8 +127,8 @@ class Authority:
                 read_certificate(ca, str(site))
             else:
                 ca, key = make_ca(name, self._clock.now_ns(), days)
-                self._write(self.folder / CA_KEY, key)
-            self._write(self.folder / CA, ca)
+                replace_file(self.folder / CA_KEY, key)
+            replace_file(self.folder / CA, ca)
             self._keep(self.members())
 
     def issue(
@@ -269,9 +269,9 @@ class Authority:
         is found."""
         folder = self.credentials(identity).folder
         make_folder(folder)
-        self._write(folder / CA, _read(self.folder / CA))
-        self._write(folder / KEY, key)
-        self._write(folder / CERTIFICATE, certificate)
+        replace_file(folder / CA, _read(self.folder / CA))
+        replace_file(folder / KEY, key)
+        replace_file(folder / CERTIFICATE, certificate)
         sync_folder(folder)
 
     def _keep(self, members: Members) -> None:
@@ -289,22 +289,11 @@ class Authority:
 
             revoked = [entry for entry in members.entries if entry.revoked_at and entry.own]
             listed = make_revocation_list(self._ca(), revoked, self._clock.now_ns(), DAYS)
-            self._write(self.folder / REVOKED, listed)
+            replace_file(self.folder / REVOKED, listed)
         for entry in members.admitted:
             if entry.identity.kind in SERVERS:
-                self._write(self.credentials(entry.identity).folder / MEMBERS, text)
-        self._write(self.members_file, text)
-        sync_folder(self.folder)
-
-    @staticmethod
-    def _write(path: Path, data: bytes) -> None:
-        """Replace a file completely; it is private from the beginning."""
-        beside = path.with_name(f".{path.name}.{os.getpid()}")
-        with create_file(beside) as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
+                replace_file(self.credentials(entry.identity).folder / MEMBERS, text)
+        replace_file(self.members_file, text)
 
     @contextmanager
     def _lock(self) -> Iterator[None]:

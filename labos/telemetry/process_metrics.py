@@ -55,13 +55,14 @@ class ProcessReadings(msgspec.Struct, frozen=True):
 
 
 class ProcessMetrics(MetricGroup):
-    """The metrics of a kernel's process that do not concern the bench."""
+    """The metrics of a kernel's process that do not speak of the bench. Most are called as the reading that
+    they show."""
 
     def __init__(self) -> None:
         self.build = GaugeMetric(
             "labos_build_info", "1; the labels give the versions.", ("version", "python")
         )
-        self.lab = GaugeMetric(
+        self.lab_info = GaugeMetric(
             "labos_lab_info",
             "1; the labels identify the lab. bench is real or simulated.",
             ("id", "name", "bench"),
@@ -71,14 +72,16 @@ class ProcessMetrics(MetricGroup):
             "The speed-up factor of simulated instruments; 1 in a real lab.",
         )
         self.epoch = GaugeMetric("labos_kernel_epoch", "The kernel's epoch: one more at each start.")
-        self.started = GaugeMetric("labos_kernel_start_time_seconds", "The start of this kernel (UNIX time).")
+        self.started_at = GaugeMetric(
+            "labos_kernel_start_time_seconds", "The start of this kernel (UNIX time)."
+        )
         self.suspended = GaugeMetric(
             "labos_kernel_suspended", "1 while nothing starts because planning fails: a fault of LabOS."
         )
         self.available = GaugeMetric(
             "labos_log_available", "0 while the log cannot be written and is being read again."
         )
-        self.position = GaugeMetric("labos_log_position", "The position of the last event on disk.")
+        self.durable = GaugeMetric("labos_log_position", "The position of the last event on disk.")
         self.unwritten = GaugeMetric(
             "labos_log_unwritten_events", "Events that are decided but not yet on disk."
         )
@@ -121,28 +124,10 @@ class ProcessMetrics(MetricGroup):
 
     def update(self, now: ProcessReadings) -> None:
         bench = "simulated" if now.simulated else "real"
-        self.lab.replace({(now.lab, now.name, bench): 1.0})
-        self.pace.set(now.pace)
-        self.epoch.set(now.epoch)
-        self.started.set(now.started_at)
-        self.suspended.set(now.suspended)
+        self.lab_info.replace({(now.lab, now.name, bench): 1.0})
+        self.take(now)
         self.available.set(1)
-        self.position.set(now.durable)
         self.unwritten.set(max(now.decided - now.durable, 0))
-        self.checked.set(now.checked)
-        self.damaged.set(now.damaged)
-        if now.store_bytes is not None:
-            self.store_bytes.set(now.store_bytes)
-        self.disk_free.set(now.disk_free)
-        self.disk_size.set(now.disk_size)
-        self.queries.set(now.queries)
-        self.unanswered.set(now.unanswered)
-        self.published.set(now.published)
-        self.dropped.set(now.dropped)
-        self.left_out.set(now.left_out)
-        self.spans.set(now.spans)
-        self.spans_sent.set(now.spans_sent)
-        self.faults.set(now.faults)
 
     def lose(self) -> None:
         """Record that the log cannot be written; the other metrics keep their values."""

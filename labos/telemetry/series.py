@@ -13,6 +13,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal
 
+import msgspec
 from prometheus_client import Metric
 
 Labels = tuple[str, ...]
@@ -239,6 +240,13 @@ class MetricGroup:
     @property
     def families(self) -> list[LabMetric]:
         return [value for value in vars(self).values() if isinstance(value, LabMetric)]
+
+    def take(self, readings: msgspec.Struct) -> None:
+        """Each metric that is called as a reading shows it; as before, where that is None."""
+        for name, value in msgspec.structs.asdict(readings).items():
+            metric = getattr(self, name, None)
+            if isinstance(metric, GaugeMetric) and value is not None:
+                metric.set(value)
 
     def clear(self) -> None:
         """Remove all series of the gauges."""
