@@ -30,9 +30,8 @@ class Column(msgspec.Struct, frozen=True):
 
 
 class Table(msgspec.Struct, frozen=True):
-    """``view`` is what people read it as (empty: nobody does). ``indexes`` are lists of stored columns.
-    ``searched`` is a column of words by which rows are found (empty: there is none); the key of such a table
-    is one whole number."""
+    """``view`` is the name of its view (empty: none). ``indexes`` are lists of stored columns. ``searched``
+    is a column of words for the search (empty: none); the key of such a table is one whole number."""
 
     name: str
     about: str
