@@ -10,8 +10,9 @@ from labos.telemetry.signing import Signing
 
 
 class ApiReadings(msgspec.Struct, frozen=True):
-    """How an API process stands. ``here``, ``by_kernel`` and ``away`` count requests by who answered them;
-    ``kernel_s`` is how long the kernel took for its own, in all."""
+    """The state of an API process. ``here``, ``by_kernel`` and ``away`` count requests: answered here,
+    answered by the kernel, and not answered because the kernel was away. ``kernel_s`` is the total time that
+    the kernel took."""
 
     lab: str
     name: str

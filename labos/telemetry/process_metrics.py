@@ -1,4 +1,4 @@
-"""Kernel, log, store, bus and disk as metrics: numbers that somebody else has read."""
+"""Metrics of kernel, log, store, bus and disk, from given readings."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def _collectors() -> CollectorRegistry:
 
 
 def describe_process() -> str:
-    """What the system says of this process, in Prometheus' text format."""
+    """The system's metrics of this process, in Prometheus' text format."""
     return generate_latest(_collectors()).decode()
 
 
 class ProcessReadings(msgspec.Struct, frozen=True):
-    """How the kernel's process stands. ``store_bytes`` is None where the database does not say cheaply.
-    ``decided`` is the last position that was decided, ``durable`` the last one on disk; ``started_at`` in
-    UTC s."""
+    """The state of the kernel's process. ``store_bytes`` is None if the database cannot report it cheaply.
+    ``decided`` is the last decided position, and ``durable`` the last one on disk. ``started_at`` is in UTC
+    s."""
 
     lab: str
     name: str
@@ -98,7 +98,7 @@ class ProcessMetrics(MetricGroup):
             "labos_bus_queries_total", "Queries that the kernel has sent on the bus."
         )
         self.unanswered = ComputedCounter(
-            "labos_bus_queries_unanswered_total", "Queries on the bus that got no answer."
+            "labos_bus_queries_unanswered_total", "Queries on the bus without an answer."
         )
         self.published = ComputedCounter(
             "labos_bus_publications_total", "Messages that the kernel has published on the bus."
@@ -118,7 +118,7 @@ class ProcessMetrics(MetricGroup):
         )
         self.faults = ComputedCounter(
             "labos_kernel_faults_total",
-            "Turns of the kernel that failed and were rolled back, and other faults of LabOS.",
+            "Turns of the kernel that failed and were taken back, and other faults of LabOS.",
         )
         self.build.set(1, (VERSION, platform.python_version()))
 
@@ -130,5 +130,5 @@ class ProcessMetrics(MetricGroup):
         self.unwritten.set(max(now.decided - now.durable, 0))
 
     def lose(self) -> None:
-        """The log cannot be written: all else is as it was last."""
+        """Record that the log cannot be written; the other metrics keep their values."""
         self.available.set(0)
