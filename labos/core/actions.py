@@ -33,7 +33,8 @@ class ActionEvent(Event, frozen=True):
 class ActionRequested(ActionEvent, frozen=True):
     """The durable intent: written before anything is sent. ``attempt`` counts sendings of the
     same action; ``journal`` is the node's journal the request is meant for; ``effects`` name the
-    labware they touch."""
+    labware they touch. ``together`` are all actions that the device carries out with this one in one go,
+    this one among them; none if it does this one alone."""
 
     attempt: int
     epoch: int
@@ -43,6 +44,7 @@ class ActionRequested(ActionEvent, frozen=True):
     effects: tuple[AnyEffect, ...]
     exclusive: bool = True
     files: dict[str, str] = {}
+    together: tuple[ActionId, ...] = ()
 
 
 @event("action.accepted")
@@ -153,7 +155,8 @@ class ActionStatus(StrEnum):
 
 class Action(msgspec.Struct):
     """An action that has not ended. Once its device has reported success, ``looks`` are the stations that are
-    looked at before that is believed, and ``result`` and ``ended_ns`` what it said."""
+    looked at before that is believed, and ``result`` and ``ended_ns`` what it said. ``together`` are the
+    actions with which its device carries it out in one go, and itself."""
 
     id: ActionId
     run: RunId
@@ -173,6 +176,7 @@ class Action(msgspec.Struct):
     looks: tuple[StationName, ...] = ()
     result: Any = None
     ended_ns: int = 0
+    together: tuple[ActionId, ...] = ()
 
 
 class Settled(msgspec.Struct):
@@ -243,6 +247,7 @@ def fold_action_requested(actions: Actions, event: ActionRequested, at: int, pos
         files=event.files,
         position=position,
         requested_at=at,
+        together=event.together,
     )
     actions.in_cell.setdefault(workcell_of(event.module), {})[event.action] = True
 

@@ -118,6 +118,14 @@ class RetryDefault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reset: bool = False
 
 
+class Together(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A device carries these ``actions`` out for the labware of several runs at once. A run waits for the
+    labware of others for at most ``wait_s`` lab seconds after its own could begin."""
+
+    actions: tuple[str, ...]
+    wait_s: float = 0.0
+
+
 class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
@@ -126,7 +134,8 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     date, else ``refuse``. What steps on it do not say themselves, it says: ``on_error`` is what follows when
     one fails, ``retry`` how often it is done again before that, ``timeout_s`` the lab seconds after which
     nobody knows how it ended. With ``second_person``, runs that do what is dangerous there wait for an
-    approval. ``setup`` is what it costs to change it from one kind of work to another."""
+    approval. ``setup`` is what it costs to change it from one kind of work to another, ``together`` what it
+    does for several runs at once."""
 
     name: ModuleName
     driver: str
@@ -144,6 +153,7 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout_s: float | None = None
     second_person: bool = False
     setup: Setup | None = None
+    together: Together | None = None
 
 
 class TransferWay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

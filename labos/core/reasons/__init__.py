@@ -36,6 +36,7 @@ from labos.core.reasons._modules import (
     BookedSoon,
     HandFull,
     Held,
+    InsideToo,
     ModuleBusy,
     ModuleDown,
     NoGap,
@@ -53,6 +54,7 @@ from labos.core.reasons._planning import (
     BetterHere,
     ClockLater,
     FollowsLate,
+    ForOthers,
     HoldsUp,
     NotInTime,
     NoWayOut,
@@ -109,6 +111,7 @@ AnyReason = (
     | BookedSoon
     | NoGap
     | HandFull
+    | InsideToo
     | ReachedInto
     | Requires
     | Unfit
@@ -134,6 +137,7 @@ AnyReason = (
     | NotInTime
     | WouldDelay
     | FollowsLate
+    | ForOthers
     | AfterElder
     | AfterSuggested
     | ClockLater
@@ -160,6 +164,7 @@ __all__ = [
     "ClockLater",
     "Expired",
     "FollowsLate",
+    "ForOthers",
     "Gone",
     "Halted",
     "HandFull",
@@ -167,6 +172,7 @@ __all__ = [
     "HoldsUp",
     "InMotion",
     "InUse",
+    "InsideToo",
     "Key",
     "LogShorter",
     "Lost",
