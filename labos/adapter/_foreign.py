@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+from labos.core.amounts import set_duration
 from labos.core.ids import local
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -133,7 +134,7 @@ class ForeignNode(Node):
 
     def _method(self, spec: ActionSpec) -> ActionMethod:
         async def carry_out(**kwargs: Any) -> Any:
-            return await self.carry_out(spec, kwargs)
+            return await self.carry_out(set_duration(spec, kwargs), kwargs)
 
         return carry_out
 

@@ -16,23 +16,13 @@ def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: floa
     row = rows.put(
         LABWARE,
         {
-            "labware": event.labware,
-            "type": event.type,
             "station": "",
-            "lies_on": "",
-            "lid": "",
-            "maybe": None,
-            "owner": event.owner,
-            "barcode": "",
-            "lot": event.lot,
             "variables": {"lot": event.lot} if event.lot else {},
             "samples": {},
             "placed_at_s": at,
-            "gone_at_s": None,
-            "gone": "",
             "placed_position": head.position,
-            "gone_position": None,
         },
+        event,
     )
     _settle(rows, row, event.station, event.on)
     _note(rows, event, head, at, "placed", event.stack, event.station, event.on)

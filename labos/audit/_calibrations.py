@@ -26,16 +26,11 @@ def on_calibrated(rows: RowChanges, event: ModuleCalibrated, head: Envelope, at:
         {
             "calibration": f"{event.module}@{head.position}",
             "position": head.position,
-            "module": event.module,
-            "what": event.what,
-            "certificate": event.certificate,
             "recorded_by": event.by,
             "at_s": at,
-            "until": event.until,
             "ends_at_s": float(end_of(event.until)) if event.until else None,
-            "file": event.file,
-            "why": event.why,
         },
+        event,
     )
 
 

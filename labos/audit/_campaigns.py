@@ -15,30 +15,18 @@ def on_submitted(rows: RowChanges, event: c.CampaignSubmitted, head: Envelope, a
     row = rows.put(
         CAMPAIGNS,
         {
-            "campaign": event.campaign,
-            "name": event.name,
             "user_id": event.user,
-            "workflow": event.workflow,
-            "workcell": event.workcell,
-            "rows": event.rows,
             "status": "open",
             "submitted_at_s": at,
-            "ended_at_s": None,
             "runs": 0,
             "completed": 0,
             "failed": 0,
             "cancelled": 0,
             "refused": 0,
-            "why": "",
-            "by_run": "",
             "row_table": event.table,
-            "definition": event.definition,
-            "visibility": event.visibility,
-            "cloned_from": event.cloned_from,
-            "archived": False,
             "submitted_position": head.position,
-            "ended_position": None,
         },
+        event,
     )
     agree(row, event.terms)
 

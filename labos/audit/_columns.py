@@ -23,6 +23,11 @@ class Column(msgspec.Struct, frozen=True):
     def stored(self) -> str:
         return f"{self.name}_s" if self.kind == "time" else self.name
 
+    @property
+    def empty(self) -> str | bool | None:
+        """What stands in it where nothing is known."""
+        return "" if self.kind == "text" else False if self.kind == "flag" else None
+
 
 class Table(msgspec.Struct, frozen=True):
     """``view`` is what people read it as (empty: nobody does). Rows of a table that only ``grows`` are never
@@ -57,10 +62,10 @@ def by_people(name: str, about: str) -> Column:
     return Column(name, "text", about, by_people=True)
 
 
-POSITION = whole("position", "Where in the log it stands.")
-AT = time("at", "When it was recorded.")
-RUN = text("run", "The run in whose course it happened; empty if none.")
-ACTION = text("action", "The action that did it; empty if none.")
+POSITION = whole("position", "Its position in the log.")
+AT = time("at", "The time at which it was recorded.")
+RUN = text("run", "The run during which it happened; empty if none.")
+ACTION = text("action", "The action that caused it; empty if none.")
 LABWARE = text("labware", "The labware's id.")
 MODULE = text("module", "The module, as `workcell/module`.")
 

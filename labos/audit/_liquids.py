@@ -94,10 +94,7 @@ def _change(
         fold(held, event, 0)
     level = held.find(ModuleName(event.module), event.resource)
     if row is None:
-        row = rows.put(
-            RESOURCES,
-            {"module": event.module, "resource": event.resource, "level": None, "capacity": None, "lots": []},
-        )
+        row = rows.put(RESOURCES, {"level": None, "capacity": None, "lots": []}, event)
     if level is not None:
         row["level"], row["capacity"] = level.level, level.capacity
         row["lots"] = msgspec.to_builtins(level.lots)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 from labos.audit.tables import TABLES, Table
+from labos.core.registry import Event
 
 Key = tuple[Any, ...]
 Row = dict[str, Any]
@@ -15,6 +17,15 @@ Load = Callable[[Table, Key], "Row | None"]
 
 MOST_KEPT = 200_000
 """So many rows are remembered between batches; then all are forgotten, and loaded when they are needed."""
+
+
+_EMPTY: dict[str, Row] = {table.name: {c.stored: c.empty for c in table.columns} for table in TABLES}
+
+
+@cache
+def _list_said(table: str, kind: type) -> tuple[str, ...]:
+    """The columns of a table that are fields of an event, too."""
+    return tuple(name for name in _EMPTY[table] if name in getattr(kind, "__struct_fields__", ()))
 
 
 def seconds(ns: int) -> float:
@@ -37,8 +48,11 @@ class RowChanges:
         """A row, in the order of its columns, of a table that only grows."""
         self._added[table.name].append(values)
 
-    def put(self, table: Table, row: Row) -> Row:
-        """A row that is new, or takes the place of another one."""
+    def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
+        """A row that is new, or takes the place of another one. A column of which ``row`` says nothing has
+        what the ``event`` says under its name; it is empty if that says nothing, either."""
+        said = {name: getattr(event, name) for name in _list_said(table.name, type(event))}
+        row = {**_EMPTY[table.name], **said, **row}
         key = tuple(row[name] for name in table.key)
         self._known[table.name][key] = self._changed[table.name][key] = row
         return row

@@ -25,10 +25,7 @@ NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
 
 
 def on_plan_recorded(rows: RowChanges, event: p.PlanRecorded, head: Envelope, at: float) -> None:
-    rows.put(
-        PLANS,
-        {"plan": event.plan, "workflow": event.workflow, "workcell": event.workcell, "steps": []},
-    )
+    rows.put(PLANS, {"steps": []}, event)
 
 
 def on_plan_steps_recorded(rows: RowChanges, event: p.PlanStepsRecorded, head: Envelope, at: float) -> None:
@@ -44,31 +41,17 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
     rows.put(
         RUNS,
         {
-            "run": event.run,
-            "workflow": event.workflow,
             "workcell": plan["workcell"] if plan is not None else "",
             "user_id": event.user,
-            "experiment": event.experiment,
-            "campaign": event.campaign,
             "row": event.row if event.campaign else None,
-            "priority": event.priority,
             "status": "queued",
             "submitted_at_s": at,
-            "started_at_s": None,
-            "ended_at_s": None,
             "due_at_s": seconds(event.due_at) if event.due_at else None,
             "steps": len(steps),
             "steps_done": 0,
-            "why": "",
-            "failure": "",
-            "closing": event.closing,
-            "plan": event.plan,
-            "pins": event.pins,
-            "payload": event.payload,
             "submitted_position": head.position,
-            "started_position": None,
-            "ended_position": None,
         },
+        event,
     )
     for number, (key, module, name, part, after) in enumerate(steps):
         rows.put(
@@ -83,10 +66,6 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
                 "part": part,
                 "after": after,
                 "attempts": 0,
-                "requested_at_s": None,
-                "ended_at_s": None,
-                "error": "",
-                "breached": False,
             },
         )
     experiment = rows.change(EXPERIMENTS, event.experiment) if event.experiment else None
@@ -222,33 +201,20 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
     rows.put(
         ACTIONS,
         {
-            "action": event.action,
-            "run": event.run,
-            "step": event.step,
             "key": step["key"] if step is not None else "",
-            "module": event.module,
             "driver": node["driver"] if node is not None else "",
             "driver_version": node["driver_version"] if node is not None else "",
             "about": node["about"] if node is not None else "",
             "simulated": node["simulated"] if node is not None else False,
-            "name": event.name,
-            "args": event.args,
             "labware": labware_of(event.effects),
-            "files": event.files,
             "status": "requested",
             "effects": "",
-            "error": "",
-            "result": None,
-            "settled_by": "",
             "attempts": event.attempt,
             "requested_at_s": at,
-            "accepted_at_s": None,
-            "ended_at_s": None,
-            "device_ended_at_s": None,
             "requested_position": head.position,
-            "ended_position": None,
             "plate": labware_of_action(event),
         },
+        event,
     )
     for number, (name, digest) in enumerate(event.files.items()):
         rows.add(FILES, head.position, number, at, "given", digest, name, None, event.run, event.action)
@@ -357,15 +323,10 @@ def on_joined(rows: RowChanges, event: m.NodeJoined, head: Envelope, at: float) 
         NODES,
         {
             "position": head.position,
-            "module": event.module,
-            "driver": event.driver,
             "driver_version": event.version,
-            "about": event.about,
-            "journal": event.journal,
-            "simulated": event.simulated,
             "joined_at_s": at,
-            "left_at_s": None,
         },
+        event,
     )
 
 

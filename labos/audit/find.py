@@ -88,9 +88,9 @@ class FacetValue(msgspec.Struct, frozen=True):
 
 
 class SearchResult(msgspec.Struct, frozen=True):
-    """``total`` is how many fit the question, ``entries`` are those that were asked for. ``facets`` say how
-    often each value is there, the most frequent ones first. The search index knows the log up to
-    ``position``; ``behind`` is how many later events it does not know yet."""
+    """``total`` is the number of matching entries; ``entries`` is the requested part of them. ``facets``
+    count the entries for each value, the most frequent first. The search index covers the log up to
+    ``position``; ``behind`` is the number of later events."""
 
     entries: list[SearchEntry]
     total: int

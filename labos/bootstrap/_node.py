@@ -21,6 +21,7 @@ from labos.bootstrap._node_class import foreign_class, own_class
 from labos.bootstrap._node_security import check_lab, keep_certificate, node_security
 from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
+from labos.core.structs import make_from
 from labos.errors import BadInput, BusError, NoAnswer, Unreadable
 from labos.node.files import Files
 from labos.node.journal import Journal
@@ -191,16 +192,12 @@ def _setup(
         path = settings.world(workcell)
         make_folder(path.parent)
         world = World(str(path))
-    return Setup(
+    return make_from(
+        Setup,
+        told,
         name=name,
         workcell=workcell,
-        config=told.config,
-        poses=told.poses,
-        poses_of=told.poses_of,
-        regrip=told.regrip,
         world=world,
-        pace=told.pace,
-        seed=told.seed,
         wire=wire,
         unit_file=str(settings.unit(f"{workcell}/{name}")),
     )

@@ -17,6 +17,7 @@ from labos.core.experiments import (
 )
 from labos.core.ids import ExperimentId, RunId, StationName
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.structs import make_from
 
 
 class ExperimentStatus(StrEnum):
@@ -62,15 +63,7 @@ def fold_experiment_started(experiments: Experiments, event: ExperimentStarted, 
         experiments.requests[event.request] = event.experiment
         while len(experiments.requests) > REQUESTS_KEPT:
             del experiments.requests[next(iter(experiments.requests))]
-    experiments.open[event.experiment] = Experiment(
-        id=event.experiment,
-        name=event.name,
-        user=event.user,
-        closing=event.closing,
-        priority=event.priority,
-        started_at=at,
-        parking=event.parking,
-    )
+    experiments.open[event.experiment] = make_from(Experiment, event, id=event.experiment, started_at=at)
 
 
 def fold_experiment_cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:

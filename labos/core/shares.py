@@ -26,8 +26,8 @@ WEEK_DAYS = 7
 
 
 class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What somebody may have at most (0: no limit): runs under way and runs that wait at the same time; lab
-    hours and consumables by kind a week, where runs under way count by their plans. ``priority`` is the
+    """Limits for a user or group (0: no limit): the number of started runs and of waiting runs at the same
+    time; lab hours and consumables by kind per week. Started runs count by their plans. ``priority`` is the
     highest that may be given (null: any)."""
 
     running: int = 0
@@ -38,14 +38,14 @@ class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Member(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A user's weight within the group, and own quota."""
+    """A user's weight within the group, and the user's own quota."""
 
     weight: float = 1.0
     quota: Quota = Quota()
 
 
 class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Users who share one part of the lab. The quota is what all of them may have together."""
+    """Users who share one part of the lab. The quota limits all of them together."""
 
     name: str
     weight: float = 1.0
@@ -55,9 +55,9 @@ class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @event("shares.applied")
 class SharesApplied(Event, frozen=True):
-    """Weights and quotas from now on, as a file (``digest``) says. Who is in none of the ``groups`` is a
-    group alone, of weight 1 unless ``users`` say otherwise. Groups that the file does not name are gone,
-    but for those that were added by themselves (``group.added``)."""
+    """A shares file (``digest``) with weights and quotas was applied. A user who is in none of the ``groups``
+    forms a group alone, with weight 1 unless ``users`` gives another weight. Groups that the file does not
+    name are removed, except those from ``group.added``."""
 
     digest: str
     groups: tuple[Group, ...] = ()

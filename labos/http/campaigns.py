@@ -16,6 +16,7 @@ from labos.core.decide.runs import NOBODYS
 from labos.core.ids import CampaignId, local
 from labos.core.model import MAIN, Plan
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import person_of
 from labos.core.viewer import Visibility
 from labos.errors import BadInput, KeyReused, SpecError
@@ -62,9 +63,10 @@ class Estimate(msgspec.Struct, frozen=True):
 
 
 class CampaignView(msgspec.Struct, frozen=True):
-    """``status``: proposed, open, paused, stopped or cancelled. Of its ``rows``, ``left`` are those that are
-    no runs yet. ``lab_time_s`` is module time, ``used`` are consumables. ``visibility``: who sees it
-    (lab, group or private); ``cloned_from`` is the campaign that it repeats."""
+    """``status``: proposed, open, paused, stopped or cancelled. ``left`` is the number of its ``rows`` that
+    have not been submitted as runs. ``lab_time_s`` is the used module time, and ``used`` are the used
+    consumables. ``visibility``: who sees it (lab, group or private). ``cloned_from`` is the campaign from
+    which it was copied."""
 
     id: str
     name: str
@@ -384,25 +386,10 @@ def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:
 
 
 def view_of(state: LabState, campaign: Campaign) -> CampaignView:
-    return CampaignView(
-        id=campaign.id,
-        name=campaign.name,
-        user=campaign.user,
-        workflow=campaign.workflow,
-        workcell=campaign.workcell,
-        status=campaign.status,
-        why=campaign.why,
-        rows=campaign.rows,
-        queued=campaign.queued,
+    return make_from(
+        CampaignView,
+        campaign,
         active=len(campaign.runs) - campaign.queued,
-        completed=campaign.completed,
-        failed=campaign.failed,
-        cancelled=campaign.cancelled,
-        refused=campaign.refused,
-        left=campaign.left,
         lab_time_s=campaign.spent_ns / 1e9 * state.lab.pace,
-        used=campaign.used,
-        terms=campaign.terms,
         visibility=state.campaigns.visibility_of(campaign.id),
-        cloned_from=campaign.cloned_from,
     )

@@ -22,14 +22,16 @@ Sent = Annotated[str, msgspec.Meta(max_length=3_500)]
 
 
 class BeginSignIn(msgspec.Struct, forbid_unknown_fields=True):
-    port: Annotated[int, msgspec.Meta(ge=0, le=65_535), says("of the asker, to which a browser comes back")]
-    device: Annotated[bool, says("there is no browser: a code for one elsewhere")] = False
+    port: Annotated[int, msgspec.Meta(ge=0, le=65_535), says("the local port to which the browser returns")]
+    device: Annotated[
+        bool, says("there is no browser on this computer: get a code for a browser elsewhere")
+    ] = False
 
 
 class ProviderSignIn(msgspec.Struct, frozen=True):
-    """``address`` is for a browser. ``state`` and ``key`` are shown to finish; the key to nobody else.
-    ``code`` is what is typed in there, if no browser comes back, and ``wait_s`` how long to wait before it is
-    asked for."""
+    """``address`` is for a browser. ``state`` and ``key`` are needed to finish; the key is secret. ``code``
+    is the code that the user enters if the browser does not return to this computer, and ``wait_s`` is the
+    time to wait before the next request."""
 
     address: str
     state: str
@@ -39,19 +41,21 @@ class ProviderSignIn(msgspec.Struct, frozen=True):
 
 
 class FinishSignIn(msgspec.Struct, forbid_unknown_fields=True):
-    state: Annotated[Line, says("as it was told at the beginning")]
-    key: Annotated[Line, says("as it was told at the beginning")]
-    code: Annotated[Sent, says("what came with the browser")] = ""
-    iss: Annotated[Sent, says("what came with the browser")] = ""
-    error: Annotated[Sent, says("what came with the browser")] = ""
+    state: Annotated[Line, says("the value from the answer that began the sign-in")]
+    key: Annotated[Line, says("the value from the answer that began the sign-in")]
+    code: Annotated[Sent, says("the parameter with which the browser returned")] = ""
+    iss: Annotated[Sent, says("the parameter with which the browser returned")] = ""
+    error: Annotated[Sent, says("the parameter with which the browser returned")] = ""
     label: Annotated[Line, says("what the token is for")] = "signed in"
-    scope: Annotated[Need, says("the most that the token is good for")] = "admin"
-    days: Annotated[Days, says("how long the token is good; the lab may give less")] = 30.0
+    scope: Annotated[Need, says("the highest role that the token allows")] = "admin"
+    days: Annotated[
+        Days, says("the number of days for which the token is valid; the lab may allow fewer")
+    ] = 30.0
 
 
 class FinishedSignIn(msgspec.Struct, frozen=True):
-    """``token`` is told this once; ``until`` is when it ends (UTC nanoseconds). With ``wait_s`` nobody has
-    typed the code in yet, and the rest is empty."""
+    """The ``token`` is shown only in this answer; ``until`` is its end (UTC nanoseconds). If ``wait_s`` is
+    not 0, the code has not been entered yet, and the other fields are empty."""
 
     user: str = ""
     until: int = 0

@@ -33,12 +33,13 @@ class SignIn(msgspec.Struct, forbid_unknown_fields=True):
     password: Annotated[Secret, says("the password")]
     token: Annotated[bool, says("a token for a program instead of a session for a browser")] = False
     label: Annotated[Line, says("what the token is for")] = "signed in"
-    scope: Annotated[Need, says("the most that the token is good for")] = "admin"
-    days: Annotated[Days, says("how long the token is good")] = 30.0
+    scope: Annotated[Need, says("the highest role that the token allows")] = "admin"
+    days: Annotated[Days, says("the number of days for which the token is valid")] = 30.0
 
 
 class SignedIn(msgspec.Struct, frozen=True):
-    """``until`` is when it ends (UTC nanoseconds). ``token`` is told this once."""
+    """``until`` is the end of the session or token (UTC nanoseconds). The ``token`` is shown only in this
+    answer."""
 
     user: str
     until: int
@@ -46,9 +47,9 @@ class SignedIn(msgspec.Struct, frozen=True):
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """Who asks. ``how``: `token`, `session`, `home` (the owner of the lab's folder) or `open` (the lab has no
-    users). ``scope`` is the most that is allowed by what was shown; ``roles`` by workcell, `*` for the whole
-    lab."""
+    """The user who asks. ``how``: ``token``, ``session``, ``home`` (the owner of the lab's folder) or
+    ``open`` (the lab has no users). ``scope`` is the highest role that the token or session allows; ``roles``
+    are by workcell, ``*`` for the whole lab."""
 
     user: str
     how: str
@@ -63,13 +64,13 @@ class Identity(msgspec.Struct, frozen=True):
 
 class NewToken(msgspec.Struct, forbid_unknown_fields=True):
     label: Annotated[Line, says("what it is for")] = ""
-    scope: Annotated[Need, says("the most that it is good for")] = "submitter"
+    scope: Annotated[Need, says("the highest role that it allows")] = "submitter"
     days: Annotated[Days, says("how long it is good")] = float(TOKEN_DAYS)
-    user: Annotated[Name, says("whose it is, if not the asking user's own; for admins")] = ""
+    user: Annotated[Name, says("the owner; only admins may name another user")] = ""
 
 
 class MadeToken(msgspec.Struct, frozen=True):
-    """``secret`` is told this once: the lab keeps its digest alone."""
+    """The ``secret`` is shown only in this answer: the lab stores only its digest."""
 
     token: Token
     secret: str
@@ -80,8 +81,8 @@ class Tokens(msgspec.Struct, frozen=True):
 
 
 class NewPassword(msgspec.Struct, forbid_unknown_fields=True):
-    password: Annotated[Secret, says("the new one, of 10 characters at least")]
-    present: Annotated[Secret, says("the present one; needed by a user who changes their own")] = ""
+    password: Annotated[Secret, says("the new password, at least 10 characters")]
+    present: Annotated[Secret, says("the present password; required from users who change their own")] = ""
 
 
 class PersonDetails(msgspec.Struct, forbid_unknown_fields=True):
@@ -93,12 +94,11 @@ class PersonDetails(msgspec.Struct, forbid_unknown_fields=True):
 
 class ProviderIdentity(msgspec.Struct, forbid_unknown_fields=True):
     issuer: Annotated[Line, says("the identity provider, as `https://login.example.org`")]
-    subject: Annotated[Line, says("what it calls the user (the claim `sub`)")]
+    subject: Annotated[Line, says("the provider's id of the user (the claim `sub`)")]
 
 
 class People(msgspec.Struct, frozen=True):
-    """The users with a known name or address. Addresses are told to admins, and to each user their
-    own."""
+    """The users with a known name or address. Admins see all addresses; other users see only their own."""
 
     people: list[Person]
 
@@ -284,7 +284,8 @@ async def change_person(call: Call, user: str, told: PersonDetails) -> Person:
 
 
 async def erase_person(call: Call, user: str) -> None:
-    """Forget who a user is; then the log says so, by the id alone. Raises Forbidden, NotFound."""
+    """Erase a user's name, address and means of signing in; then the log says so, by the id alone. Raises
+    Forbidden, NotFound."""
     expect_self_or_admin(call, user)
     by = call.who.user if call.who.is_known else LABOS  # the owner of the lab's folder has no name
     await call.api.gate.accounts.erase(user)

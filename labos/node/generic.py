@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import msgspec
 
+from labos.core.amounts import set_duration
 from labos.core.effects import (
     AnyEffect,
     Consumes,
@@ -335,6 +336,6 @@ def _without_new(method: ActionMethod, spec: ActionSpec, known: ActionSpec) -> A
 
 def _method(device: GenericDevice, spec: ActionSpec) -> ActionMethod:
     async def carry_out(**args: Any) -> Any:
-        return await device.carry_out(spec, args)
+        return await device.carry_out(set_duration(spec, args), args)
 
     return carry_out

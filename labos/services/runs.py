@@ -13,6 +13,7 @@ from labos.core import steps as st
 from labos.core.envelope import Envelope
 from labos.core.model import MAIN, AnyPart
 from labos.core.registry import Event
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.ports import LogQuery
 from labos.services.catalogue import Catalogue, catalogue_of, teach
@@ -101,16 +102,12 @@ class RunBook:
         plan = self.names.plan_of(event.run) or self.names.plans.get(event.plan)
         if self.keep and event.run != self.keep:
             return
-        self.runs[event.run] = RunHistory(
+        self.runs[event.run] = make_from(
+            RunHistory,
+            event,
             id=event.run,
-            workflow=event.workflow,
             workcell=plan.workcell if plan else "",
-            user=event.user,
-            experiment=event.experiment,
             submitted_at=at,
-            closing=event.closing,
-            campaign=event.campaign,
-            due_at=event.due_at,
             steps=[
                 StepHistory(
                     index,

@@ -9,6 +9,7 @@ import msgspec
 from labos.core import actions as a
 from labos.core.envelope import Envelope, Record
 from labos.core.registry import Event
+from labos.core.structs import make_from
 from labos.services.log import events
 from labos.services.runs import RunBook, RunHistory
 from labos.services.twh import Meter, TwhReport
@@ -181,13 +182,9 @@ def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSu
     start = run.started_at or end
     flying = [(since, end) for since in run.flying.values()]
     working = union_ns([*run.busy, *flying])
-    return RunSummary(
-        id=run.id,
-        workflow=run.workflow,
-        user=run.user,
-        experiment=run.experiment,
-        status=run.status,
-        done=run.done,
+    return make_from(
+        RunSummary,
+        run,
         steps=run.in_play,
         queued_s=(start - run.submitted_at) / 1e9,
         wall_s=(end - start) / 1e9,
@@ -199,7 +196,6 @@ def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSu
             for step in run.steps
             if step.state != "asleep"
         ),
-        why=run.why,
         waits=tuple(WaitTime(why, ns / 1e9) for why, ns in sorted(waits.items(), key=lambda item: -item[1])),
     )
 

@@ -348,8 +348,8 @@ class Footprint(Part):
 
 
 class Wells(Part):
-    """A grid of wells; ``a1_x_mm`` and ``a1_y_mm`` are the centre of A1 from the left and the
-    back edge, ``volume_ul`` what a well holds."""
+    """A grid of wells. ``a1_x_mm`` and ``a1_y_mm`` are the distances of the centre of A1 from the left and
+    the back edge; ``volume_ul`` is the capacity of a well."""
 
     rows: int = Field(ge=1)
     columns: int = Field(ge=1)

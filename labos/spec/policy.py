@@ -10,6 +10,7 @@ from pydantic import Field
 
 from labos.core.campaigns import Budget
 from labos.core.policy import BookingLimits, Policy
+from labos.core.structs import make_from
 from labos.spec.campaign import BudgetEntry
 from labos.spec.findings import FindingList, SpecErrors
 from labos.spec.parts import Label, Part
@@ -67,17 +68,8 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
         report.error(what, place, field="bookings.hours", remedy="Give a larger `total_hours`.")
     report.raise_if_failed()
     above = Budget(file.above.runs, file.above.lab_time, dict(file.above.consumables))
-    policy = Policy(
-        programs=file.programs,
-        trusted=tuple(dict.fromkeys(file.trusted)),
-        newcomers=file.newcomers,
-        dangerous=file.dangerous,
-        above=above,
-        deadlines=file.deadlines,
-        own=file.own,
-        erasure=file.erasure,
-        priority=file.priority,
-        bookings=_limits(booked),
+    policy = make_from(
+        Policy, file, trusted=tuple(dict.fromkeys(file.trusted)), above=above, bookings=_limits(booked)
     )
     return CompiledPolicy(source.digest, policy)
 

@@ -41,6 +41,7 @@ _ACTION = {
     "args": "its arguments, by name",
     "effects": "what it does to the bench: tables of one effect each, as the reference names them",
     "duration": "its nominal duration: seconds, or text as `10 min`",
+    "duration_from": "where the duration is found if arguments decide it: `{seconds}`, `20 + {minutes}`",
     "safe_to_repeat": "whether doing it twice does no harm",
     "exclusive": "false for a pure query, which does not occupy the module",
     "recovers": "whether it brings the module out of an error",

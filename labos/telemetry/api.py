@@ -43,14 +43,14 @@ class _ApiGroup(MetricGroup):
     def __init__(self) -> None:
         self.info = GaugeMetric(
             "labos_api_info",
-            "1; the labels say which lab and API process it is.",
+            "1; the labels identify the lab and the API process.",
             ("id", "name", "api"),
         )
         self.position = GaugeMetric(
             "labos_api_log_position", "The last position of the log that this API process knows."
         )
         self.recorded = GaugeMetric(
-            "labos_api_log_time_seconds", "When that was recorded (UNIX time, by the clock of the kernel)."
+            "labos_api_log_time_seconds", "The time of that event (UNIX time, by the clock of the kernel)."
         )
         self.kernel = GaugeMetric(
             "labos_api_kernel_available", "1 while the kernel answers this API process, else 0."
@@ -62,7 +62,7 @@ class _ApiGroup(MetricGroup):
             ("answered_by",),
         )
         self.kernel_s = ComputedCounter(
-            "labos_api_kernel_seconds_total", "How long the kernel took for the requests that it answered."
+            "labos_api_kernel_seconds_total", "Time that the kernel took for the requests that it answered."
         )
 
     def update(self, now: ApiReadings) -> None:

@@ -80,16 +80,17 @@ class EventMetrics(MetricGroup):
         cell, module = ("workcell",), ("workcell", "module")
         self.events = CounterMetric("labos_events_total", "Committed events, by type.", ("type",), most=200)
         self.reopened_log = CounterMetric(
-            "labos_log_reopened_total", "How often the log had to be read again after a failed commit."
+            "labos_log_reopened_total",
+            "The number of times that the log was read again after a failed commit.",
         )
         self.commit_s = Distribution(
             "labos_commit_duration_seconds",
-            "How long the database took to commit a batch of events.",
+            "Time that the database took to commit a batch of events.",
             bounds=COMMIT_BOUNDS_S,
         )
         self.turn_s = Distribution(
             "labos_turn_duration_seconds",
-            "How long the kernel took to decide a command and to plan what follows from it.",
+            "Time that the kernel took to decide a command and to plan the steps that follow.",
             bounds=TURN_BOUNDS_S,
         )
         self.runs_ended = CounterMetric(
@@ -115,7 +116,7 @@ class EventMetrics(MetricGroup):
         )
         self.actions = CounterMetric(
             "labos_actions_total",
-            "Actions that have ended, or of which nobody knows how; outcome is succeeded, failed, rejected "
+            "Actions that have ended, or whose outcome is unknown; outcome is succeeded, failed, rejected "
             "or unknown.",
             (*module, "action", "outcome"),
             most=12_000,
@@ -135,19 +136,19 @@ class EventMetrics(MetricGroup):
         )
         self.busy_s = ComputedCounter(
             "labos_module_busy_seconds_total",
-            "Time in which an action kept the module busy; its rate is the utilisation.",
+            "Time for which actions kept the module busy; its rate is the utilisation.",
             module,
             most=2_000,
         )
         self.user_s = CounterMetric(
             "labos_user_module_seconds_total",
-            "Time of modules that actions of a user's runs have taken.",
+            "Module time that the actions of a user's runs have used.",
             ("user",),
             most=101,
         )
         self.consumed = CounterMetric(
             "labos_resource_consumed_total",
-            "What actions have used up of a resource, in the resource's own unit.",
+            "The amount of a resource that actions have used up, in its own unit.",
             (*module, "resource"),
         )
         self.asked = CounterMetric(

@@ -27,9 +27,9 @@ class KernelMetrics:
         self.of_unattended_time = UnattendedMetrics()
         self.of_process = ProcessMetrics()
         self.signing = Signing()
-        self.series = GaugeMetric("labos_metrics_series", "How many series the last answer had.")
+        self.series = GaugeMetric("labos_metrics_series", "The number of series in the last answer.")
         self.took_s = GaugeMetric(
-            "labos_metrics_duration_seconds", "How long it took to make the last answer."
+            "labos_metrics_duration_seconds", "Time that it took to make the last answer."
         )
         groups = (self.of_process, self.of_state, self.of_events, self.of_unattended_time, self.signing)
         families = [family for group in groups for family in group.families]

@@ -53,7 +53,7 @@ class NodeMetrics(MetricGroup):
     def __init__(self, driver: str, version: str, *, simulated: bool) -> None:
         self.info = GaugeMetric(
             "labos_node_info",
-            "1; the labels say what drives the device. bench is real or simulated.",
+            "1; the labels identify the driver. bench is real or simulated.",
             ("driver", "version", "bench", "labos", "python"),
         )
         self.state = GaugeMetric(
@@ -61,10 +61,10 @@ class NodeMetrics(MetricGroup):
             f"1 for the state that the node is in, 0 for the others: {', '.join(NODE_STATES).lower()}.",
             ("state",),
         )
-        self.running = GaugeMetric("labos_node_actions_running", "Actions that the device carries out.")
+        self.running = GaugeMetric("labos_node_actions_running", "Actions that the device is carrying out.")
         self.unacknowledged = GaugeMetric(
             "labos_node_actions_unacknowledged",
-            "Actions that have ended and of which the node does not know yet that the lab's log holds it.",
+            "Ended actions whose end the lab's log has not acknowledged yet.",
         )
         self.actions = CounterMetric(
             "labos_node_actions_total",

@@ -58,44 +58,44 @@ class ProcessMetrics(MetricGroup):
     """The metrics of a kernel's process that do not speak of the bench."""
 
     def __init__(self) -> None:
-        self.build = GaugeMetric("labos_build_info", "1; the labels say what runs.", ("version", "python"))
+        self.build = GaugeMetric(
+            "labos_build_info", "1; the labels give the versions.", ("version", "python")
+        )
         self.lab = GaugeMetric(
             "labos_lab_info",
-            "1; the labels say which lab it is. bench is real or simulated.",
+            "1; the labels identify the lab. bench is real or simulated.",
             ("id", "name", "bench"),
         )
         self.pace = GaugeMetric(
             "labos_lab_pace_ratio",
-            "How much faster than real time simulated instruments run; 1 in a real lab.",
+            "The speed-up factor of simulated instruments; 1 in a real lab.",
         )
         self.epoch = GaugeMetric("labos_kernel_epoch", "The kernel's epoch: one more at each start.")
-        self.started = GaugeMetric(
-            "labos_kernel_start_time_seconds", "When this kernel took the lab (UNIX time)."
-        )
+        self.started = GaugeMetric("labos_kernel_start_time_seconds", "The start of this kernel (UNIX time).")
         self.suspended = GaugeMetric(
-            "labos_kernel_suspended", "1 while nothing is started because planning fails: a fault of LabOS."
+            "labos_kernel_suspended", "1 while nothing starts because planning fails: a fault of LabOS."
         )
         self.available = GaugeMetric(
             "labos_log_available", "0 while the log cannot be written and is being read again."
         )
         self.position = GaugeMetric("labos_log_position", "The position of the last event on disk.")
         self.unwritten = GaugeMetric(
-            "labos_log_unwritten_events", "Events that are decided and not yet on disk."
+            "labos_log_unwritten_events", "Events that are decided but not yet on disk."
         )
         self.checked = GaugeMetric(
             "labos_log_checked_events", "Events whose chain was checked since the kernel started."
         )
-        self.damaged = GaugeMetric("labos_log_damaged", "1 if the check of the log has found a damage.")
+        self.damaged = GaugeMetric("labos_log_damaged", "1 if the check of the log has found damage.")
         self.store_bytes = GaugeMetric(
             "labos_store_size_bytes", "Size of the database's files (SQLite only)."
         )
         self.disk_free = GaugeMetric("labos_disk_free_bytes", "Free room on the disk of the lab's folder.")
         self.disk_size = GaugeMetric("labos_disk_size_bytes", "Size of the disk of the lab's folder.")
         self.queries = ComputedCounter(
-            "labos_bus_queries_total", "Questions that the kernel has asked on the bus."
+            "labos_bus_queries_total", "Queries that the kernel has sent on the bus."
         )
         self.unanswered = ComputedCounter(
-            "labos_bus_queries_unanswered_total", "Questions on the bus to which no answer came."
+            "labos_bus_queries_unanswered_total", "Queries on the bus that got no answer."
         )
         self.published = ComputedCounter(
             "labos_bus_publications_total", "Messages that the kernel has published on the bus."
@@ -108,14 +108,14 @@ class ProcessMetrics(MetricGroup):
             "Events that were not announced on the bus because it was too slow; they are in the log.",
         )
         self.spans = ComputedCounter(
-            "labos_trace_spans_total", "Spans of traces that were made for a receiver of OpenTelemetry."
+            "labos_trace_spans_total", "Spans of traces that were made for an OpenTelemetry receiver."
         )
         self.spans_sent = ComputedCounter(
-            "labos_trace_spans_sent_total", "Spans of traces that the receiver has taken."
+            "labos_trace_spans_sent_total", "Spans of traces that the receiver has accepted."
         )
         self.faults = ComputedCounter(
             "labos_kernel_faults_total",
-            "Turns of the kernel that failed and were taken back, and other faults of LabOS.",
+            "Turns of the kernel that failed and were rolled back, and other faults of LabOS.",
         )
         self.build.set(1, (VERSION, platform.python_version()))
 

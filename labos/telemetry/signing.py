@@ -13,13 +13,13 @@ class Signing(MetricGroup):
     def __init__(self) -> None:
         self.tries = CounterMetric(
             "labos_sign_ins_total",
-            "Tries to sign in; outcome is right, wrong or too_many.",
+            "Attempts to sign in; outcome is right, wrong or too_many.",
             ("outcome",),
             most=3,
         )
         self.refused = CounterMetric(
             "labos_requests_refused_total",
-            "Requests that were not let in; reason is not_signed_in or forbidden.",
+            "Refused requests; reason is not_signed_in or forbidden.",
             ("reason",),
             most=2,
         )

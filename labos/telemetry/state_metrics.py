@@ -42,14 +42,13 @@ class StateMetrics(MetricGroup):
         self.queue = GaugeMetric("labos_queue_runs", "Runs that wait to be started.", cell, most=CELLS)
         self.queue_age_s = GaugeMetric(
             "labos_queue_oldest_age_seconds",
-            "How long the oldest run that waits to be started has waited; 0 if none does.",
+            "Waiting time of the oldest run that has not started; 0 if no run waits.",
             cell,
             most=CELLS,
         )
         self.waiting = GaugeMetric(
             "labos_waiting_steps",
-            "Steps that wait although it is their turn, by reason; queued runs that wait for the same "
-            "count as one.",
+            "Steps that wait although they are next, by reason; queued runs with one reason count as one.",
             (*cell, "reason"),
         )
         self.user_runs = GaugeMetric(
@@ -57,7 +56,7 @@ class StateMetrics(MetricGroup):
         )
         self.user_share = GaugeMetric(
             "labos_user_share_ratio",
-            "A user's share of the modules' time, as the scheduler counts it: time counts half after a day.",
+            "A user's share of the modules' time, as the scheduler counts it (half-life: one day).",
             ("user",),
             most=101,
         )
@@ -73,13 +72,13 @@ class StateMetrics(MetricGroup):
         )
         self.occupied = GaugeMetric(
             "labos_module_places_occupied",
-            "Labware at the module's stations, arrivals under way included.",
+            "Labware at the module's stations, including labware that is being moved there.",
             module,
             most=1_000,
         )
         self.labware = GaugeMetric(
             "labos_labware",
-            "Labware on the bench; place is known, or uncertain while nobody knows where a piece is.",
+            "Labware on the bench; place is known, or uncertain for labware whose place is not known.",
             ("place",),
         )
         self.actions = GaugeMetric(
@@ -89,21 +88,21 @@ class StateMetrics(MetricGroup):
         )
         self.level = GaugeMetric(
             "labos_resource_level",
-            "What is left of a resource, in its own unit.",
+            "The remaining amount of a resource, in its own unit.",
             (*module, "resource"),
         )
         self.capacity = GaugeMetric(
-            "labos_resource_capacity", "How much of a resource there can be.", (*module, "resource")
+            "labos_resource_capacity", "The capacity for a resource, in its own unit.", (*module, "resource")
         )
         self.calibration_ends_s = GaugeMetric(
             "labos_calibration_ends_timestamp_seconds",
-            "When the last day is over of the calibration that expires first; none if none does.",
+            "The expiry time of the calibration that expires first; no value if none expires.",
             cell,
             most=CELLS,
         )
         self.questions = GaugeMetric(
             "labos_interventions_open",
-            "Questions and tasks for a person that wait for an answer.",
+            "Open questions and tasks for a person.",
             cell,
             most=CELLS,
         )
@@ -124,15 +123,16 @@ class StateMetrics(MetricGroup):
         self._seen_users: dict[Labels, bool] = {}
         self._seen_waits: dict[Labels, bool] = {}
         self.access = GaugeMetric(
-            "labos_workcell_access", "1 while a person reaches into the workcell.", cell, most=CELLS
+            "labos_workcell_access", "1 while a person has access to the workcell.", cell, most=CELLS
         )
         self.starts_paused = GaugeMetric(
-            "labos_starts_paused", "How many things have their starts paused by somebody: 0 is normal."
+            "labos_starts_paused",
+            "The number of experiments, modules and workcells whose starts somebody has paused; 0 is normal.",
         )
 
         self.bookings = GaugeMetric(
             "labos_bookings",
-            "Bookings that are not over; when is now for those that have begun, else later.",
+            "Bookings that have not ended; when is now for those that have begun, else later.",
             ("when",),
             most=2,
         )

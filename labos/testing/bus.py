@@ -25,7 +25,7 @@ class Network:
         self.watchers: list[tuple[Process, re.Pattern[str], AliveListener]] = []
         self.living: dict[str, Process] = {}
         self._held: dict[Process, Callable[[], None]] = {}
-        self.serve_with: Callable[[str, Handler, bytes], Awaitable[bytes]] = _just_serve
+        self.serve_with: Callable[[str, Handler, bytes], Awaitable[bytes]] = _serve_directly
         """How requests reach whoever serves a key: a test may listen there."""
 
     def endpoint(self, process: Process) -> SimulatedBus:
@@ -70,12 +70,12 @@ class Network:
         elif self.faults.waits_for_next():
             self._held[process] = hand_over
             self.loop.call_later(
-                OVERTAKEN_S, self._not_overtaken, process, hand_over, context=context_of(None)
+                OVERTAKEN_S, self._hand_over_late, process, hand_over, context=context_of(None)
             )
         else:
             hand_over()
 
-    def _not_overtaken(self, process: Process, hand_over: Callable[[], None]) -> None:
+    def _hand_over_late(self, process: Process, hand_over: Callable[[], None]) -> None:
         if self._held.get(process) is hand_over:
             del self._held[process]
             hand_over()
@@ -106,7 +106,7 @@ class SimulatedBus:
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
         faults = self._net.faults
-        await faults.passes(f"{self._role}.before_send")
+        await faults.pass_point(f"{self._role}.before_send")
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         copies = 0 if faults.strikes("loss") else 2 if faults.strikes("duplication") else 1
         for _ in range(copies):
@@ -148,7 +148,7 @@ class SimulatedBus:
 
     async def publish(self, key: str, payload: bytes) -> None:
         faults = self._net.faults
-        await faults.passes(f"{self._role}.before_send")
+        await faults.pass_point(f"{self._role}.before_send")
         for process, pattern, listener in list(self._net.subscribers):
             if not pattern.fullmatch(key) or faults.strikes("loss"):
                 continue
@@ -183,7 +183,7 @@ class SimulatedBus:
         self._net._bury(self._process)
 
 
-async def _just_serve(key: str, handler: Handler, payload: bytes) -> bytes:
+async def _serve_directly(key: str, handler: Handler, payload: bytes) -> bytes:
     return await handler(payload)
 
 
@@ -192,7 +192,7 @@ async def _serve(
 ) -> None:
     try:
         reply = await net.serve_with(key, handler, payload)
-        await net.faults.passes("node.before_send")
+        await net.faults.pass_point("node.before_send")
         if not net.faults.strikes("loss"):
             net.deliver(asker, _answer, answer, reply)
         net.faults.visit("node.after_send")

@@ -196,22 +196,22 @@ class SimulatedWriter:
     def _next(self) -> None:
         if self._queue and not self._busy and self._head is not None:
             self._busy = True
-            self._soon(0.002, self._write, self._head)
+            self._schedule(0.002, self._write, self._head)
 
-    def _soon(self, after_s: float, step: Callable[..., None], *args: Any) -> None:
-        """In the kernel's own thread, whoever asked for the write."""
+    def _schedule(self, after_s: float, step: Callable[..., None], *args: Any) -> None:
+        """Call ``step`` in the kernel's own context after a time, whoever asked for the write."""
         asyncio.get_running_loop().call_later(after_s, step, *args, context=context_of(self._process))
 
     def _write(self, head: Head) -> None:
         """Take what waits, and hand it to the system."""
         batch, self._queue = self._queue, []
-        if not self._still(head) or not batch:
+        if not self._is_current(head) or not batch:
             self._go_on()
             return
         self._faults.visit("kernel.before_commit")
         if self._process.frozen:
             self._queue = batch
-            self._soon(0.0, self._write, head)
+            self._schedule(0.0, self._write, head)
             return
         self._store.process = self._process
         try:
@@ -220,10 +220,10 @@ class SimulatedWriter:
             self._fail(error)
             return
         self._faults.visit("kernel.unsynced_commit")
-        self._soon(0.002, self._sync, head)
+        self._schedule(0.002, self._sync, head)
 
     def _sync(self, head: Head) -> None:
-        if not self._still(head):
+        if not self._is_current(head):
             self._go_on()
             return
         self._store.process = self._process
@@ -243,8 +243,8 @@ class SimulatedWriter:
         self._busy = False
         self._next()
 
-    def _still(self, head: Head) -> bool:
-        """Whether the kernel has not begun anew meanwhile."""
+    def _is_current(self, head: Head) -> bool:
+        """Whether the kernel has not been opened again meanwhile."""
         return self._head == head
 
     def _fail(self, error: StoreError) -> None:
@@ -279,7 +279,7 @@ class SimulatedJournalFile:
 
     async def append(self, data: bytes) -> None:
         await asyncio.sleep(0.001)
-        await self._faults.passes("node.before_journal")
+        await self._faults.pass_point("node.before_journal")
         old = self._synced
         self._disk[self._name] = old + data[: self._faults.rng.randrange(len(data))]
         self._faults.visit("node.torn_journal")
@@ -288,15 +288,15 @@ class SimulatedJournalFile:
 
     async def replace(self, data: bytes) -> None:
         await asyncio.sleep(0.001)
-        await self._faults.passes("node.before_journal")
+        await self._faults.pass_point("node.before_journal")
         self._disk[self._name] = data
         await self._sync()
 
     async def _sync(self) -> None:
-        await self._faults.passes("node.unsynced_journal")
+        await self._faults.pass_point("node.unsynced_journal")
         await asyncio.sleep(0.001)
         self._synced = self._disk[self._name]
-        await self._faults.passes("node.after_journal")
+        await self._faults.pass_point("node.after_journal")
 
     def _lose_unsynced(self) -> None:
         written = self._disk.get(self._name, b"")

@@ -79,7 +79,7 @@ STORMY = FaultRates(loss=0.03, duplication=0.03, longest_delay_s=1.0, crash=0.00
 
 
 class Faults:
-    """Draws faults; ``at`` kills or freezes the running process at a crash point.
+    """Draws faults; ``visit`` kills or freezes the running process at a crash point.
 
     ``occurred`` and ``deaths`` tell what came of it, with the virtual time of each."""
 
@@ -96,7 +96,7 @@ class Faults:
         self.calm = False
         self.on_freeze: Callable[[Process], None] = lambda _: None
         self.on_jump: Callable[[Process], None] = lambda _: None
-        self.other_side: Callable[[Process], Process | None] = lambda _: None
+        self.choose_peer: Callable[[Process], Process | None] = lambda _: None
 
     # -- at crash points ---------------------------------------------------------------------
 
@@ -121,15 +121,15 @@ class Faults:
         if process.clock is not None and self._draw("clock_jump", point):
             self._jump(process)
 
-    async def passes(self, point: str) -> None:
-        """``at``, where a process that freezes does so before the next line."""
+    async def pass_point(self, point: str) -> None:
+        """Like ``visit``, but a process that freezes stops before the next line."""
         self.visit(point)
         process = PROCESS.get()
         if process is not None and process.frozen:
             await asyncio.sleep(0)
 
     def chance(self, fault: str, point: str = "") -> float:
-        """How likely a fault is now."""
+        """The probability of a fault now."""
         rate: float = getattr(self.rates, fault)
         return rate
 
@@ -138,7 +138,7 @@ class Faults:
         powerless = self._draw("power_cut", point)
         if powerless:
             self.tell("power_cut")
-        other = self.other_side(process) if self._draw("both_die", point) else None
+        other = self.choose_peer(process) if self._draw("both_die", point) else None
         process.kill(powerless=powerless)
         if other is not None and other.alive:
             self.tell("both_die")

@@ -29,7 +29,7 @@ from labos.testing.people import LOOK_S, People
 from labos.testing.processes import Conditions
 from labos.testing.stand import Job, Meddle, Stand, make_cancellers
 
-__all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "bare_rule", "make_cancellers"]
+__all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "make_bare_scheduler", "make_cancellers"]
 
 ALL_DAY_S = 14 * 24 * 3600.0
 """Virtual time after which a lab that has not finished is given up."""
@@ -46,7 +46,7 @@ class _Trusting(Safety):
         return []
 
 
-def bare_rule() -> Scheduler:
+def make_bare_scheduler() -> Scheduler:
     """The paper's rule alone: a transfer starts when its source is occupied and its target is
     empty."""
     scheduler = Scheduler()
@@ -138,16 +138,16 @@ class SimulatedLab(People):
         self._start_kernel()
         await self._set_up()
         self.faults.calm = False
-        self._people.append(self.loop.create_task(self._person()))
+        self._people.append(self.loop.create_task(self._act_as_person()))
         for name, after_s in self.doomed.items():
             self.loop.call_later(after_s, self._bury, name)
         for name, after_s in self.stops:
             self._people.append(self.loop.create_task(self._stop(ModuleName(name), after_s)))
         for meddle in self.meddles:
             self._people.append(self.loop.create_task(self._meddle(meddle)))
-        users = [self.loop.create_task(self._user(job)) for job in jobs]
+        users = [self.loop.create_task(self._act_as_user(job)) for job in jobs]
         if self.still_s:
-            await self._until_still(users)
+            await self._await_stillness(users)
         if not all(user.done() for user in users) and self.still_s:
             for user in users:
                 user.cancel()
@@ -159,12 +159,12 @@ class SimulatedLab(People):
         self.faults.calm = True
         state = self.fold_log()
         while not self._is_over(state):
-            await self._until(self._is_over)
-            await self._until_written()
+            await self._await(self._is_over)
+            await self._await_written()
             state = self.fold_log()
             if not self._is_over(state):  # a kernel that was replaced knows less, until it is told
                 await asyncio.sleep(1.0)
-        await self._until_written()
+        await self._await_written()
         assert self.kernel is not None
         self.remembered = state_hash(self.kernel.state)
         return self.fold_log()
@@ -173,8 +173,8 @@ class SimulatedLab(People):
         asked = self.answers_all and (state.interventions.open or self._cleared)
         return not (state.actions.open or state.runs.active or state.runs.queued or asked)
 
-    async def _until_still(self, users: Sequence[asyncio.Task[None]]) -> None:
-        """Until all users are done, or nothing but restarts has happened for long."""
+    async def _await_stillness(self, users: Sequence[asyncio.Task[None]]) -> None:
+        """Wait until all users are done, or nothing but restarts has happened for ``still_s``."""
         position, since = 0, self.loop.time()
         while not all(user.done() for user in users):
             await asyncio.wait(users, timeout=600.0)
@@ -198,7 +198,7 @@ class SimulatedLab(People):
                 self.world.work("person", "seal", local(load.station))
             await self._insist(load, partial(_stands_at, load.station))
         alive = [m.name for m in self.stand.workcell.modules if local(m.name) not in self.dead]
-        await self._until(
+        await self._await(
             lambda state: all(state.modules.by_name[name].status == ModuleStatus.IDLE for name in alive)
         )
 
@@ -209,7 +209,7 @@ class SimulatedLab(People):
         return differences(self.world, state, self.store.records)
 
     def report(self) -> str:
-        """Where a lab that does not end hangs."""
+        """What a lab that does not end is waiting for."""
         state = self.fold_log()
         kernel = self.kernel
         waits = []

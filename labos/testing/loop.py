@@ -37,7 +37,7 @@ class Process:
         self.powerless = False
         """It died because its machine lost its power: what was not synced is gone."""
         self.tasks: set[asyncio.Task[Any]] = set()
-        self._thaw: list[Callable[[], object]] = []
+        self._after_thaw: list[Callable[[], object]] = []
         self.on_death: list[Callable[[], None]] = []
 
     def kill(self, *, powerless: bool = False) -> None:
@@ -54,12 +54,12 @@ class Process:
 
     def thaw(self) -> None:
         self.frozen = False
-        waiting, self._thaw = self._thaw, []
+        waiting, self._after_thaw = self._after_thaw, []
         for run in waiting:
             run()
 
-    def later(self, run: Callable[[], object]) -> None:
-        self._thaw.append(run)
+    def call_after_thaw(self, run: Callable[[], object]) -> None:
+        self._after_thaw.append(run)
 
 
 PROCESS: contextvars.ContextVar[Process | None] = contextvars.ContextVar("process", default=None)
@@ -137,7 +137,7 @@ def _run_guarded(
         return
     if process.frozen:
         same = contextvars.copy_context() if context is None else context
-        process.later(lambda: loop.call_soon(callback, *args, context=same))
+        process.call_after_thaw(lambda: loop.call_soon(callback, *args, context=same))
         return
     try:
         callback(*args)

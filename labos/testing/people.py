@@ -62,7 +62,7 @@ class People(Processes):
         """How often a person who walks by has no time to look at anything."""
         self.done_jobs: set[str] = set()
         self._seen: int | None = None
-        self._untold: dict[tuple[str, str], str] = {}
+        self._unreported: dict[tuple[str, str], str] = {}
         """What a person has put right on the bench, and no kernel has heard yet."""
         self._inside = False
         """Whether a person may have access that has not ended yet."""
@@ -98,7 +98,7 @@ class People(Processes):
                 pass
             await asyncio.sleep(0.5)
 
-    async def _until(self, holds: Callable[[LabState], bool], look_s: float = LOOK_S) -> None:
+    async def _await(self, holds: Callable[[LabState], bool], look_s: float = LOOK_S) -> None:
         while True:
             kernel = self.kernel
             if kernel is not None:
@@ -109,7 +109,7 @@ class People(Processes):
                     pass
             await asyncio.sleep(look_s)
 
-    async def _until_written(self) -> None:
+    async def _await_written(self) -> None:
         """Until all that the kernel knows is on disk, and it knows all that is: one that was replaced does
         not, before its successor answers."""
         while True:
@@ -124,7 +124,7 @@ class People(Processes):
                 pass
             await asyncio.sleep(0.5)
 
-    async def _user(self, job: Job) -> None:
+    async def _act_as_user(self, job: Job) -> None:
         await asyncio.sleep(job.after_s)
         experiment = ExperimentId("")
         if job.experiment is not None:
@@ -140,10 +140,10 @@ class People(Processes):
             command = msgspec.structs.replace(run, **changes)
             await self._insist(command, lambda state, r=request: r in state.runs.requests)  # type: ignore[misc]
             name = self.fold_log().runs.requests[request]
-            await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
+            await self._await(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
         if experiment:
             await self._insist(EndExperiment(experiment), lambda state: _is_closed(state, experiment))
-            await self._until(lambda state: experiment not in state.experiments.open)
+            await self._await(lambda state: experiment not in state.experiments.open)
         self.done_jobs.add(job.name)
 
     async def _refill(self, kernel: Kernel) -> None:
@@ -176,17 +176,17 @@ class People(Processes):
         if not state.runs.active and any(isinstance(why, reasons.NoWayOut) for why in whys):
             known = state.bench.stations
             places = {n: True for n, s in known.items() if s.labware and not s.spec.is_storage}
-        self._cleared |= {place for place in places if _is_left(state, place)}
-        await self._tell_cleared(kernel)
+        self._cleared |= {place for place in places if _is_left_behind(state, place)}
+        await self._report_cleared(kernel)
 
-    async def _tell_cleared(self, kernel: Kernel) -> None:
+    async def _report_cleared(self, kernel: Kernel) -> None:
         """Take away what stands at the cleared places, and say so; again, if no kernel has heard it."""
         for place in sorted(self._cleared):
             if not await self._may_touch(kernel):
                 return
             self._reach_in(kernel)
-            if _is_left(kernel.state, place):
-                with self._in_peace():
+            if _is_left_behind(kernel.state, place):
+                with self._suspend_faults():
                     for plate in self.world.at(bench_name(kernel.state.bench.stations[place].spec)):
                         self.world.carry(plate, "")
                     await self._tell(kernel, UnloadStation(place, "person"))
@@ -202,7 +202,7 @@ class People(Processes):
             self.world.stock(local(stack), kind, count)
             await self._tell(kernel, LoadStation(stack, kind, count))
 
-    async def _person(self) -> None:
+    async def _act_as_person(self) -> None:
         """Walks by now and then, looks at the bench and answers."""
         while True:
             await asyncio.sleep(2 * LOOK_S)
@@ -223,7 +223,7 @@ class People(Processes):
                     if self.is_moving(question.module):
                         continue  # nobody reaches into that
                     unknown = isinstance(question.topic, UnknownAction)
-                    if unknown and not await self._rests(kernel, question.module):
+                    if unknown and not await self._is_over_for(kernel, question.module):
                         continue  # it may go on when its node is back
                     if not await self._may_touch(kernel):
                         break  # what fell first is asked about first
@@ -237,7 +237,7 @@ class People(Processes):
             except (LabosError, TimeoutError, Killed):
                 continue
 
-    async def _rests(self, kernel: Kernel, name: str) -> bool:
+    async def _is_over_for(self, kernel: Kernel, name: str) -> bool:
         """Whether what a module was doing is over, as far as a person can see. What will never come back is
         switched off."""
         module = kernel.state.modules.by_name[ModuleName(name)]
@@ -271,8 +271,8 @@ class People(Processes):
         if not self._inside and (access is None or access.by != "person"):
             return
         asked = {(question.kind, question.subject) for question in kernel.state.interventions.open.values()}
-        self._untold = {about: choice for about, choice in self._untold.items() if about in asked}
-        if not any(self._untold.values()):
+        self._unreported = {about: choice for about, choice in self._unreported.items() if about in asked}
+        if not any(self._unreported.values()):
             await self._insist(EndAccess(cell, "person"), lambda state: cell not in state.lab.access)
             self._inside = False
 
@@ -288,19 +288,19 @@ class People(Processes):
         self._reach_in(kernel)
         about = (question.kind, question.subject)
         before = self.world.last_motion()
-        remembered = self._untold.pop(about, "")
+        remembered = self._unreported.pop(about, "")
         choice = remembered or look(self.world, kernel.state, question)
         moved = bool(remembered) or self.world.last_motion() > before
         try:
-            with self._in_peace(moved):
+            with self._suspend_faults(moved):
                 await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
         except (LabosError, TimeoutError, Killed):
-            self._untold[about] = choice if moved else ""
+            self._unreported[about] = choice if moved else ""
             raise
 
     @contextmanager
-    def _in_peace(self, moved: bool = True) -> Iterator[None]:
-        """Nothing fails while somebody who has ``moved`` something tells it."""
+    def _suspend_faults(self, moved: bool = True) -> Iterator[None]:
+        """No fault is drawn while somebody who has ``moved`` something reports it."""
         calm = self.faults.calm
         self.faults.calm = calm or moved
         try:
@@ -322,11 +322,11 @@ class People(Processes):
         """Somebody sees something and stops a module; no kernel is asked."""
         await asyncio.sleep(after_s)
         bus = self.network.endpoint(Process("person"))
-        await stop_modules(bus, await self._lab_id(), [module], "person")
+        await stop_modules(bus, await self._await_lab_id(), [module], "person")
 
     async def _meddle(self, meddle: Meddle) -> None:
         """Somebody does something about a run when one of its steps has begun."""
-        await self._until(lambda _: meddle.request in self.fold_log().runs.requests)
+        await self._await(lambda _: meddle.request in self.fold_log().runs.requests)
         name = self.fold_log().runs.requests[meddle.request]
 
         def has_begun(state: LabState) -> bool:
@@ -336,7 +336,7 @@ class People(Processes):
             # A kernel that another one has ended may have given this name to a shorter run.
             return meddle.step < len(run.steps) and run.steps[meddle.step].status != PENDING
 
-        await self._until(has_begun, look_s=1.0)  # a picture takes five
+        await self._await(has_begun, look_s=1.0)  # a picture takes five
         for after_s, deed in meddle.deeds(name):
             await asyncio.sleep(after_s)
             if isinstance(deed, str):
@@ -359,7 +359,7 @@ def _is_closed(state: LabState, experiment: ExperimentId) -> bool:
     return found is None or found.status == "closing"
 
 
-def _is_left(state: LabState, place: StationName) -> bool:
+def _is_left_behind(state: LabState, place: StationName) -> bool:
     """Whether what stands at a place belongs to no run any more."""
     left = [item for item in state.bench.labware.values() if item.station == place]
     return bool(left) and all(item.owner.startswith(("user:", SHARED)) for item in left)

@@ -151,16 +151,16 @@ def _look_at_device(world: World, state: LabState, action: Action) -> str:
     plates = [plate for nest in nests for plate in world.at(nest)]
     if action.name in ("seal", "peel") and plates:
         return "done" if world.last(plates[-1], "seal", "peel") == action.name else "not_done"
-    if action.together and plates:
+    if action.name == "spin" and plates:
         return "done" if all(world.history(plate, action.name) for plate in plates) else "not_done"
     if undone := [pair for pair in UNDONE_BY if action.name in pair]:
         did = [m.verb for m in world.motions() if m.device == local(action.module) and m.verb in undone[0]]
         return "done" if did[-1:] == [action.name] else "not_done"
-    told = [m.facts for m in world.motions(action.name) if m.device == local(action.module)]
-    if not told and any(isinstance(effect, Claims) for effect in action.effects):
-        return "not_done"  # nor was it ever told anything
-    if told and any(told[-1].get(name, value) != value for name, value in action.args.items()):
-        return "not_done"  # the device shows what it was told before
+    noted = [m.facts for m in world.motions(action.name) if m.device == local(action.module)]
+    if not noted and any(isinstance(effect, Claims) for effect in action.effects):
+        return "not_done"  # it has never been set
+    if noted and any(noted[-1].get(name, value) != value for name, value in action.args.items()):
+        return "not_done"  # the device shows the setting before this one
     if action.name in ("open_lid", "close_lid"):
         return "done" if any(map(world.is_shut, nests)) == (action.name == "close_lid") else "not_done"
     return "done"

@@ -101,7 +101,7 @@ class Processes:
         self.faults = conditions.make_faults(rates, self.rng)
         self.faults.calm = True
         self.faults.on_freeze = self.faults.on_jump = self._watch_over
-        self.faults.other_side = self._other_side
+        self.faults.choose_peer = self._choose_peer
         self.network = Network(self.faults, self.loop)
         self.store = SimulatedStore(self.loop.time)
         self.world = SlipperyWorld(self.faults)
@@ -157,7 +157,7 @@ class Processes:
     def ids(self, name: str) -> CountedIds:
         return self._ids.setdefault(name, CountedIds(name))
 
-    def _on_machine(self, name: str, machine: str) -> Process:
+    def _make_process(self, name: str, machine: str) -> Process:
         """A new process, with the clock of its machine."""
         clock = self._clocks.setdefault(machine, VirtualClock(self.loop))
         process = Process(name, clock)
@@ -166,29 +166,29 @@ class Processes:
 
     def _start_kernel(self, machine: str = MACHINES[0]) -> None:
         self.kernels += 1
-        process = self._on_machine(f"kernel{self.kernels}", machine)
-        process.on_death.append(lambda: self._kernel_died(process, machine))
-        self.loop.start(process, self._or_die(process, self._kernel_main(process)))
+        process = self._make_process(f"kernel{self.kernels}", machine)
+        process.on_death.append(lambda: self._on_kernel_death(process, machine))
+        self.loop.start(process, self._run_or_die(process, self._kernel_main(process)))
 
-    def _kernel_died(self, process: Process, machine: str) -> None:
+    def _on_kernel_death(self, process: Process, machine: str) -> None:
         if self.kernel is not None and self._process_of[self.kernel] is process:
-            self.kernel = self._latest()
+            self.kernel = self._find_latest_kernel()
         self.before_restart()
-        if not self._kernels_alive() and self.kernels < self.conditions.most_kernels:
-            self._later(self._start_kernel, machine)
+        if not self._list_living_kernels() and self.kernels < self.conditions.most_kernels:
+            self._schedule_restart(self._start_kernel, machine)
 
-    def _latest(self) -> Kernel | None:
+    def _find_latest_kernel(self) -> Kernel | None:
         """The kernel that people talk to: of several the one that was started last."""
         living = [kernel for kernel in self._serving if self._process_of[kernel].alive]
         return max(living, key=self.opened.index, default=None)
 
-    def _kernels_alive(self) -> list[Process]:
+    def _list_living_kernels(self) -> list[Process]:
         return [process for process in self._everybody if process.alive and is_kernel(process)]
 
-    def _other_side(self, process: Process) -> Process | None:
+    def _choose_peer(self, process: Process) -> Process | None:
         """Somebody whom a process talks to."""
         if not is_kernel(process):
-            return next(iter(self._kernels_alive()), None)
+            return next(iter(self._list_living_kernels()), None)
         nodes = [other for other in self._everybody if other.alive and not is_kernel(other)]
         return self.rng.choice(nodes) if nodes else None
 
@@ -198,7 +198,7 @@ class Processes:
             self._look_at_lease(process, self.loop.time() + self.conditions.lease_s / 2)
 
     def _look_at_lease(self, process: Process, until: float) -> None:
-        if self._kernels_alive() != [process]:
+        if self._list_living_kernels() != [process]:
             return
         machine = MACHINES[self._clocks[MACHINES[0]] is process.clock]
         # Asked from the standby's machine: its clock must not matter.
@@ -210,7 +210,7 @@ class Processes:
             outside = contextvars.Context()
             self.loop.call_later(1.0, self._look_at_lease, process, until, context=outside)
 
-    async def _or_die(self, process: Process, main: Coroutine[Any, Any, None]) -> None:
+    async def _run_or_die(self, process: Process, main: Coroutine[Any, Any, None]) -> None:
         """A program that ends with an error is started again like one that was killed."""
         try:
             await main
@@ -239,7 +239,7 @@ class Processes:
         Verifier(kernel, bus).start()
         self._serve(kernel)
         self._serving.append(kernel)
-        self.kernel = self._latest()
+        self.kernel = self._find_latest_kernel()
         await kernel.failed
         process.kill()
 
@@ -261,12 +261,12 @@ class Processes:
     def _start_node(self, name: str) -> None:
         if local(name) in self.dead:
             return
-        process = self._on_machine(f"node:{name}", name)
-        process.on_death.append(lambda: self._later(self._start_node, name))
-        process.on_death.append(lambda: self._stand_still(name))
-        self.loop.start(process, self._or_die(process, self._node_main(process, name)))
+        process = self._make_process(f"node:{name}", name)
+        process.on_death.append(lambda: self._schedule_restart(self._start_node, name))
+        process.on_death.append(lambda: self._forget_device(name))
+        self.loop.start(process, self._run_or_die(process, self._node_main(process, name)))
 
-    def _stand_still(self, name: str) -> None:
+    def _forget_device(self, name: str) -> None:
         self._devices.pop(name, None)
 
     async def _node_main(self, process: Process, name: str) -> None:
@@ -284,7 +284,7 @@ class Processes:
             seed=self.seed,
         )
         node = self._devices[name] = self.stand.node_class(spec)(setup)
-        lab = await self._lab_id()
+        lab = await self._await_lab_id()
         assert process.clock is not None
         server = NodeServer(
             node,
@@ -299,12 +299,12 @@ class Processes:
         )
         await server.start()
 
-    async def _lab_id(self) -> str:
+    async def _await_lab_id(self) -> str:
         while not self.store.head().lab:
             await asyncio.sleep(0.01)
         return self.store.head().lab
 
-    def _later(self, start: Callable[..., None], *args: str) -> None:
+    def _schedule_restart(self, start: Callable[..., None], *args: str) -> None:
         """Somebody starts a process again after a while; the dead one's context is no part of it."""
         low, high = self.faults.rates.restart_s
         self.loop.call_later(self.rng.uniform(low, high), start, *args, context=contextvars.Context())

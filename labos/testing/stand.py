@@ -32,8 +32,8 @@ class Stand(msgspec.Struct, frozen=True):
         about, extends = (module.config.get(key, {}) for key in ("about", "extends"))
         if not about and not extends:
             return self.nodes[module.driver]
-        told = SetupReply(driver=module.driver, simulated=True, about=about, extends=extends)
-        return own_class(module.name, told, self.nodes.get(module.driver))
+        setup = SetupReply(driver=module.driver, simulated=True, about=about, extends=extends)
+        return own_class(module.name, setup, self.nodes.get(module.driver))
 
 
 class Job(msgspec.Struct, frozen=True):

@@ -6,7 +6,7 @@ happened: the node by its answers, the device by the bench's own motion log.
 """
 
 from labos.torture.report import MEANING, RANKS, Badge, Finding, Report
-from labos.torture.suite import CHECKS, declaration, is_person, says, torture
+from labos.torture.suite import CHECKS, describe_check, find_declaration, is_person, torture
 
 __all__ = [
     "CHECKS",
@@ -15,8 +15,8 @@ __all__ = [
     "Badge",
     "Finding",
     "Report",
-    "declaration",
+    "describe_check",
+    "find_declaration",
     "is_person",
-    "says",
     "torture",
 ]

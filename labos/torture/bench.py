@@ -70,7 +70,7 @@ class Bench:
     # -- people ------------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Somebody takes all plates away, and lets no lid lie."""
+        """Somebody takes all plates and lids away."""
         for plates in self.world.places().values():
             for plate in plates:
                 self.world.carry(plate, "")
@@ -96,7 +96,7 @@ class Bench:
                 case Move(source=place) | Take(stack=place):
                     self._stock(place, plate)
                 case Needs(station=here):
-                    self._stock(here or self._own(), plate)
+                    self._stock(here or self._find_own_station(), plate)
         for effect in effects:
             if isinstance(effect, Requires) and effect.of == "labware" and effect.variable == "sealed":
                 for full in self.world.places() if effect.value else ():
@@ -112,7 +112,7 @@ class Bench:
         else:
             self.world.stock(where, kind)
 
-    def _own(self) -> str:
+    def _find_own_station(self) -> str:
         return next((s.name for s in self.about.stations if s.kind != "gripper"), "default")
 
     # -- what happened -----------------------------------------------------------------------
@@ -125,12 +125,12 @@ class Bench:
         """What the module's device did after a mark."""
         return [m for m in self.world.motions(after=since) if m.device not in PEOPLE]
 
-    def deeds(self, since: int, *, gates: bool) -> Deeds:
-        """What it did that matters: plates and liquids moved, work done; doors if they are the deed."""
+    def list_deeds(self, since: int, *, gates: bool) -> Deeds:
+        """Count what it did: plates and liquids moved, work done; with ``gates`` doors, too."""
         passed_over = SCENERY if gates else SCENERY + GATES
         return Counter((m.verb, m.place) for m in self.motions(since) if m.verb not in passed_over)
 
-    async def quiet(self, still_s: float, limit_s: float = 60.0) -> bool:
+    async def await_quiet(self, still_s: float, limit_s: float = 60.0) -> bool:
         """Wait until nothing has moved for so long; False if it never comes to rest."""
         began = since = time.monotonic()
         seen = self.mark()
@@ -144,7 +144,7 @@ class Bench:
 
     # -- where labware is --------------------------------------------------------------------
 
-    def subject(self, effect: AnyEffect) -> str:
+    def find_subject(self, effect: AnyEffect) -> str:
         """The plate, or lid, that an effect is about to move, by where it lies."""
         match effect:
             case Unlid(source=source):
@@ -156,15 +156,15 @@ class Bench:
                 return plates[-1] if plates else ""
         return ""
 
-    def where(self, plate: str) -> str:
-        """Where a plate lies now; empty if it is out of the lab."""
+    def find_place(self, plate: str) -> str:
+        """The place of a plate; empty if it is out of the lab."""
         return next((place for place, plates in self.world.places().items() if plate in plates), "")
 
     def find_misplaced(self, case: Case, effect: AnyEffect, plate: str) -> str:
         """What is wrong with where a plate is, after an action that moved it; empty if nothing."""
         if not plate or not isinstance(effect, Carrying):
             return ""
-        here, target = self.where(plate), self.place(case.ends or effect.target)
+        here, target = self.find_place(plate), self.place(case.ends or effect.target)
         if effect.lid == "on":
             beneath = self.world.at(target)
             target = lid_of(beneath[0]) if beneath else target
@@ -193,8 +193,8 @@ def describe_deeds(deeds: Mapping[tuple[str, str], int]) -> str:
     return ", ".join(words) or "nothing"
 
 
-def as_seen(value: Any) -> bool | None:
-    """What a sensor's word says of a place: something, nothing, or that it cannot tell."""
+def read_presence(value: Any) -> bool | None:
+    """What a sensor reports of a place: something there, nothing there, or None if it cannot tell."""
     if value is None:
         return None
     return bool(value)

@@ -37,14 +37,18 @@ def _fill(case: Case, spec: ActionSpec, folder: Path) -> Case:
     files = {name: _write(folder / file, text) for name, (file, text) in case.files.items()}
     given = {find_name(spec, name) for name in (*case.args, *files)}
     args = {
-        **{arg.name: _example(arg, folder) for arg in spec.args if arg.required and arg.name not in given},
+        **{
+            arg.name: _make_example(arg, folder)
+            for arg in spec.args
+            if arg.required and arg.name not in given
+        },
         **case.args,
         **files,
     }
     return msgspec.structs.replace(case, action=spec.name, args=args)
 
 
-def _example(arg: Arg, folder: Path) -> Any:
+def _make_example(arg: Arg, folder: Path) -> Any:
     if arg.choices:
         return arg.choices[0]
     match arg.type:
@@ -70,7 +74,7 @@ def _write(path: Path, text: str) -> str:
     return str(path)
 
 
-def wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:
+def list_wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:
     """Calls that must be refused, each with what is wrong with it."""
     args = {find_name(spec, name): value for name, value in case.args.items()}
     yield "an argument that there is none of", {**args, "no_such_argument": 1}
@@ -78,9 +82,9 @@ def wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, An
         if arg.required:
             yield f"{arg.name} left out", {name: v for name, v in args.items() if name != arg.name}
         if arg.minimum is not None:
-            yield f"{arg.name} below its minimum", {**args, arg.name: _beyond(arg, arg.minimum, -1)}
+            yield f"{arg.name} below its minimum", {**args, arg.name: _exceed_limit(arg, arg.minimum, -1)}
         if arg.maximum is not None:
-            yield f"{arg.name} above its maximum", {**args, arg.name: _beyond(arg, arg.maximum, 1)}
+            yield f"{arg.name} above its maximum", {**args, arg.name: _exceed_limit(arg, arg.maximum, 1)}
         if arg.choices:
             yield f"{arg.name} that is none of its choices", {**args, arg.name: "none of these"}
         if (wrong := _OTHER_TYPES.get(arg.type)) is not None:
@@ -99,7 +103,7 @@ _OTHER_TYPES: dict[str, Any] = {
 }
 
 
-def _beyond(arg: Arg, limit: float, side: int) -> float:
+def _exceed_limit(arg: Arg, limit: float, side: int) -> float:
     return int(limit) + side if arg.type == "int" else limit + side * max(abs(limit), 1.0) * 0.01
 
 

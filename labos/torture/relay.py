@@ -44,7 +44,7 @@ class Relay(Protocol):
     def questions(self) -> list[bytes]: ...
 
     @property
-    def spoiled(self) -> int: ...
+    def spoiled_count(self) -> int: ...
 
     def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
         """Do this to what the device says, until told otherwise or so many times (0: without end); with
@@ -61,8 +61,8 @@ class Relay(Protocol):
         """The device answers there now; nowhere, if empty."""
 
     def wait_for_device(self) -> None:
-        """What the driver says from now on waits for the next device that is reached; what it asked before
-        is answered first. Connections of a device with a network of its own end with it."""
+        """Hold back what the driver sends from now on until the next ``reach``; what it asked before is
+        answered first. TCP connections end with the device."""
 
     def close(self) -> None: ...
 
@@ -77,12 +77,12 @@ class Spoiler:
         self._to = self._stray = b""
         self.questions: list[bytes] = []
         self._held: list[tuple[Write, bytes]] = []
-        self.spoiled = 0
+        self.spoiled_count = 0
 
     def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
         with self._lock:
             self._mode, self._left, self._to, self._stray = mode, times, to, stray
-            self.spoiled = 0
+            self.spoiled_count = 0
 
     def hear(self, data: bytes) -> None:
         """The driver has said this."""
@@ -114,8 +114,8 @@ class Spoiler:
             if mode == "hold":
                 self._held.append((write, data))
             if mode != "pass":
-                self.spoiled += 1
-                if self._left and self.spoiled >= self._left and mode != "hold":
+                self.spoiled_count += 1
+                if self._left and self.spoiled_count >= self._left and mode != "hold":
                     self._mode = "pass"
         match mode:
             case "pass":
@@ -147,7 +147,10 @@ class LineRelay(Spoiler):
         self._over = False
         self._turned = threading.Event()
         self.reach(address)
-        self._threads = [threading.Thread(target=pump, daemon=True) for pump in (self._up, self._down)]
+        self._threads = [
+            threading.Thread(target=pump, daemon=True)
+            for pump in (self._carry_to_device, self._carry_to_driver)
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -186,7 +189,7 @@ class LineRelay(Spoiler):
         self.reach("")
         self._front.close()
 
-    def _up(self) -> None:
+    def _carry_to_device(self) -> None:
         while not self._over:
             data = self._front.read(POLL_S)
             self._turned.set()
@@ -202,7 +205,7 @@ class LineRelay(Spoiler):
                     self.hear(data)
                     back.write(data, 1.0)
 
-    def _down(self) -> None:
+    def _carry_to_driver(self) -> None:
         idle = threading.Event()
         while not self._over:
             back = self._back
@@ -237,16 +240,16 @@ class TcpRelay(Spoiler):
 
     def unplug(self) -> None:
         self._is_plugged = False
-        self._open_or_shut()
+        self._update_listener()
         self._hang_up()
 
     def plug(self) -> None:
         self._is_plugged = True
-        self._open_or_shut()
+        self._update_listener()
 
     def reach(self, address: str) -> None:
         self._target = _host_and_port(address) if address else NOWHERE
-        self._open_or_shut()
+        self._update_listener()
         self._hang_up()
 
     def wait_for_device(self) -> None:
@@ -255,19 +258,19 @@ class TcpRelay(Spoiler):
     def close(self) -> None:
         self.unplug()
 
-    def answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
+    def pass_answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
         """Pass on what the device says, until it hangs up. ``asked`` ends when the driver does."""
         _pump(far, near, lambda data: self.say(near.sendall, data))
         asked.join(2)
 
-    def _asks(self, far: socket.socket) -> Write:
+    def _make_asker(self, far: socket.socket) -> Write:
         def ask(data: bytes) -> None:
             self.hear(data)
             far.sendall(data)
 
         return ask
 
-    def _open_or_shut(self) -> None:
+    def _update_listener(self) -> None:
         wanted, is_open = self._is_plugged and self._target != NOWHERE, self._listener.fileno() >= 0
         if wanted and not is_open:
             self._listener = server_at("127.0.0.1", self._port)
@@ -303,9 +306,9 @@ class TcpRelay(Spoiler):
             try:
                 if listener.fileno() < 0 or self._target != target:
                     return  # unplugged before anybody knew of this connection
-                up = threading.Thread(target=_pump, args=(near, far, self._asks(far)), daemon=True)
+                up = threading.Thread(target=_pump, args=(near, far, self._make_asker(far)), daemon=True)
                 up.start()
-                self.answers(far, near, up)
+                self.pass_answers(far, near, up)
             finally:
                 self._connections -= both
 
@@ -339,8 +342,8 @@ class Relays:
         return [kind for line in self._lines for kind in line.questions]
 
     @property
-    def spoiled(self) -> int:
-        return sum(line.spoiled for line in self._lines)
+    def spoiled_count(self) -> int:
+        return sum(line.spoiled_count for line in self._lines)
 
     def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
         for line in self._lines:

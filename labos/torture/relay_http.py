@@ -24,9 +24,9 @@ class HttpRelay(TcpRelay):
     """Between a driver and a device that answers HTTP. An answer tells its length, or ends with its
     connection."""
 
-    def answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
+    def pass_answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
         silent = False
-        for answer in answers_in(far):
+        for answer in split_answers(far):
             done = self.say(near.sendall, answer)
             silent = silent or done in ("lose", "hold")
             if done == "cut":
@@ -39,13 +39,13 @@ class HttpRelay(TcpRelay):
         """Noise that is HTTP, as from a proxy that answers for the device, and noise that is none."""
         noise = super().garble
         head, end, body = data.partition(HEAD_END)
-        if self.spoiled % 2:
+        if self.spoiled_count % 2:
             return head + end + noise(body)
         # Its lines still end, so that it is not waited for.
         return b"\r\n".join(noise(line) for line in head.split(b"\r\n")) + end + noise(body)
 
 
-def answers_in(line: socket.socket) -> Iterator[bytes]:
+def split_answers(line: socket.socket) -> Iterator[bytes]:
     """One after the other, each with its head; the last one may be broken off."""
     heard = b""
     while True:
@@ -55,7 +55,7 @@ def answers_in(line: socket.socket) -> Iterator[bytes]:
                     yield heard
                 return
             heard += piece
-        size = _size(heard)
+        size = _read_size(heard)
         while size is None or len(heard) < size:
             if not (piece := line.recv(65536)):
                 yield heard
@@ -65,21 +65,21 @@ def answers_in(line: socket.socket) -> Iterator[bytes]:
         heard = heard[size:]
 
 
-def _size(heard: bytes) -> int | None:
+def _read_size(heard: bytes) -> int | None:
     """How many bytes an answer has in all; None if only its end tells."""
     head = heard.partition(HEAD_END)[0]
     bare = len(head) + len(HEAD_END)
     if head.split(b" ", 2)[1:2] in ([status] for status in BODILESS):
         return bare
-    told = re.search(rb"(?im)^content-length: *(\d+)", head)
-    return bare + int(told[1]) if told else None
+    length = re.search(rb"(?im)^content-length: *(\d+)", head)
+    return bare + int(length[1]) if length else None
 
 
-def relay_to(address: str, folder: Path, name: str = "wire") -> Relay:
+def open_relay(address: str, folder: Path, name: str = "wire") -> Relay:
     """The relay for a device's address, or for several with commas between them."""
     parts = address.split(",")
     if len(parts) > 1:
-        return Relays([relay_to(part, folder, f"{name}{n}") for n, part in enumerate(parts)])
+        return Relays([open_relay(part, folder, f"{name}{n}") for n, part in enumerate(parts)])
     if os.path.isabs(address):
         return LineRelay(folder / name, address)
     return HttpRelay(address) if urlsplit(address).scheme == "http" else TcpRelay(address)

@@ -55,12 +55,12 @@ def badge_of(findings: Sequence[Finding]) -> tuple[Badge, str]:
     for tier in RANKS[1:]:
         short = [f for f in findings if f.tier == tier and f.verdict != "passed"]
         if short:
-            return reached, _why(short)
+            return reached, _explain_limit(short)
         reached = tier
     return reached, ""
 
 
-def _why(short: Sequence[Finding]) -> str:
+def _explain_limit(short: Sequence[Finding]) -> str:
     failed = [f"{finding.check}: {finding.why}" for finding in short if finding.verdict == "failed"]
     if failed:
         return "; ".join(failed)

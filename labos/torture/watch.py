@@ -59,7 +59,7 @@ class LoopWatch:
             frame = sys._current_frames().get(self._thread)
             if frame is None:
                 continue
-            if not self._is_its(frame):
+            if not self._is_driver_code(frame):
                 continue
             # Without the text of the lines, which would be read from disk.
             stack = traceback.StackSummary.extract(traceback.walk_stack(frame), lookup_lines=False)
@@ -68,8 +68,8 @@ class LoopWatch:
                 continue  # it waits for something to do
             self._held_by = " > ".join(f"{Path(c.filename).name}:{c.lineno} {c.name}" for c in calls)
 
-    def _is_its(self, frame: FrameType | None) -> bool:
-        """Whether a frame of the driver's code is among these."""
+    def _is_driver_code(self, frame: FrameType | None) -> bool:
+        """Whether a frame, or one of its callers, is of the driver's code."""
         while frame is not None:
             name = str(frame.f_globals.get("__name__", ""))
             if name == self._driver or name.startswith(f"{self._driver}."):

@@ -42,7 +42,7 @@ def under_way(run: RunState) -> bool:
 
 
 def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> Iterator[Event]:
-    """The last step of a recovery is done: the step that failed is skipped, or its run ends as failed."""
+    """When the last step of a recovery is done, the failed step is skipped, or its run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status != DONE:
         return
@@ -61,8 +61,8 @@ def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> 
 
 
 def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | StepSkipped) -> Iterator[Event]:
-    """Steps whose turn has come and whose condition does not hold are left out; a condition that cannot be
-    decided ends the run as failed."""
+    """Steps that are next and whose condition is false are skipped. If a condition cannot be evaluated, the
+    run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status not in SETTLED:
         return
@@ -86,8 +86,8 @@ def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | Step
 def end_run(
     state: LabState, event: ActionSucceeded | ActionReconciled | ActionRejected | StepSkipped
 ) -> Iterator[Event]:
-    """A run ends when all its steps are done or left out, or when it is being cancelled and nothing of it is
-    in flight."""
+    """A run ends when all its steps are done or skipped, or when it is being cancelled and none of its
+    actions is under way."""
     run = state.runs.active.get(event.run)
     if run is None or run.steps[event.step].status == FAILED:
         return

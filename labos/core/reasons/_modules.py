@@ -160,3 +160,23 @@ class HandFull(Reason, frozen=True):
     WAKES = ("station", "module")
     module: str
     what: str
+
+
+ModuleReason = (
+    NoModule
+    | Access
+    | OutOfService
+    | ModuleDown
+    | Unwatched
+    | ModuleBusy
+    | Unsettled
+    | Held
+    | Setpoint
+    | ZoneBusy
+    | ZoneBarred
+    | Booked
+    | BookedSoon
+    | NoGap
+    | InsideToo
+    | HandFull
+)

@@ -127,3 +127,21 @@ class Unsafe(Reason, frozen=True):
 def _describe_owner(name: str) -> str:
     kind, _, which = name.rpartition(":")
     return f"experiment {which}" if kind == "experiment" else f"run {which}"
+
+
+PlanningReason = (
+    Reserved
+    | NotInTime
+    | WouldDelay
+    | FollowsLate
+    | ForOthers
+    | AfterElder
+    | AfterSuggested
+    | ClockLater
+    | WouldBlock
+    | HoldsUp
+    | SoonerLater
+    | BetterHere
+    | NoWayOut
+    | Unsafe
+)
