@@ -31,7 +31,7 @@ from labos.node._outcome import RunBlocking, call, outcome_of, text
 from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
 from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, cut, flaw_of, read
-from labos.node.node import INTERRUPTED, Node, current_action, handle_keeper
+from labos.node.node import INTERRUPTED, Node, current_action, current_together, handle_keeper
 from labos.node.protocol import (
     AboutReport,
     Acknowledge,
@@ -564,6 +564,7 @@ class NodeServer:
 
         handle_keeper.set(keep)
         current_action.set(attempts[0].action)
+        current_together.set(tuple(attempt.action for attempt in attempts) if len(attempts) > 1 else ())
 
     def _reply_about(self, attempt: Attempt) -> ActionReply:
         why = attempt.why or (INTERRUPTED if attempt.status == "interrupted" else "")

@@ -127,7 +127,9 @@ def test_a_run_that_is_cancelled_while_the_rotor_turns_ends_after_its_action() -
 
 def test_who_stops_the_device_stops_all_of_them() -> None:
     """Nobody knows what was done then: each run fails, as after any stop."""
-    lab = SimulatedLab(CORNER.stand, 3, QUIET, meddles=[Meddle("j3/0", 2, lambda run: [(30.0, "corner/spinner")])])
+    lab = SimulatedLab(
+        CORNER.stand, 3, QUIET, meddles=[Meddle("j3/0", 2, lambda run: [(30.0, "corner/spinner")])]
+    )
     try:
         lab.run(jobs([spin() for _ in range(4)]))
         ends = [record.head.type for record in lab.store.records]
