@@ -13,6 +13,7 @@ from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.decide.together import StartTogether
 from labos.core.ids import ActionId, ModuleName, RunId, StationName
 from labos.core.model import Plan, StationSpec, Together, Window
+from labos.core.setups import Setup
 from labos.core.state import from_picture, picture
 from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab
@@ -35,14 +36,16 @@ TEN_MIN = Together(("spin",), 600.0)
 
 
 def centrifuge(
-    together: Together | None = TEN_MIN, *more: StationSpec, places: int = PLACES, stock: int = 60
+    together: Together | None = TEN_MIN, *more: StationSpec, places: int = PLACES, setup: Setup | None = None
 ) -> Driver:
     lab = Driver(
         workcell(
             [
                 module("arm"),
                 module("arm2"),
-                module("spinner", variables={"lid": "open"}, rest={"lid": "open"}, together=together),
+                module(
+                    "spinner", variables={"lid": "open"}, rest={"lid": "open"}, together=together, setup=setup
+                ),
             ],
             [
                 station("stack", "stack", 60),
@@ -52,7 +55,7 @@ def centrifuge(
             ],
         )
     )
-    lab.stock("stack", stock)
+    lab.stock("stack", 60)
     return lab
 
 
@@ -240,6 +243,18 @@ def test_a_forecast_knows_that_they_are_spun_together() -> None:
     told = play(lab)
     assert not told.stays
     assert (max(told.ends.values()) - lab.now) / SECOND == 4 * 30 + 300 + 4 * 30
+
+
+def test_a_set_up_is_a_part_of_each_of_the_actions() -> None:
+    lab = centrifuge(setup=Setup("g", 60.0))
+    for _ in range(2):
+        lab.submit(spin())
+    for run in ("R1", "R2"):
+        lab.step(run)
+    assert sorted(lab.pump()) == ["R1#1", "R2#1"]
+    spinner = lab.state.modules.by_name[ModuleName(full("spinner"))]
+    assert [flight.setup_s for flight in spinner.in_flight.values()] == [60.0, 60.0]
+    assert (play(lab).begun[RunId("R1"), 2] - lab.now) / SECOND == 360.0
 
 
 def through_a_nest(g: int, turn: int) -> Plan:
