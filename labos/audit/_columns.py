@@ -30,16 +30,15 @@ class Column(msgspec.Struct, frozen=True):
 
 
 class Table(msgspec.Struct, frozen=True):
-    """``view`` is what people read it as (empty: nobody does). Rows of a table that only ``grows`` are never
-    changed. ``indexes`` are lists of stored columns. ``searched`` is a column of words by which rows are
-    found (empty: there is none); the key of such a table is one whole number."""
+    """``view`` is what people read it as (empty: nobody does). ``indexes`` are lists of stored columns.
+    ``searched`` is a column of words by which rows are found (empty: there is none); the key of such a table
+    is one whole number."""
 
     name: str
     about: str
     key: tuple[str, ...]
     columns: tuple[Column, ...]
     view: str = ""
-    grows: bool = False
     indexes: tuple[tuple[str, ...], ...] = ()
     searched: str = ""
 

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from labos.audit.tables import TABLES, Table
-from labos.core.registry import Event
+from labos.core.registry import TYPES, Event
 
 Key = tuple[Any, ...]
 Row = dict[str, Any]
@@ -23,9 +23,10 @@ _EMPTY: dict[str, Row] = {table.name: {c.stored: c.empty for c in table.columns}
 
 
 @cache
-def _list_said(table: str, kind: type) -> tuple[str, ...]:
-    """The columns of a table that are fields of an event, too."""
-    return tuple(name for name in _EMPTY[table] if name in getattr(kind, "__struct_fields__", ()))
+def _list_said(table: str, event: str) -> tuple[str, ...]:
+    """The columns of a table that are fields of a type of event, too."""
+    fields = TYPES[event].__struct_fields__ if event else ()
+    return tuple(name for name in _EMPTY[table] if name in fields)
 
 
 def seconds(ns: int) -> float:
@@ -51,7 +52,10 @@ class RowChanges:
     def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
         """A row that is new, or takes the place of another one. A column of which ``row`` says nothing has
         what the ``event`` says under its name; it is empty if that says nothing, either."""
-        said = {name: getattr(event, name) for name in _list_said(table.name, type(event))}
+        said = {
+            name: getattr(event, name)
+            for name in _list_said(table.name, event.TYPE if event is not None else "")
+        }
         row = {**_EMPTY[table.name], **said, **row}
         key = tuple(row[name] for name in table.key)
         self._known[table.name][key] = self._changed[table.name][key] = row

@@ -37,7 +37,6 @@ EVENTS = Table(
         text("id", "The event's own id."),
     ),
     view="events",
-    grows=True,
     indexes=(("at_s",),),
 )
 
@@ -169,7 +168,6 @@ RESULTS = Table(
         text("unit", "Its unit; empty if the device did not report it."),
     ),
     view="results",
-    grows=True,
     indexes=(("run",), ("labware", "well"), ("action",)),
 )
 
@@ -189,7 +187,6 @@ FILES = Table(
         ACTION,
     ),
     view="files",
-    grows=True,
     indexes=(("digest",), ("action",)),
 )
 

@@ -533,10 +533,7 @@ class NodeServer:
             await self._publish(key, partial(_itself, published))
         if told or self._condition.error or spec.recovers:
             await self._publish_state()
-        try:
-            await self.journal.sync()
-        except JournalError as error:
-            await self._condition.fail(str(error))
+        await self._sync_if_possible()
 
     async def _call(
         self, spec: ActionSpec, kwargs: dict[str, Any], pinned: dict[str, str], stops: int

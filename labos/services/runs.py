@@ -122,10 +122,10 @@ class RunBook:
         )
 
 
-def run_histories(log: Log, upto: int | None = None) -> dict[str, RunHistory]:
+def run_histories(log: Log) -> dict[str, RunHistory]:
     """Every run of the log, in order of submission."""
-    book = RunBook(catalogue_of(log, upto))
-    _tell(book, events(log.select(LogQuery(types=FAMILIES, upto=upto))))
+    book = RunBook(catalogue_of(log))
+    _tell(book, events(log.select(LogQuery(types=FAMILIES))))
     return book.runs
 
 

@@ -61,7 +61,7 @@ def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> 
 
 
 def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | StepSkipped) -> Iterator[Event]:
-    """Steps that are next and whose condition is false are skipped. If a condition cannot be evaluated, the
+    """Steps that are next and whose condition is false are skipped; if a condition cannot be evaluated, the
     run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status not in SETTLED:
