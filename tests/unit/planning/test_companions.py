@@ -6,6 +6,7 @@ import random
 
 import pytest
 
+from labos.cli.explain import sentences
 from labos.core.actions import ActionRequested
 from labos.core.decide.actions import StartStep
 from labos.core.decide.nodes import LoseNode
@@ -17,6 +18,7 @@ from labos.core.setups import Setup
 from labos.core.state import from_picture, picture
 from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab
+from labos.services.runs import RunHistory, StepHistory
 from tests.support.bench import (
     SECOND,
     Driver,
@@ -225,6 +227,17 @@ def test_work_with_other_arguments_stays_out_while_the_node_is_away() -> None:
     assert lab.pump() == []
     lab.join("spinner")
     assert lab.pump() == ["R1#2"]
+
+
+def test_explain_says_with_whom() -> None:
+    lab = centrifuge()
+    for _ in range(3):
+        lab.submit(spin())
+        lab.step(f"R{lab.state.runs.named}")
+    assert len(lab.pump()) == 3
+    steps = [StepHistory(1, "spin", "cell/spinner", "spin", "in flight")]
+    story = RunHistory("R2", "spin at 3000", "cell", "ada", "", 0, steps)
+    assert sentences(lab.state, story, lab.now)[0].endswith("; together with R1, R3")
 
 
 def test_a_running_clock_ends_the_wait() -> None:
