@@ -183,6 +183,8 @@ def _show(offer: Offer) -> None:
 def _about(spec: ActionSpec) -> str:
     words = [f"{spec.description.rstrip('.')}." if spec.description else ""]
     words.append(f"About {_seconds(spec.duration_s)}." if spec.duration_s else "")
+    if spec.duration_from:
+        words.append(f"Its duration depends on {spec.duration_from}.")
     if spec.aliases:
         words.append(f"Also written {', '.join(spec.aliases)}.")
     if not spec.exclusive:

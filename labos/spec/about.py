@@ -14,6 +14,7 @@ from pydantic import Field
 
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
+from labos.core.structs import make_from
 from labos.spec.mismatch import plainly
 from labos.spec.parts import Name, Part, Seconds
 
@@ -39,7 +40,8 @@ class ArgAbout(Part):
 
 class ActionAbout(Part):
     """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``;
-    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``."""
+    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``;
+    ``duration_from`` is where the duration is found if arguments decide it, such as ``20 + {seconds}``."""
 
     description: str = ""
     args: dict[Name, ArgAbout] = {}
@@ -52,6 +54,7 @@ class ActionAbout(Part):
     result: str = ""
     returns: Any = None
     dangerous: str = ""
+    duration_from: str = ""
 
 
 class StationAbout(Part):
@@ -112,17 +115,13 @@ class BadEffect(ValueError):
 
 def description_of(about: About, driver: str) -> Description:
     """As a driver's description. Raises BadEffect."""
-    return Description(
+    return make_from(
+        Description,
+        about,
         driver=driver,
         version="",
-        description=about.description,
-        manipulator=about.manipulator,
         actions=tuple(_action(name, action) for name, action in about.actions.items()),
         stations=_stations(about.stations),
-        variables=about.variables,
-        rest=about.rest,
-        levels=about.levels,
-        units=about.units,
     )
 
 
@@ -174,34 +173,25 @@ def _stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:
 
 
 def _action(name: str, action: ActionAbout) -> ActionSpec:
-    return ActionSpec(
+    return make_from(
+        ActionSpec,
+        action,
         name=name,
-        description=action.description,
         args=tuple(_arg(key, arg) for key, arg in action.args.items()),
         effects=tuple(_effect(name, index, written) for index, written in enumerate(action.effects)),
         duration_s=action.duration,
-        safe_to_repeat=action.safe_to_repeat,
-        exclusive=action.exclusive,
         aliases=tuple(action.aliases),
-        result=action.result,
-        recovers=action.recovers,
-        returns=action.returns,
-        dangerous=action.dangerous,
     )
 
 
 def _arg(name: str, arg: ArgAbout) -> Arg:
-    return Arg(
+    return make_from(
+        Arg,
+        arg,
         name=name,
-        type=arg.type,
         required=arg.default is None if arg.required is None else arg.required,
-        default=arg.default,
         aliases=tuple(arg.aliases),
-        unit=arg.unit,
-        minimum=arg.minimum,
-        maximum=arg.maximum,
         choices=tuple(arg.choices),
-        description=arg.description,
     )
 
 

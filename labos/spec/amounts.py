@@ -11,18 +11,16 @@ A driver may state an amount as a number or as one place-holder:
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from labos.core.amounts import check_amount, count_argument, find_argument
 from labos.core.counts import Count, Counter
 from labos.errors import SpecError
-from labos.spec.findings import near
 from labos.spec.source import Path_, parse
 
 _IN_FILE = re.compile(r"\{file:(?P<arg>\w+):(?P<path>[\w.\-]+)(?:\|(?P<otherwise>[\d.]+))?\}")
-_IN_ARGUMENT = re.compile(r"\{(?P<arg>\w+)(?:\.(?P<how>sum|count|max))?\}")
 
 FileOf = Callable[[str], bytes | None]
 """The content of the file of that name; None where it cannot be had (a warning was given)."""
@@ -30,8 +28,9 @@ FileOf = Callable[[str], bytes | None]
 
 def arguments_of(text: str) -> set[str]:
     """The arguments that an amount depends on."""
-    found = _IN_FILE.fullmatch(text) or _IN_ARGUMENT.fullmatch(text)
-    return {found["arg"]} if found else set()
+    in_file = _IN_FILE.fullmatch(text)
+    name = in_file["arg"] if in_file else find_argument(text)
+    return {name} if name else set()
 
 
 def amount_of(text: str, values: Mapping[str, Any], file_of: FileOf, counter: Counter | None = None) -> Count:
@@ -39,7 +38,7 @@ def amount_of(text: str, values: Mapping[str, Any], file_of: FileOf, counter: Co
     SpecError, with the place in the file where there is one."""
     in_file = _IN_FILE.fullmatch(text)
     if in_file is None:
-        return Count(_from_arguments(text, values))
+        return Count(count_argument(text, values))
     name, path = str(values.get(in_file["arg"], "")), in_file["path"].split(".")
     otherwise = float(in_file["otherwise"]) if in_file["otherwise"] else None
     content = file_of(name)
@@ -66,36 +65,6 @@ def as_written(path: list[str]) -> str:
     return f"`{text}`"
 
 
-def _from_arguments(text: str, values: Mapping[str, Any]) -> float:
-    found = _IN_ARGUMENT.fullmatch(text)
-    if not found:
-        raise SpecError(
-            f"{text!r} is no amount.", remedy="Write a number, or a place-holder as {wells.count}."
-        )
-    if found["arg"] not in values:
-        raise SpecError(
-            f"There is no argument {found['arg']!r}.", remedy=near(found["arg"], values, "argument")
-        )
-    value = values[found["arg"]]
-    if not found["how"]:
-        return _number(value, f"The argument {found['arg']!r}")
-    items = value or []
-    if not isinstance(items, list | tuple):
-        raise SpecError(f"The argument {found['arg']!r} is no list.", remedy="Write one value a well.")
-    if found["how"] == "count":
-        return float(len(items))
-    numbers = [_number(item, f"A value of {found['arg']!r}") for item in items]
-    return math.fsum(numbers) if found["how"] == "sum" else max(numbers, default=0.0)
-
-
-def _number(value: Any, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SpecError(f"{what} is no number: it decides how much is used up.", remedy="Write a number.")
-    if not 0 <= value < math.inf:
-        raise SpecError(f"{what} is {value}: less than nothing cannot be used up.", remedy="Write 0 or more.")
-    return float(value)
-
-
 def _read_from_file(
     name: str, content: bytes, path: list[str], values: Mapping[str, Any], *, must: bool
 ) -> float | None:
@@ -113,7 +82,7 @@ def _read_from_file(
         here, at = here[part], (*at, part)
     try:
         if isinstance(here, str):
-            return _from_arguments(here, values)
-        return _number(here, f"{'.'.join(path)!r}")
+            return count_argument(here, values)
+        return check_amount(here, f"{'.'.join(path)!r}")
     except SpecError as error:
         raise source.error(error.message, at, remedy=error.remedy) from None

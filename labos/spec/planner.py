@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from labos.core.amounts import find_duration_s
 from labos.core.effects import (
     AnyEffect,
     Consumes,
@@ -166,6 +167,7 @@ class StepPlanner:
         args = self._arguments(index, entry, module, action, path)
         if args is None:
             return blank
+        action = self._set_duration(action, args, entry, path)
         return PlanStep(
             key=self.steps.keys[index],
             module=module.name,
@@ -194,6 +196,22 @@ class StepPlanner:
         if self.layout.leaves[index].part == ON_CANCEL:
             return tuple(sorted(self.steps.before(index)))
         return self.steps.after[index]
+
+    def _set_duration(
+        self, action: ActionSpec, args: dict[str, Any], entry: StepEntry, path: Path_
+    ) -> ActionSpec:
+        """The action with its duration by the arguments and files of this step."""
+        values = {arg.name: args.get(arg.name, arg.default) for arg in action.args}
+        known = {name: None if is_later(value) else value for name, value in values.items()}
+        try:
+            duration_s = find_duration_s(action, known, self._count_seconds)
+        except SpecError as error:
+            self._report(error, entry, path)
+            return action
+        return msgspec.structs.replace(action, duration_s=duration_s)
+
+    def _count_seconds(self, text: str, values: Mapping[str, Any]) -> float:
+        return amount_of(text, values, self._content).amount
 
     def _retry(self, index: int, entry: StepEntry) -> Retry | None:
         if not isinstance(entry.retry, RetryEntry):
@@ -419,13 +437,7 @@ class StepPlanner:
                 if not isinstance(effect, Replaces) or effect.module:
                     effects.append(effect)
             except SpecError as error:
-                if error.file:
-                    elsewhere = FindingList(error.file)
-                    place = Place(error.line, error.column)
-                    elsewhere.error(error.message, place, field=error.field, remedy=error.remedy)
-                    self.remarks.report.take(elsewhere)
-                    continue
-                self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
+                self._report(error, entry, path)
             except KeyError as error:
                 self.remarks.error(
                     f"Step {entry.name!r}: {entry.action} names an argument {error} that it does not have.",
@@ -433,6 +445,16 @@ class StepPlanner:
                     f"The driver {module.driver!r} must be corrected.",
                 )
         return tuple(effects)
+
+    def _report(self, error: SpecError, entry: StepEntry, path: Path_) -> None:
+        """Say what is wrong with an argument, or with the file that it names."""
+        if error.file:
+            elsewhere = FindingList(error.file)
+            place = Place(error.line, error.column)
+            elsewhere.error(error.message, place, field=error.field, remedy=error.remedy)
+            self.remarks.report.take(elsewhere)
+        else:
+            self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
 
     def _count(
         self,

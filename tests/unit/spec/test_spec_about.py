@@ -210,3 +210,48 @@ def test_an_effect_that_does_not_fit_says_how_it_is_written(effect: str, remedy:
         parse_workcell(text, {})
     (fault,) = caught.value.findings
     assert fault.remedy.startswith(remedy)
+
+
+OVEN = """
+labos: 1
+name: corner
+modules:
+  - name: oven
+    about:
+      stations: {nest: {}}
+      actions:
+        bake:
+          args:
+            minutes: {type: float, unit: min, required: false}
+            recipe: {type: file, required: false}
+          duration: 30 min
+          duration_from: DURATION
+"""
+
+BAKE = """
+labos: 1
+name: bake
+steps:
+  - {name: bake, module: oven, action: bake, args: ARGS}
+"""
+
+
+def bake_s(duration_from: str, args: str, files: dict[str, bytes]) -> float:
+    """How long baking takes, in seconds."""
+    cell = parse_workcell(OVEN.replace("DURATION", f'"{duration_from}"'), {})
+    flow = parse_workflow(BAKE.replace("ARGS", args))
+    compiled = compile_workflow(flow, {}, cell.workcell, {}, bench=cell.bench, files=files)
+    return compiled.plan.steps[0].duration_s
+
+
+def test_arguments_and_the_recipe_decide_how_long_a_step_takes() -> None:
+    assert bake_s("{minutes}", "{minutes: 5}", {}) == 300
+    assert bake_s("90 + {minutes}", "{minutes: 5}", {}) == 390
+    assert bake_s("{minutes}", "{}", {}) == 1800
+    recipe = {"r.yaml": b"resources:\n  seconds: 77\n"}
+    assert bake_s("{file:recipe:resources.seconds|1800}", "{recipe: r.yaml}", recipe) == 77
+    assert bake_s("{file:recipe:resources.seconds|1800}", "{recipe: r.yaml}", {"r.yaml": b"a: 1\n"}) == 1800
+    with pytest.raises(SpecErrors, match=r"r\.yaml:1:10: seconds: .*'long'"):
+        bake_s("{file:recipe:seconds|1}", "{recipe: r.yaml}", {"r.yaml": b"seconds: long\n"})
+    with pytest.raises(SpecErrors, match="There is no argument 'minute'"):
+        bake_s("{minute.sum}", "{minutes: 5}", {})
