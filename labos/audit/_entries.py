@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import mimetypes
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._entry_tables import ENTRIES
@@ -263,9 +263,7 @@ HANDLERS: dict[Any, Any] = {
     r.RunResumed: on_run_changed,
     r.RunCancelling: on_run_changed,
     r.RunLeaving: on_run_changed,
-    r.RunCompleted: on_run_changed,
-    r.RunFailed: on_run_changed,
-    r.RunCancelled: on_run_changed,
+    **dict.fromkeys(get_args(r.RunEnd), on_run_changed),
     a.ActionSucceeded: on_result,
     a.ActionReconciled: on_result,
 }

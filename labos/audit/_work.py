@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, seconds
@@ -123,9 +123,7 @@ def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float)
             _into(rows, event.run, number, "skipped")
 
 
-def on_run_ended(
-    rows: RowChanges, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
-) -> None:
+def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is None:
         return
@@ -351,9 +349,7 @@ HANDLERS: dict[Any, Any] = {
     r.RunResumed: on_resumed,
     r.RunCancelling: on_cancelling,
     r.RunLeaving: on_leaving,
-    r.RunCompleted: on_run_ended,
-    r.RunFailed: on_run_ended,
-    r.RunCancelled: on_run_ended,
+    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
     st.WindowBreached: on_breached,
     st.StepRetried: on_retried,
     st.StepSkipped: on_skipped,

@@ -50,13 +50,21 @@ class SetupEntry(Part):
     changes: list[SetupChangeEntry] = []
 
 
+class TogetherEntry(Part):
+    """Actions that a module carries out for the labware of several runs at once, and how long a run waits for
+    that of others."""
+
+    actions: list[str] = Field(min_length=1)
+    wait: Seconds = Field(default=0.0, ge=0)
+
+
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` determines the driver; ``coordinates`` are x, y, z
     in metres and a quaternion, from the workcell's origin; ``zone`` is the zone in which it acts. ``retry``,
     ``timeout`` and ``on_error`` are defaults for steps on it. ``interface`` names the adapter of a foreign
     node, ``about`` describes a node without a driver, and ``extends`` adds to the driver's description. With
     ``second_person``, runs with dangerous steps there wait for an approval. ``setup`` is the time for a
-    change to other work."""
+    change to other work, and ``together`` are its actions for several runs at once."""
 
     name: Name
     model: str = ""
@@ -77,6 +85,7 @@ class ModuleEntry(Part):
     on_error: OnErrorWord | None = None
     second_person: bool = False
     setup: SetupEntry | None = None
+    together: TogetherEntry | None = None
     comment: str = ""
 
 

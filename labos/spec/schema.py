@@ -89,12 +89,17 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "on_error": "the default reaction when a step on it has finally failed",
         "second_person": "true: runs with dangerous steps there wait for a second person's approval",
         "setup": "the time for setting it up for another value of an argument",
+        "together": "actions for the labware of several runs at once",
         "comment": _PEOPLE,
     },
     "SetupEntry": {
         "by": "the argument of its actions for whose value the module is set up",
         "takes": "the additional time of an action with another value than the last one",
         "changes": "changes with their own times",
+    },
+    "TogetherEntry": {
+        "actions": "the actions that it carries out for all labware in it at once",
+        "wait": "how long a run whose labware is in it waits for that of others, at most",
     },
     "SetupChangeEntry": {
         "from": "the value before",
