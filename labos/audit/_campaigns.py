@@ -38,7 +38,7 @@ def on_amended(rows: RowChanges, event: c.CampaignAmended, head: Envelope, at: f
 
 
 def agree(row: Row, terms: c.Terms) -> None:
-    """The campaign goes on under these terms."""
+    """The campaign continues with these terms."""
     row["priority"], row["tags"] = terms.priority, list(terms.tags)
     row["deadline_s"] = seconds(terms.deadline) if terms.deadline else None
 

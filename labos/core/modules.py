@@ -439,7 +439,9 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
         module.reached = tuple(sorted(reached))
     setup = module.spec.setup
     if setup is not None and setup.argument in event.args:
-        flight.setup_s = setup.cost_s(module.set_up_for, event.args)
+        others = [module.in_flight[name] for name in event.together if name in module.in_flight]
+        others = [other for other in others if other is not flight]  # it is set up once for all of them
+        flight.setup_s = others[0].setup_s if others else setup.cost_s(module.set_up_for, event.args)
         module.set_up_for = event.args[setup.argument]
     if event.args.get("slow") is True:
         flight.proving = find_unproven(module, event.effects, event.args)

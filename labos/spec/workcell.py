@@ -34,6 +34,7 @@ from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of, why_broken
+from labos.spec.together import read_together
 from labos.spec.transfers import transfer_ways
 from labos.spec.units import in_unit
 from labos.spec.uses import Use, read_carriers
@@ -354,6 +355,7 @@ class _Modules:
             timeout_s=entry.timeout,
             second_person=entry.second_person,
             setup=setup_of(entry),
+            together=read_together(entry, description, stations, path, self.remarks),
         )
 
     def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:

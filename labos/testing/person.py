@@ -151,6 +151,8 @@ def _look_at_device(world: World, state: LabState, action: Action) -> str:
     plates = [plate for nest in nests for plate in world.at(nest)]
     if action.name in ("seal", "peel") and plates:
         return "done" if world.last(plates[-1], "seal", "peel") == action.name else "not_done"
+    if action.name == "spin" and plates:
+        return "done" if all(world.history(plate, action.name) for plate in plates) else "not_done"
     if undone := [pair for pair in UNDONE_BY if action.name in pair]:
         did = [m.verb for m in world.motions() if m.device == local(action.module) and m.verb in undone[0]]
         return "done" if did[-1:] == [action.name] else "not_done"
