@@ -1,4 +1,4 @@
-"""The tables of work: events, runs, steps, actions, their results, and who asked for them."""
+"""The tables of work: events, runs, steps, actions, their results, and their users."""
 
 from __future__ import annotations
 

@@ -116,6 +116,10 @@ class ActionReconciled(ActionEvent, frozen=True):
     result: Any = None
 
 
+ActionEnd = ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled
+"""The events with which an action ends."""
+
+
 @event("action.evidence")
 class ActionEvidence(ActionEvent, frozen=True):
     """A result arrived after the outcome of the action had already been settled."""

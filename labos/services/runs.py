@@ -227,7 +227,7 @@ def _step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int) -> 
         case a.ActionReconciled():
             step.state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
             step.error = "" if step.state == "done" else f"settled by {event.by}"
-    if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+    if isinstance(event, a.ActionEnd):
         step.ended_at = at
         begun = run.flying.pop(event.action, None)
         if begun is not None:

@@ -121,7 +121,7 @@ class _Usage:
                 run.actions += 1
             case a.ActionFailed():
                 module.failed += 1
-        if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+        if isinstance(event, a.ActionEnd):
             self._end_flight(event.action, at)
 
     def finish(self, now: int) -> None:

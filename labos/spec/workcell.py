@@ -38,7 +38,7 @@ from labos.spec.together import read_together
 from labos.spec.transfers import transfer_ways
 from labos.spec.units import in_unit
 from labos.spec.uses import Use, read_carriers
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "rest_node": ("rest", rest.flaw_in),
@@ -101,9 +101,7 @@ def compile_workcell(
     workflows make of it, if they are given. Raises SpecError or SpecErrors."""
     report = FindingList(source.file)
     form, dialect = workcell_form(source, report)
-    file = validate(WorkcellFile, form, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(WorkcellFile, form, report)
     remarks, foreign = Remarks(form, report), dialect != "labos"
     file = shelf_by_shelf(file, remarks)
     own = own_labware(file.labware, remarks, sent)

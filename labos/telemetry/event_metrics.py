@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 
 from labos.core import fold
 from labos.core import runs as r
 from labos.core.actions import (
+    ActionEnd,
     ActionEvent,
     ActionFailed,
     ActionReconciled,
-    ActionRejected,
     ActionRequested,
     ActionSucceeded,
     ActionUnknown,
@@ -175,14 +175,9 @@ class EventMetrics(MetricGroup):
             NodeJoined: self._on_joined,
             r.RunSubmitted: self._on_submitted,
             r.RunStarted: self._on_started,
-            r.RunCompleted: self._on_run_ended,
-            r.RunFailed: self._on_run_ended,
-            r.RunCancelled: self._on_run_ended,
+            **dict.fromkeys(get_args(r.RunEnd), self._on_run_ended),
             ActionRequested: self._on_requested,
-            ActionSucceeded: self._on_ended,
-            ActionFailed: self._on_ended,
-            ActionRejected: self._on_ended,
-            ActionReconciled: self._on_ended,
+            **dict.fromkeys(get_args(ActionEnd), self._on_ended),
             ActionUnknown: self._on_unknown,
             ResourceConsumed: self._on_consumed,
             InterventionRequested: self._on_asked,
@@ -308,7 +303,7 @@ class EventMetrics(MetricGroup):
             run.started_at = at
             self.run_wait_s.observe((at - run.submitted_at) / 1e9, (run.workcell,))
 
-    def _on_run_ended(self, event: r.RunCompleted | r.RunFailed | r.RunCancelled, at: int) -> None:
+    def _on_run_ended(self, event: r.RunEnd, at: int) -> None:
         run = self._runs.pop(event.run, None)
         if run is None:
             return

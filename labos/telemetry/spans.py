@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 
@@ -97,9 +97,7 @@ class SpanRecorder:
         self._handlers: dict[type, Callable[[Any, int, int], None]] = {
             r.RunSubmitted: self._on_submitted,
             r.RunStarted: self._on_started,
-            r.RunCompleted: self._on_run_ended,
-            r.RunFailed: self._on_run_ended,
-            r.RunCancelled: self._on_run_ended,
+            **dict.fromkeys(get_args(r.RunEnd), self._on_run_ended),
             ActionRequested: self._on_requested,
             ActionAccepted: self._on_accepted,
             ActionReported: self._on_reported,
@@ -151,9 +149,7 @@ class SpanRecorder:
             trace, parent = self._trace(event.run), self._id("run", event.run)
             self._tell(trace, ("wait", event.run), parent, "wait for start", run.submitted_at, at)
 
-    def _on_run_ended(
-        self, event: r.RunCompleted | r.RunFailed | r.RunCancelled, at: int, durable_at: int
-    ) -> None:
+    def _on_run_ended(self, event: r.RunEnd, at: int, durable_at: int) -> None:
         run = self._runs.pop(event.run, None)
         if run is None:
             return

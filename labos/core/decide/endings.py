@@ -22,6 +22,7 @@ from labos.core.runs import (
     RunCancelled,
     RunCancelling,
     RunCompleted,
+    RunEnd,
     RunFailed,
     RunState,
     RunStatus,
@@ -131,9 +132,7 @@ def give_up(state: LabState, run: RunState, why: str, kind: str = "experiment") 
         yield from record_end(state, run, RunFailed(run.id, why, kind), f"failed: {why}")
 
 
-def record_end(
-    state: LabState, run: RunState, end: RunCompleted | RunFailed | RunCancelled, what: str
-) -> Iterator[Event]:
+def record_end(state: LabState, run: RunState, end: RunEnd, what: str) -> Iterator[Event]:
     """The events that end a run: its labware goes to its experiment or user; what it leaves in
     the way is shown to a person."""
     heir = user_owner(run.user)
