@@ -229,6 +229,19 @@ def test_work_with_other_arguments_stays_out_while_the_node_is_away() -> None:
     assert lab.pump() == ["R1#2"]
 
 
+def test_each_run_is_charged_its_part_of_the_time() -> None:
+    lab = centrifuge()
+    for user in ("ada", "ada", "bo"):
+        lab.submit(spin(), user)
+        lab.step(f"R{lab.state.runs.named}")
+    assert len(lab.pump()) == 3
+    lab.wait(300.0)
+    for name in lab.list_flying():
+        lab.finish(name)
+    assert [lab.state.shares.usage[user].used_ns / SECOND for user in ("ada", "bo")] == [200.0, 100.0]
+    assert not lab.state.shares.parts
+
+
 def test_explain_says_with_whom() -> None:
     lab = centrifuge()
     for _ in range(3):
