@@ -112,8 +112,8 @@ class Shares(msgspec.Struct):
     """``usage`` by user, ``group_usage`` by group; ``had`` by user, ``group_had`` by group. ``group_of``
     names the group of each user who is in one. ``users`` of runs alive; ``started`` are those of them that
     are under way; ``clocks`` hold when open actions were requested, ``parts`` how many actions share the
-    time of their module, where a device carries out several in one go. ``kept`` are the groups that stay when a
-    file does not name them."""
+    time of their module, where a device carries out several in one go. ``kept`` are the groups that stay
+    when a file does not name them."""
 
     digest: str = ""
     groups: dict[str, Group] = {}
