@@ -28,6 +28,7 @@ class A4sSealer(OnBenchOrWire):
         Sets("labware", "sealed", True),
         Consumes("foil", 1),
         duration_s=25,
+        duration_from="22 + {time}",
     )
     async def seal(
         self,

@@ -42,6 +42,7 @@ class OT2(OnBenchOrWire):
         *(Transfers(liquid, "{destination_wells}", f"{{{liquid}_volumes}}", liquid) for liquid in LIQUIDS),
         Draws("{source_wells}", "{source_volumes}"),
         duration_s=600,
+        duration_from="{file:config_path:resources.seconds|600}",
         aliases=("run protocol",),
     )
     async def run_protocol(

@@ -162,6 +162,30 @@ def test_a_protocol_says_what_it_uses_and_the_run_keeps_it() -> None:
     assert effects == [Consumes("tips", 2.0)]
 
 
+def test_a_protocol_says_how_long_it_takes() -> None:
+    text = """
+labos: 1
+name: mixes
+steps:
+  - {name: Get, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - name: In
+    module: pf400
+    action: transfer
+    args: {source: sciclops.exchange, target: ot2_cp_gamma.deck2}
+  - {name: Mix, module: ot2_cp_gamma, action: run_protocol, args: {config_path: p.yaml}}
+"""
+
+    def find_duration_s(resources: bytes) -> float:
+        files = {"p.yaml": b"resources: {" + resources + b"}\nsteps: []\n"}
+        compiled = compile_workflow(
+            parse_workflow(text, "w.yaml"), {}, CELL.workcell, descriptions(), files=files
+        )
+        return compiled.plan.steps[-1].duration_s
+
+    assert find_duration_s(b"tips: 1, seconds: 95") == 95
+    assert find_duration_s(b"tips: 1") == 600
+
+
 def test_a_fault_in_a_protocol_is_told_with_its_place() -> None:
     text = """
 labos: 1
