@@ -23,9 +23,9 @@ class BenchCalls(GeneratedCalls):
         labware: Mapping[str, bytes] | None = None,
         files: Mapping[str, bytes] | None = None,
     ) -> dict[str, Any]:
-        """Change a workcell to what the text of its file says; with ``dry_run``, only say what that
-        would change and what is in the way. ``labware`` holds the labware files that it names, ``files``
-        the others, as tables of drivers: the lab reads nothing else."""
+        """Change a workcell to the content of its file. With ``dry_run``, only return the changes and the
+        obstacles. ``labware`` contains the labware files that the workcell file names, ``files`` the other
+        files, such as tables of drivers: the lab reads no other files."""
         return self._change_workcell(text, by, name=file, dry_run=dry_run, labware=labware, files=files)
 
     def leave(self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = "") -> None:

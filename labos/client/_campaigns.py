@@ -25,24 +25,24 @@ class CampaignCalls(GeneratedCalls):
         propose: bool = False,
     ) -> dict[str, Any]:
         """Check a campaign file with its table and workflow, row by row, and submit it. Returns its id as
-        ``campaign`` (empty if only checked, with ``dry_run``) and what it asks of the lab as ``estimate``.
-        The same ``request`` twice is one campaign. With ``propose`` it waits for an approval; ``approval`` of
-        the answer says why it does. In place of a file, a mapping has its ``text`` and its ``workflow``."""
+        ``campaign`` (empty if only checked, with ``dry_run``) and its needs as ``estimate``. The same
+        ``request`` twice is one campaign. With ``propose`` it waits for an approval; ``approval`` of the
+        answer is the reason. Instead of a file, give a mapping with its ``text`` and its ``workflow``."""
         text: dict[str, Any] = dict(campaign) if isinstance(campaign, Mapping) else campaign_text(campaign)
         return self._submit_campaign_file(
             **text, user=user, dry_run=dry_run, request=request, propose=propose
         )
 
     def forecast_campaign(self, campaign: str | Path | Mapping[str, Any], *, user: str) -> dict[str, Any]:
-        """Check a campaign file as ``submit_campaign`` does, and submit nothing: what it asks of the lab as
-        ``estimate``, and what it would bring as ``forecast``."""
+        """Check a campaign file as ``submit_campaign`` does, and submit nothing. Returns its needs as
+        ``estimate``, and its expected times and the delays of others as ``forecast``."""
         text: dict[str, Any] = dict(campaign) if isinstance(campaign, Mapping) else campaign_text(campaign)
         return self._forecast_campaign_file(**text, user=user)
 
     def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
-        """Let a campaign go on under other terms. Returns those that hold: a change that waits for an
-        approval (``approval`` of the client says so) is not among them. Changes: ``priority``, ``deadline``,
-        ``runs``, ``lab_time_s``, ``consumables``, ``tags``, ``until``, ``stop_after``."""
+        """Change the terms of a campaign. Returns the terms in force: a change that waits for an approval
+        (see ``approval`` of the client) is not among them. Changes: ``priority``, ``deadline``, ``runs``,
+        ``lab_time_s``, ``consumables``, ``tags``, ``until``, ``stop_after``."""
         found = self._amend_campaign(campaign, by, **changes)
         self.approval = str(found.get("approval", ""))
         return dict(found["terms"])

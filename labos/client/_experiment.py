@@ -36,17 +36,17 @@ LONGEST_WHY = 500
 
 
 class Experiment(LoggedEvents):
-    """An application's run of runs. Leaving the block ends it; its closing workflow clears away
-    what it left parked (at the stations ``parking`` only, if any are named). ``RunFailed`` is raised
-    for a run that does not complete, unless ``run(..., check=False)``.
+    """An application's run of runs. Leaving the block ends it; its closing workflow clears away labware that
+    it left parked (only at the stations in ``parking``, if given). ``RunFailed`` is raised for a run that
+    does not complete, unless ``run(..., check=False)``.
 
-    A program that was killed goes on where it was if it is started again with ``resume``, the id of its
-    experiment: what it asks for a second time is answered from the log. Its calls are known by their order;
-    a ``key`` names one wherever it stands. With ``keep_open`` an error of the program leaves the experiment
-    open, so that the program can be mended and goes on; a lab that does not answer always does.
+    A killed program continues where it was if it is restarted with ``resume``, the id of its experiment:
+    repeated calls are answered from the log. Calls are identified by their order, or by a ``key`` at any
+    position. With ``keep_open`` an error of the program leaves the experiment open, so that the program can
+    be corrected and can continue. If the lab does not answer, the experiment always stays open.
 
-    A program with several experiments, as for several plates at once, resumes the first one only. The others
-    are ``part_of`` it: that one's log says which they are.
+    A program with several experiments, for example for several plates at once, resumes only the first one.
+    The others are ``part_of`` it: the log of the first one lists them.
     """
 
     def __init__(
@@ -166,8 +166,8 @@ class Experiment(LoggedEvents):
         progress: Progress = False,
         key: str = "",
     ) -> RunResult:
-        """Run a workflow to its end. Raises RunFailed if it does not complete, ReplayMismatch if a program
-        that was started again asked for another one."""
+        """Run a workflow to its end. Raises RunFailed if it does not complete, ReplayMismatch if a restarted
+        program requested another one."""
         taken, record = self._take("run", workflow, key), self._record
         request, told = record.request_of(taken), workflow_text(workflow, payload)
         with record.keep_key_on_failure(taken):
@@ -225,10 +225,10 @@ class Experiment(LoggedEvents):
             yield result
 
     def note(self, kind: str, name: str, **facts: Any) -> None:
-        """Log something of the application's own: loop_started, loop_ended, condition_checked,
-        decision, local_compute, compute, flow, publication or transfer. It is logged once, also if the lab
-        breaks off while it is told, or the program is killed. Raises ReplayMismatch for another decision or
-        condition than before."""
+        """Log a fact of the application: loop_started, loop_ended, condition_checked, decision,
+        local_compute, compute, flow, publication or transfer. It is logged once, even if the connection to
+        the lab breaks or the program is killed. Raises ReplayMismatch if a decision or condition differs from
+        the earlier one."""
         self._record.note(kind, name, facts)
 
     def publish(
@@ -243,11 +243,11 @@ class Experiment(LoggedEvents):
         index: GlobusIndex | None = None,
         key: str = "",
     ) -> None:
-        """Make something known that came of the experiment, as one event: `labos find` finds it by its title,
-        what it is about, keywords, creators and the names of its files, which the lab keeps. Files are paths,
-        or contents by name. Creators are ids of users, or their ORCID iDs: what is published stays in the
-        log for ever, so name no persons. With an ``index`` of Globus Search it can be found there, too.
-        Raises BadInput for a file that cannot be read, GlobusError."""
+        """Publish a result of the experiment, as one event: `labos find` finds it by its title, subject,
+        keywords, creators and the names of its files, which the lab stores. Files are paths, or contents by
+        name. Creators are ids of users, or their ORCID iDs: what is published stays in the log for ever, so
+        name no persons. With an ``index`` of Globus Search it can be found there, too. Raises BadInput for a
+        file that cannot be read, GlobusError."""
         from labos.services.compute import PlaceUnavailable
 
         taken = self._take("publish", title, key)
@@ -264,9 +264,10 @@ class Experiment(LoggedEvents):
                 _globus.ingest(self._record, taken, index, {**facts, **of})
 
     def decide(self, name: str, function: Callable[[], Any], *, key: str = "") -> Any:
-        """What a function returns, as JSON gives it back (a tuple is a list), logged as a decision. When the
-        program was started again, the function is not called: what it decided then is returned. For all that
-        may differ the next time: a clock, a file, a person's answer. Raises BadInput for what is no JSON."""
+        """Call a function, log its result as a decision, and return it as read from JSON (a tuple is a list).
+        In a restarted program the function is not called: the logged result is returned. Use it for
+        everything that may differ the next time: a clock, a file, a person's answer. Raises BadInput for a
+        result that is not JSON."""
         if not callable(function):
             raise BadInput(f"{name!r} is decided by no function.", remedy="Give one: lambda: solver.ask().")
         return self._record.decide(self._take("decide", name, key), name, function)
@@ -274,11 +275,10 @@ class Experiment(LoggedEvents):
     def compute(
         self, function: Callable[..., Any], *args: Any, where: str = "pool", key: str = "", **named: Any
     ) -> Any:
-        """What a function returns that is computed in another process, with an event that names it, the
-        digests of its code and arguments, where it ran, how long, and what it returned. ``where`` is local (a
-        thread), pool (processes of this computer), parsl, dask or globus. What was computed before the
-        program was started again is not computed twice. Raises ComputeFailed, ReplayMismatch,
-        PlaceUnavailable."""
+        """Call a function in another process, and return its result. An event records its name, the digests
+        of its code and arguments, where and how long it ran, and its result. ``where`` is local (a thread),
+        pool (processes of this computer), parsl, dask or globus. A restarted program does not repeat a
+        finished computation. Raises ComputeFailed, ReplayMismatch, PlaceUnavailable."""
         return self.submit_compute(function, *args, where=where, key=key, **named).result()
 
     def submit_compute(
@@ -308,11 +308,10 @@ class Experiment(LoggedEvents):
     def run_flow(
         self, flow: Flow | GlobusFlow, *, check: bool = True, key: str = "", **given: Any
     ) -> FlowResult:
-        """Carry out the steps of a flow, one after the other, with what is ``given`` as ``input`` of its
-        state; its start, its end, each step and each further attempt are in the log. A program that was
-        started again goes on with the step at which it was. One that stands in Globus Flows is started there
-        once, and waited for. Raises FlowFailed if a step fails for good, unless ``check`` is false;
-        ReplayMismatch, GlobusError."""
+        """Carry out the steps of a flow, one after the other, with ``given`` as the ``input`` of its state;
+        its start, its end, each step and each further attempt are in the log. A restarted program continues
+        at the same step. A flow that is defined in Globus Flows is started there once, and its end awaited.
+        Raises FlowFailed if a step fails for good, unless ``check`` is false; ReplayMismatch, GlobusError."""
         from labos.services.compute import PlaceUnavailable
 
         taken = self._take("run_flow", flow, key)

@@ -19,9 +19,8 @@ MOST_USED = 100
 def workflow_text(
     workflow: str | Path | Mapping[str, Any], payload: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """A workflow file, or a packaged workflow by name, with the files beside it that its
-    arguments or the payload name; what is such a text already stays as it is. Raises BadInput,
-    NotFound."""
+    """A workflow file, or a packaged workflow by name, with the files beside it that its arguments or the
+    payload name. Such a text is returned unchanged. Raises BadInput, NotFound."""
     if isinstance(workflow, Mapping):
         return dict(workflow)
     path = Path(workflow)

@@ -90,8 +90,8 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
 
     def table(self, file: str | Mapping[str, Any]) -> list[dict[str, Any]]:
         """The rows of a table that a step has returned (CSV, by comma, semicolon or tab, with its columns'
-        names in the first line); what is a number is one. Raises as ``file``, and BadInput for a file that is
-        no such table."""
+        names in the first line); numbers are converted. Raises as ``file``, and BadInput for a file that is
+        not such a table."""
         try:
             return rows_of(self.file(file).decode("utf-8-sig"))
         except (UnicodeDecodeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""What a lab says of a run."""
+"""A lab's reports on a run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class StepResult(msgspec.Struct, frozen=True):
-    """A step as the log tells it; times in UTC nanoseconds, 0 if not yet."""
+    """A step from the log; times in UTC nanoseconds, 0 if not yet."""
 
     key: str
     module: str
@@ -31,8 +31,8 @@ class StepResult(msgspec.Struct, frozen=True):
 
 
 class RunResult(msgspec.Struct, frozen=True, dict=True):
-    """A run as the log tells it. ``status``: queued, active, paused, cancelling, leaving,
-    completed, failed or cancelled. It should be over when it is ``due_at``."""
+    """A run from the log. ``status``: queued, active, paused, cancelling, leaving, completed, failed or
+    cancelled. It should have ended at ``due_at``."""
 
     id: str
     workflow: str

@@ -54,12 +54,12 @@ class RunCalls(GeneratedCalls):
         propose: bool = False,
         due: str = "",
     ) -> str:
-        """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
-        ``step_text`` gave; returns its id. ``place`` are stations and the type of labware that was put
-        there for it, with what it is (``{"sealed": True}``), recorded with the run or not at all. The same
-        ``request`` twice is one run. With ``propose`` it waits for an approval, whatever the policy says.
-        It should be over when it is ``due``: a time (``2026-11-27T08:00``, in the lab's zone if it names
-        none), or how long from now (``12h``)."""
+        """Queue a run of a workflow file, of a packaged workflow, or of a result of ``workflow_text`` or
+        ``step_text``; returns its id. ``place`` are stations and the type of labware that was put there for
+        it, with its state (``{"sealed": True}``); it is recorded together with the run, or not at all. The
+        same ``request`` twice is one run. With ``propose`` it waits for an approval, independent of the
+        policy. ``due`` is the time by which it should end: a time (``2026-11-27T08:00``, in the lab's zone if
+        it has none), or a duration from now (``12h``)."""
         answer = self._submit_run(
             workflow_text(workflow, payload),
             user,
@@ -85,8 +85,8 @@ class RunCalls(GeneratedCalls):
         return self._check_run(workflow_text(workflow, payload), payload=payload, place=place, **options)
 
     def forecast_run(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
-        """When a run of a workflow would start and end, and what it would bring, as ``forecast``. Nothing is
-        submitted. Options are those of ``check``."""
+        """When a run of a workflow would start and end, and which runs it would delay, as ``forecast``.
+        Nothing is submitted. Options are those of ``check``."""
         payload = options.pop("payload", None) or {}
         place = puts_of(options.pop("place", ()))
         return self._forecast_run(workflow_text(workflow, payload), payload=payload, place=place, **options)
@@ -96,8 +96,8 @@ class RunCalls(GeneratedCalls):
         self.warnings += [self.approval] if self.approval else []
 
     def do(self, module: str, action: str, args: Mapping[str, Any] | None = None, **options: Any) -> str:
-        """Queue one action on one module, as a run of its own; returns the run's id. Options are
-        those of ``submit``."""
+        """Queue one action on one module, as a separate run; returns the run's id. Options are those of
+        ``submit``."""
         workcell = options.pop("workcell", "") or module.rpartition("/")[0]
         return self.submit(step_text(module, action, args or {}), workcell=workcell, **options)
 
@@ -111,10 +111,10 @@ class RunCalls(GeneratedCalls):
         **options: Any,
     ) -> list[str]:
         """Queue one run of a workflow for each payload, in order; returns their ids. All of them are queued
-        before the first one starts, or none is, and the error names the payload: ``payloads[2]: …``. Of more
-        than 50 runs, each 50 are one request. Options are those of ``submit``; what is in ``place`` was put
-        there once, for all of them. The same ``request`` twice are the same runs, so that a call that broke
-        off can be repeated. ``warnings`` of the client are those of all of them."""
+        before the first one starts, or none is, and the error names the payload: ``payloads[2]: …``. More
+        than 50 runs are sent in requests of 50. Options are those of ``submit``; the labware in ``place`` was
+        put there once, for all runs. The same ``request`` twice are the same runs, so an interrupted call can
+        be repeated. ``warnings`` of the client are those of all runs."""
         request = request or self._ids.new()
         given = list(payloads)
         texts = workflow_texts(workflow, given)
@@ -225,7 +225,7 @@ class RunCalls(GeneratedCalls):
         self, verb: str, target: str, by: str, *, why: str = "", stay: bool = False
     ) -> dict[str, Any]:
         """``pause``, ``resume`` or ``cancel`` a run, an experiment, a module, a workcell or the ``lab``.
-        Returns what was meant (``kind``, ``target``) and which ``runs`` were cancelled."""
+        Returns the target (``kind``, ``target``) and the cancelled ``runs``."""
         verbs = {"pause": self._pause_target, "resume": self._resume_target, "cancel": self._cancel_target}
         if verb not in verbs:
             raise BadInput(f"{verb!r} is not one of {', '.join(verbs)}.")

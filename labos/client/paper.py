@@ -30,9 +30,9 @@ RunInfo = dict[str, Any]
 
 
 class Experiment:
-    """An execution of an application, in the lab whose API answers at an address and port. ``user`` is whose
-    it is (the name that one has on this computer, if it is not given), ``folder`` where the files that runs
-    return are put, ``resume`` the id of an experiment that a program which was killed goes on with."""
+    """An execution of an application, in the lab whose API answers at an address and port. ``user`` is its
+    owner (default: the user name on this computer), ``folder`` the folder for files that runs return,
+    ``resume`` the id of the experiment that a restarted program continues."""
 
     def __init__(
         self,
@@ -71,9 +71,8 @@ class Experiment:
         return {"exp_id": self.experiment_id, "exp_dir": str(self.experiment_path)}
 
     def run_job(self, workflow: str | Path, payload: Mapping[str, Any] | None = None) -> RunInfo:
-        """Run a workflow to its end: ``hist`` has what each step returned, by its name, as
-        ``action_response`` and ``action_msg``; a file stands there as its path below ``run_dir``. Raises
-        RunFailed."""
+        """Run a workflow to its end: ``hist`` has the result of each step, by its name, as
+        ``action_response`` and ``action_msg``; a file is its path below ``run_dir``. Raises RunFailed."""
         self.register_exp()
         told = workflow_text(workflow, payload)
         # In the paper's programs one payload goes from workflow to workflow; each takes its part.
@@ -183,7 +182,7 @@ class Events:
 def run_flow(
     workflow: str | Path, payload: Mapping[str, Any] | None, steps_run: Steps, experiment: Experiment
 ) -> tuple[Steps, RunInfo]:
-    """Run a workflow to its end; returns the steps that were run before and in it, and what ``run_job`` says.
-    Raises RunFailed."""
+    """Run a workflow to its end; returns the steps of earlier runs and of this one, and the result of
+    ``run_job``. Raises RunFailed."""
     run_info = experiment.run_job(workflow, payload=payload)
     return [*steps_run, {"run_id": run_info["run_id"], "steps": run_info["hist"]}], run_info

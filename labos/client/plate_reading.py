@@ -1,7 +1,7 @@
 """The colours of wells from a picture of a plate, by OpenCV.
 
-Four ArUco markers around the nest say where the plate should be in the picture; its wells have to be there.
-The white plastic between the wells says how much light there is where, so that colours do not depend on it.
+Four ArUco markers around the nest show where the plate should be in the picture; its wells must be there. The
+white plastic between the wells shows the local brightness, so that colours do not depend on the light.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ OFF_MM = 1.2
 
 
 class BadPicture(LabosError):
-    """A picture that cannot be used: an experiment error. ``kind`` says in a few words why."""
+    """A picture that cannot be used: an experiment error. ``kind`` is the reason in a few words."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)

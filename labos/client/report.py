@@ -1,5 +1,5 @@
-"""How an application ends: plots, a table and one page in a folder, and a line that says where the data is;
-and how it is started from a shell.
+"""The end of an application: plots, a table and one page in a folder, and a line with the place of the data.
+And its start from a shell.
 
 ::
 
@@ -8,7 +8,7 @@ and how it is started from a shell.
 
     sys.exit(run_program("my application", parser_for("Measure something.", user="ada", out="mine"), prepare))
 
-An application gives ``given.resume`` to its experiment, which goes on where it was.
+An application passes ``given.resume`` to its experiment, which continues where it was.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Drawing(Protocol):
 
 
 class ReportPage(NamedTuple):
-    """A page, and a line that says where the data is."""
+    """A page, and a line with the place of the data."""
 
     page: Path
     line: str
@@ -62,8 +62,8 @@ def write_report(
     files: str = "its files",
 ) -> ReportPage:
     """Write the pictures (by file name: what they show, and a figure or a file's content), the table as
-    ``data.csv``, and ``index.html``, which holds all of it and needs nothing else. The log is told: a
-    publication with the names of the files. ``files`` says what the log holds besides."""
+    ``data.csv``, and ``index.html``, which contains all of it and needs no other file. The report is logged
+    as a publication with the names of the files. ``files`` is the text for the files in the log."""
     folder.mkdir(parents=True, exist_ok=True)
     contents = {name: _content(drawing, Path(name).suffix) for name, (_, drawing) in pictures.items()}
     for name, content in contents.items():
@@ -80,7 +80,7 @@ def write_report(
 
 
 def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentParser:
-    """The options that each application has; ``out`` says where it writes its report if it is not told."""
+    """The options of every application; ``out`` is the default folder for its report."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--home", help="the lab's folder")
     parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
