@@ -94,10 +94,8 @@ MUTANTS = (
         (
             Change(
                 "node/server.py",
-                "            self.journal.void(ask.action, ask.attempt, ask.position)\n"
-                "        await self.journal.sync()\n        # While",
-                '            return told or self._reply("void", attempt=ask.attempt)\n'
-                "        await self.journal.sync()\n        # While",
+                "            self.journal.void(ask.action, ask.attempt, ask.position)\n",
+                '            return told or self._reply("void", attempt=ask.attempt)\n',
             ),
         ),
     ),
@@ -135,8 +133,8 @@ MUTANTS = (
         (
             Change(
                 "testing/disk.py",
-                'whoever asks."""\n        return self._now()\n',
-                'whoever asks."""\n'
+                'always the server\'s."""\n        return self._now()\n',
+                'always the server\'s."""\n'
                 "        clock = self.process.clock if self.process is not None else None\n"
                 "        return clock.now_ns() / 1e9 if clock is not None else self._now()\n",
             ),
