@@ -291,6 +291,7 @@ class Standstill:
                 | reasons.WouldBlock()
                 | reasons.HoldsUp()
                 | reasons.SoonerLater()
+                | reasons.AfterOrdered()
                 | reasons.AfterSuggested()
                 | reasons.ClockLater()
                 | reasons.Unsafe()

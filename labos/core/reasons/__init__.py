@@ -49,6 +49,7 @@ from labos.core.reasons._modules import (
 )
 from labos.core.reasons._planning import (
     AfterElder,
+    AfterOrdered,
     AfterSuggested,
     BetterHere,
     ClockLater,
@@ -135,6 +136,7 @@ AnyReason = (
     | WouldDelay
     | FollowsLate
     | AfterElder
+    | AfterOrdered
     | AfterSuggested
     | ClockLater
     | WouldBlock
@@ -149,6 +151,7 @@ __all__ = [
     "Access",
     "After",
     "AfterElder",
+    "AfterOrdered",
     "AfterSuggested",
     "AnyReason",
     "Asked",
