@@ -30,7 +30,7 @@ OWN = "labos"
 ENOUGH = 3000
 """So many lists are tried for the same runs, not all at once."""
 
-AT_ONCE = 120
+AT_ONCE = 60
 """So many are tried in one turn of the kernel."""
 
 BEFORE_START = 2000
