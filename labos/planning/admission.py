@@ -20,7 +20,11 @@ from labos.planning.pilot import MOST_WAITING, Candidate, Pilot, differ
 from labos.planning.ranking import Ranking
 from labos.planning.reservations import Reservations
 from labos.planning.suggested import Adviser
+from labos.planning.touch import cell_key
 from labos.planning.waiting import WaitingRoom
+
+MOST_INSIDE = 8
+"""With more runs inside, no order is looked for."""
 
 
 class CheckStart(Protocol):
@@ -67,8 +71,12 @@ class Admission:
     def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
         """Who of a bundle is next."""
         first = self._room.first(state, bundle, partial(self._ranking.make_turn_key, state, now))
-        if first is None or not state.suggestions.orders or self._room.is_overtaken(state, first):
+        if first is None or not self._adviser.has_orders(state) or self._room.is_overtaken(state, first):
             return first
+        if self._adviser.own.find(state.runs.plan_of(first).workcell) is not None:
+            heads = self._room.heads(state, bundle)
+            starts = [(self._adviser.start_of(state, head, None, now), head.position) for head in heads]
+            return heads[starts.index(min(starts))]
         return self._adviser.find_next(state, first, now)
 
     def choose(self, state: LabState, bundle: str, run: RunState, now: int) -> Candidate | list[Wait]:
@@ -94,6 +102,41 @@ class Admission:
                         waits = chosen if isinstance(chosen, list) else []
                         return [(step, each) for each in waits]
         return []
+
+    def find_order(self, state: LabState, cell: str, now: int) -> bool:
+        """Look for an order of all that is known in a workcell, where its runs may be compared; whether it
+        is another one than before."""
+        own = self._adviser.own
+        if own.find(cell) is None and not 0 < len(self._room.within(cell)) <= MOST_WAITING:
+            return False
+        inside = state.runs.inside(cell)
+        if len(inside) > MOST_INSIDE or cell in state.suggestions.orders:
+            return own.drop(cell)
+        waiting = self._list_waiting(state, cell, now)
+        runs = [*inside, *waiting] if waiting is not None else []
+        if len(runs) < 2 or not differ(state, runs, runs[0]):
+            return own.drop(cell)
+        return own.search(state, cell, inside, waiting or [], now)
+
+    def _list_waiting(self, state: LabState, cell: str, now: int) -> list[RunState] | None:
+        """All runs that wait for a workcell, the oldest first; None if there are too many of them, if they
+        differ in rank, or carry nothing."""
+        found: list[RunState] = []
+        if len(self._room.within(cell)) > MOST_WAITING:
+            return None
+        for head in self._list_heads(state, cell):
+            group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+            found += [state.runs.queued[name] for name in islice(group, MOST_WAITING + 1)]
+            if len(found) > MOST_WAITING:
+                return None
+        if any(find_holds(run) or run.choices or not self._carries(state, run) for run in found):
+            return None
+        if len({self._make_rank(state, run, now) for run in found}) > 1:
+            return None
+        return sorted(found, key=lambda run: run.position)
+
+    def _carries(self, state: LabState, run: RunState) -> bool:
+        return any(list_carried(step.effects) for step in state.runs.plan_of(run).steps)
 
     def _find_start(self, state: LabState, run: RunState, now: int) -> Possible:
         waits: list[Wait] = []
@@ -122,7 +165,11 @@ class Admission:
         first = Candidate(option, step, early=early)
         goes_first = run.id in state.runs.windowed or self._room.is_overtaken(state, run)
         stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
-        if goes_first or not stands or cell in state.suggestions.orders:
+        if not goes_first and self._adviser.own.is_too_early(state, cell):
+            until = self._adviser.own.goes_on_at(cell)
+            return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
+        is_ordered = cell in state.suggestions.orders or self._adviser.own.find(cell) is not None
+        if goes_first or not stands or is_ordered:
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):

@@ -22,7 +22,7 @@ from labos.core.runs import PENDING, SETTLED, SKIPPED, RunState, RunStatus, find
 from labos.core.state import LabState
 from labos.core.waits import station_key
 from labos.planning.forecast import find_usual_time
-from labos.planning.suggested import list_taken
+from labos.planning.taken import list_taken
 
 DECK = "deck:"
 

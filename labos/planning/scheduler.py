@@ -32,6 +32,7 @@ from labos.planning.choosing import list_changes
 from labos.planning.companions import check_for_others, find_companions, make_command, put_last
 from labos.planning.deadlines import Deadlines
 from labos.planning.elders import Elders
+from labos.planning.own_order import BEFORE_START, OwnOrders
 from labos.planning.patience import OvertakeCounts
 from labos.planning.pilot import Candidate
 from labos.planning.ranking import Ranking, Spot
@@ -81,7 +82,7 @@ class StepStart(msgspec.Struct, frozen=True):
 class Scheduler:
     """Proposes starts for one state that only moves forward. Make a new one after a refold."""
 
-    def __init__(self) -> None:
+    def __init__(self, own: OwnOrders | None = None) -> None:
         self.safety = Safety()
         self.reservations = Reservations()
         self.evaluations = 0
@@ -90,7 +91,7 @@ class Scheduler:
         self.sleepers = Sleepers()
         self.room = WaitingRoom()
         self.patience = OvertakeCounts()
-        self.adviser = Adviser()
+        self.adviser = Adviser(own)
         self.ranking = Ranking(self.reservations, self.adviser)
         self.elders = Elders(self.room, self.safety, self.reservations)
         self.admission = Admission(self.room, self.reservations, self.ranking, self.adviser, self.check_start)
@@ -158,7 +159,7 @@ class Scheduler:
         """What a step waits for that may not start before its time: bookings, windows, suggested orders."""
         wait = booked.check_start(state, run, step, now) if state.bookings.open else None
         wait = wait or self.reservations.check_start(state, run, step, now, self.safety)
-        if wait is None and state.suggestions.orders and not self._is_overtaken(state, run):
+        if wait is None and self.adviser.has_orders(state) and not self._is_overtaken(state, run):
             wait = self.adviser.check_start(state, run, step, now)
         return wait
 
@@ -254,6 +255,7 @@ class Scheduler:
         for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
             self.admission.pilot.forget(cell)
+            self.adviser.own.forget(cell)
             self.room.refill(state, cell)
         for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
@@ -279,10 +281,21 @@ class Scheduler:
             active = state.runs.active.values()
             names.update({(run.id, step): True for run in active for step in list_ready_steps(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
+        for cell in self._list_cells(state, names):
+            if self.admission.find_order(state, cell, now):
+                names |= self.sleepers.find_waiting(cell_key(cell))  # others may go first now
         seen: dict[Kind, list[Wait]] = {}
         return [
             spot for spot in (self._look_again(state, name, now, seen) for name in names) if spot is not None
         ]
+
+    def _list_cells(self, state: LabState, names: Iterable[Name]) -> list[str]:
+        """The workcells in which these are."""
+        found: dict[str, bool] = {}
+        for who, _ in names:
+            run = state.runs.active.get(RunId(who))
+            found[state.runs.plan_of(run).workcell if run is not None else self.room.cell_of(who)] = True
+        return [cell for cell in found if cell]
 
     def _find_touched(self, state: LabState, keys: Iterable[str]) -> Touched:
         """What the keys stand for, with the workcells of all that is over: the state does not know any more
@@ -379,6 +392,11 @@ class Scheduler:
                 yield state.runs.plan_of(run)
 
 
+def make_scheduler() -> Scheduler:
+    """The scheduler of a lab's kernel: it looks for an order before the first of several runs starts."""
+    return Scheduler(OwnOrders(before_start=BEFORE_START))
+
+
 def list_ready_steps(state: LabState, run: RunState) -> list[int]:
     """Steps whose turn it is: pending, with everything before them done."""
     plan, steps = state.runs.plan_of(run), run.steps
@@ -422,4 +440,4 @@ def _cell_of(state: LabState, name: str) -> str | None:
     return cell_of_run(state, name) or None
 
 
-__all__ = ["Scheduler", "StepStart", "list_ready_steps"]
+__all__ = ["Scheduler", "StepStart", "list_ready_steps", "make_scheduler"]

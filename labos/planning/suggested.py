@@ -27,9 +27,10 @@ from labos.core.rules import lab_ns
 from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.core.waits import Wait, module_key, station_key, zone_key
-from labos.core.zones import zones_of
+from labos.core.waits import Wait, station_key
 from labos.planning.forecast import is_pending
+from labos.planning.own_order import OWN, OwnOrders
+from labos.planning.taken import list_taken as list_taken
 from labos.planning.touch import cell_key
 from labos.planning.urgency import is_urgent
 
@@ -56,9 +57,11 @@ class OrderLookup(msgspec.Struct):
 
 
 class Adviser:
-    """The suggestions of one state after the other, each put in order once."""
+    """The suggestions of one state after the other, each put in order once. Without one, the lab's ``own``
+    order counts."""
 
-    def __init__(self) -> None:
+    def __init__(self, own: OwnOrders | None = None) -> None:
+        self.own = own if own is not None else OwnOrders()
         self._known: dict[str, OrderLookup] = {}
         self._since: dict[tuple[RunId, int], int] = {}
 
@@ -74,7 +77,11 @@ class Adviser:
 
     def is_time(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step should have started by now, by what was suggested."""
-        return bool(state.suggestions.orders) and self.start_of(state, run, step, now) <= now
+        return self.has_orders(state) and self.start_of(state, run, step, now) <= now
+
+    def has_orders(self, state: LabState) -> bool:
+        """Whether any workcell has an order."""
+        return bool(state.suggestions.orders) or bool(self.own)
 
     def find_next(self, state: LabState, run: RunState, now: int) -> RunState:
         """Who should be let in of those who wait in line with this run, the first of them."""
@@ -121,12 +128,15 @@ class Adviser:
                 enough = self._since.setdefault((run.id, step), now) + lab_ns(state, MOST_S)
                 if enough < now:
                     return None
-                why = reasons.AfterSuggested(str(other.id), resource.partition(":")[2])
-                return Wait(why, (cell_key(plan.workcell),), min(until, enough) + 1)
+                kind = reasons.AfterOrdered if advice.order.by == OWN else reasons.AfterSuggested
+                why = kind(str(other.id), resource.partition(":")[2])
+                soon = self.own.goes_on_at(plan.workcell)
+                until = min(until, enough) + 1
+                return Wait(why, (cell_key(plan.workcell),), until if soon is None else min(until, soon))
         return None
 
     def _advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
-        order = state.suggestions.orders.get(cell)
+        order = state.suggestions.orders.get(cell) or self.own.find(cell)
         if order is None or order.until <= now:
             return None
         known = self._known.get(cell)
@@ -172,23 +182,6 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:
         for resource in _list_resources(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)
     return advice
-
-
-def list_taken(state: LabState, step: PlanStep) -> list[str]:
-    """The keys of what one step at a time may have, as long as it lasts: its module and zones, the modules
-    that a hand reaches into, and the place where it changes its grip."""
-    found: dict[str, bool] = {}
-    if step.exclusive:
-        found[module_key(step.module)] = True
-        found.update(dict.fromkeys(map(zone_key, zones_of(state, step.module, step.effects)), True))
-    for what in list_carried(step.effects):
-        if what.via:
-            found[station_key(what.via)] = True
-        for place in what.entered:
-            spec = state.bench.stations[place].spec
-            if spec.module and not spec.stands_apart:
-                found[module_key(spec.module)] = True
-    return list(found)
 
 
 def _list_resources(state: LabState, step: PlanStep) -> list[str]:

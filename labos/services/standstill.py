@@ -298,6 +298,7 @@ class Standstill:
                 | reasons.WouldBlock()
                 | reasons.HoldsUp()
                 | reasons.SoonerLater()
+                | reasons.AfterOrdered()
                 | reasons.AfterSuggested()
                 | reasons.ClockLater()
                 | reasons.Unsafe()

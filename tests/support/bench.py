@@ -462,12 +462,13 @@ class Driver:
 
     def find_missed(self) -> list[str]:
         """What a scheduler that looks at everything would start now, though nothing was proposed:
-        a start that nobody was woken for. Whom it has passed over, and how it means to keep windows, is
-        all that it is told."""
+        a start that nobody was woken for. Whom it has passed over, how it means to keep windows, and its own
+        order are all that it is told."""
         fresh = Scheduler()
         fresh.room._passed_over = copy.deepcopy(self.scheduler.room._passed_over)
         fresh.patience = copy.deepcopy(self.scheduler.patience)
         fresh.reservations.windows.remember(self.scheduler.reservations.windows)
+        fresh.adviser.own = copy.deepcopy(self.scheduler.adviser.own)
         start = next(iter(fresh.proposals(self.state, self.now)), None)
         return [] if start is None else [f"{start.run}#{start.step}"]
 

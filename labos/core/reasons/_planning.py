@@ -88,6 +88,13 @@ class AfterSuggested(Reason, frozen=True):
     place: str
 
 
+class AfterOrdered(Reason, frozen=True):
+    SENTENCE = "all work ends sooner if {run} goes first, at {place}"
+    WAKES = ("cell",)
+    run: str
+    place: str
+
+
 class ClockLater(Reason, frozen=True):
     SENTENCE = "the planner suggests that the clock of {step!r} starts later (at about {at})"
     WAKES = ("cell",)
@@ -136,6 +143,7 @@ PlanningReason = (
     | FollowsLate
     | ForOthers
     | AfterElder
+    | AfterOrdered
     | AfterSuggested
     | ClockLater
     | WouldBlock

@@ -46,7 +46,7 @@ def mean(case: Case, jitter: float, seeds: int, seconds: float, level: float | N
         planner = None
         if level is not None:
             planner = Planner(seconds=seconds, solver=partial(solve, counted=True), level=level)
-        player = Player(case.cell, case.stock, jitter=jitter, seed=seed, planner=planner)
+        player = Player(case.cell, case.stock, jitter=jitter, seed=seed, planner=planner, together=False)
         outcomes.append(player.play(case.works))
     total = sum(outcome.makespan_s for outcome in outcomes)
     return Mean(total / len(outcomes), sum(outcome.breaches for outcome in outcomes))

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.decide import Command, Rejection
 from labos.core.decide.actions import FinishAction
+from labos.core.decide.batches import MOST_RUNS, SubmitRuns
 from labos.core.decide.control import PauseStarts, ResumeStarts
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
@@ -30,7 +31,7 @@ from labos.core.runs import RunCompleted, RunSubmitted
 from labos.core.steps import WindowBreached
 from labos.planner.planner import Planner
 from labos.planner.watch import CellWatch, list_waiting
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_scheduler
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Entry
@@ -74,18 +75,19 @@ class Outcome(msgspec.Struct):
 class Player:
     """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way. A planner
     looks when runs are submitted; where durations scatter also when runs come or go inside, or are late.
-    ``together``: nothing starts before all is submitted that waits for nothing, as with a planner."""
+    ``together``: the runs that wait for nothing are submitted in one command, as by ``submit_all``; else one
+    after the other, and the first one starts before the next one is known."""
 
     def __init__(
         self,
         cell: Workcell,
         stock: Mapping[StationName, tuple[str, int]],
-        plan_with: Callable[[], Scheduler] = Scheduler,
+        plan_with: Callable[[], Scheduler] = make_scheduler,
         jitter: float = 0.0,
         seed: int = 0,
         planner: Planner | None = None,
         *,
-        together: bool = False,
+        together: bool = True,
     ) -> None:
         self.cell, self.stock, self.jitter = cell, stock, jitter
         self.random = random.Random(f"league/{seed}")
@@ -97,7 +99,6 @@ class Player:
         self._asked = False
         self._seen: set[RunId] = set()
         self._ended = 0
-        self._awaited = 0
         self.outcome = Outcome(0.0, [], 0, {})
         self._begun: dict[tuple[RunId, int], float] = {}
         self._ends: dict[RunId, asyncio.Event] = {}
@@ -123,27 +124,44 @@ class Player:
         for station in self.cell.places:
             kind, count = self.stock.get(station.name, ("", 0))
             self._tell(DeclareStation(station.name, (kind,) * count))
-        if self.planner is not None or self.together:
-            self._tell(PauseStarts(WHOLE_LAB, "league"))  # until all is there that is there at once
-        self._awaited = sum(not work.after_s for work in works)
-        await asyncio.gather(*(self._do(number, work) for number, work in enumerate(works)))
+        if self.planner is not None:
+            self._tell(PauseStarts(WHOLE_LAB, "league"))  # until it has looked
+        at_once = {number: work for number, work in enumerate(works) if self.together and not work.after_s}
+        submitted = self._submit_together(at_once)
+        await asyncio.gather(
+            *(self._do(number, work, *submitted.get(number, ())) for number, work in enumerate(works))
+        )
         self.outcome.makespan_s = max(step.end_s for step in self.outcome.steps)
         await self.kernel.close()
 
-    async def _do(self, number: int, work: Work) -> None:
+    def _submit_together(self, works: Mapping[int, Work]) -> dict[int, tuple[ExperimentId, RunId]]:
+        """Submit the first run of each work, as many in one command as it takes."""
+        numbers = list(works)
+        experiments = {number: self._start_experiment(works[number]) for number in numbers}
+        names: list[RunId] = []
+        for first in range(0, len(numbers), MOST_RUNS):
+            batch = numbers[first : first + MOST_RUNS]
+            runs = tuple(replace(works[n].runs[0], experiment=experiments[n]) for n in batch)
+            names += _list_submitted(self._tell(SubmitRuns(runs)))
+        return {n: (experiments[n], name) for n, name in zip(numbers, names, strict=True)}
+
+    def _start_experiment(self, work: Work) -> ExperimentId:
+        if work.experiment is None:
+            return ExperimentId("")
+        started = self._tell(work.experiment)
+        return next(e.experiment for e in started if isinstance(e, ExperimentStarted))
+
+    async def _do(
+        self, number: int, work: Work, experiment: ExperimentId | None = None, first: RunId | None = None
+    ) -> None:
+        """Submit the runs of a work, one after the other; some have submitted the first one already."""
         await asyncio.sleep(work.after_s)
-        experiment = ExperimentId("")
-        if work.experiment is not None:
-            started = self._tell(work.experiment)
-            experiment = next(e.experiment for e in started if isinstance(e, ExperimentStarted))
+        experiment = self._start_experiment(work) if experiment is None else experiment
         for index, run in enumerate(work.runs):
-            events = self._tell(replace(run, experiment=experiment))
-            name = next(event.run for event in events if isinstance(event, RunSubmitted))
+            name = first if not index else None
+            if name is None:
+                (name,) = _list_submitted(self._tell(replace(run, experiment=experiment)))
             self.outcome.works[name] = number, index
-            if not index and not work.after_s:
-                self._awaited -= 1
-                if self.together and self.planner is None and not self._awaited:
-                    self._tell(ResumeStarts(WHOLE_LAB, "league"))
             await self._ends.setdefault(name, asyncio.Event()).wait()
         if experiment:
             self._tell(EndExperiment(experiment))
@@ -207,3 +225,7 @@ class Player:
         took = step.duration_s * self.random.uniform(1 - self.jitter, 1 + self.jitter)
         done = FinishAction(event.action, event.attempt, True, "all")
         self.loop.call_later(took, self._tell, done)
+
+
+def _list_submitted(events: Sequence[Event]) -> list[RunId]:
+    return [event.run for event in events if isinstance(event, RunSubmitted)]

@@ -60,7 +60,7 @@ def read_best() -> dict[str, Known]:
 
 
 def play_case(
-    case: Case, *, planner: bool = False, seconds: float = PLANNER_S, together: bool = False
+    case: Case, *, planner: bool = False, seconds: float = PLANNER_S, together: bool = True
 ) -> Outcome:
     plans = make_planner(seconds) if planner else None
     return Player(case.cell, case.stock, planner=plans, together=together).play(case.works)
@@ -82,7 +82,7 @@ def times_of(case: Case, outcome: Outcome) -> Times:
     return found
 
 
-def score(case: Case, *, planner: bool = False, seconds: float = PLANNER_S, together: bool = False) -> Score:
+def score(case: Case, *, planner: bool = False, seconds: float = PLANNER_S, together: bool = True) -> Score:
     """Play a case. Raises AssertionError if what came of it cannot have happened."""
     outcome = play_case(case, planner=planner, seconds=seconds, together=together)
     problem, done = problem_of(case.cell, case.works), times_of(case, outcome)

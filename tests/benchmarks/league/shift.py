@@ -97,7 +97,9 @@ def play(seed: int, seconds: float) -> Result:
     done = works(seed)
     planned = Planner(seconds=seconds, solver=partial(solve, counted=True)) if seconds else None
     stock = {**RPL_STOCK, StationName("rpl/sciclops.tower3"): ("plate96", 20)}
-    outcome = Player(CELL.workcell, stock, jitter=JITTER, seed=seed, planner=planned).play(done)
+    outcome = Player(CELL.workcell, stock, jitter=JITTER, seed=seed, planner=planned, together=False).play(
+        done
+    )
     waits = dict(_waits(outcome, done))
     ends = _ends(outcome)
     urgent = next(run for run, (work, _) in outcome.works.items() if work == len(done) - 1)

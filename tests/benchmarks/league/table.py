@@ -64,7 +64,7 @@ class Keeper:
     """Plays cases, but for those that the file has. It does not say which planning it is of: begin a new one
     where planning has changed."""
 
-    def __init__(self, file: Path | None, seconds: float, *, together: bool = False) -> None:
+    def __init__(self, file: Path | None, seconds: float, *, together: bool = True) -> None:
         self.file, self.seconds, self.together = file, seconds, together
         self._kept: dict[tuple[str, float], Kept] = {}
         if file is not None and file.exists():
@@ -101,8 +101,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.league.table", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="families, or parts of names; all if none")
     parser.add_argument("--online", action="store_true", help="without the planner only")
-    together = "nothing starts online before all is submitted, as with the planner"
-    parser.add_argument("--together", action="store_true", help=together)
+    one_by_one = "runs are submitted one after the other: the first starts before the next is known"
+    parser.add_argument("--one-by-one", action="store_true", help=one_by_one)
     parser.add_argument(
         "--keep", type=Path, metavar="FILE", help="write each result there at once; play no case twice"
     )
@@ -110,7 +110,7 @@ def main() -> None:
         "--seconds", type=float, default=PLANNER_S, help="how long the planner may look each time, counted"
     )
     options = parser.parse_args()
-    keeper = Keeper(options.keep, options.seconds, together=options.together)
+    keeper = Keeper(options.keep, options.seconds, together=not options.one_by_one)
     online: list[Score] = []
     planned: list[Score] = []
     print(_line(*HEADINGS))

@@ -1,0 +1,467 @@
+"""Finds an order in which the next motions of a workcell should start, by inserting runs one by one.
+
+An order of motions is a list of runs: each stands in it once for each of its motions that are left. It says
+which run goes first wherever two need the same. How long it takes is worked out in the simplified model
+(``outline``). A run is taken out of the list and put back at the best place: each of its motions then stands
+where it does not have to wait, as long as the places on its way are free. So the list stays possible. Again
+and again one or two runs are taken out and put back, and what ends sooner is kept.
+
+In one turn of the kernel at most ``AT_ONCE`` lists are tried. Runs that can start do so with the best one so
+far, and the search goes on from it. The choice of runs is drawn from the state: the same state has the same
+order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import msgspec
+
+from labos.core.ids import RunId
+from labos.core.rules import lab_ns
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.core.suggestions import OrderSuggested, Suggested
+from labos.planning.outline import Outline, Ways
+
+OWN = "labos"
+"""By whom the lab's own order is."""
+
+ENOUGH = 3000
+"""So many lists are tried for the same runs, not all at once."""
+
+AT_ONCE = 60
+"""So many are tried in one turn of the kernel."""
+
+BEFORE_START = 2000
+"""So many are tried before the first run starts in an empty workcell: what it does cannot be taken back."""
+
+BREATH_NS = 2_000_000
+"""The pause between two turns of a search: work that has to be done goes on meanwhile."""
+
+REFRESH_S, REFRESHED = 1.0, 20
+"""Once enough have been tried, an order is looked at again after so many lab seconds at the earliest, and so
+many lists are tried then."""
+
+STALE_S = 60.0
+"""After so many lab seconds an order that is not followed counts no more."""
+
+WORSE = 0.25
+"""A list that takes longer by up to this part may be gone on from."""
+
+Value = tuple[int, int]
+"""When all is over, and the sum of the runs' ends: less is better."""
+
+
+Part = tuple[int, int, tuple[int, ...], tuple[int, ...], tuple[int, ...]]
+"""A step, its time, what it takes, what it takes room in from its beginning, and what it frees at its end."""
+
+_MASK = 2**64 - 1
+
+
+class Motion(msgspec.Struct, frozen=True, gc=False):
+    """A motion of a run, and the steps that follow it up to the next one. ``left`` is the time of these and
+    of all later ones."""
+
+    parts: tuple[Part, ...]
+    left: int
+
+
+class OwnOrder(msgspec.Struct):
+    """The order of a workcell: the runs of its motions; those of the list with which the search ended; when
+    its steps start; for which runs it was found; when it was ``seen``; and how many lists were tried. ``due``
+    are steps that could have started, and since when. It is ``barred`` if one of them has not started for
+    long: the model does not know what it waits for."""
+
+    motions: list[RunId]
+    last: list[RunId]
+    order: OrderSuggested
+    runs: frozenset[RunId]
+    seen: int
+    tried: int
+    due: dict[tuple[RunId, int], int] = {}
+    barred: bool = False
+
+
+def _list_sequence(order: OrderSuggested) -> list[tuple[RunId, int]]:
+    return [(one.run, one.step) for one in order.steps]
+
+
+def _list_lines(known: OwnOrder | None) -> tuple[list[RunId], list[RunId]]:
+    return ([], []) if known is None else (known.motions, known.last)
+
+
+class OwnOrders:
+    """The orders that the lab has found by itself, one for each workcell. In an empty workcell, no run starts
+    before so many lists have been tried: ``before_start``."""
+
+    def __init__(self, enough: int = ENOUGH, before_start: int = 0) -> None:
+        self._enough, self._before_start = enough, before_start
+        self._ways: dict[str, Ways] = {}
+        self._known: dict[str, OwnOrder] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._known)
+
+    def find(self, cell: str) -> OrderSuggested | None:
+        """The order of a workcell, if there is one."""
+        known = self._known.get(cell)
+        return None if known is None or known.barred else known.order
+
+    def forget(self, cell: str) -> None:
+        """The bench of a workcell has changed."""
+        self._ways.pop(cell, None)
+        self._known.pop(cell, None)
+
+    def drop(self, cell: str) -> bool:
+        """There is no order for a workcell as it is now. Returns whether there was one."""
+        return self._known.pop(cell, None) is not None
+
+    def search(
+        self, state: LabState, cell: str, inside: Sequence[RunState], waiting: Sequence[RunState], now: int
+    ) -> bool:
+        """Find an order for these runs, or a better one; whether it is another one than before."""
+        runs = frozenset(run.id for run in (*inside, *waiting))
+        known = self._known.get(cell)
+        is_new = known is None or not runs <= known.runs
+        if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
+            return False
+        outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
+        search = Search(outline)
+        if not outline.is_safe or not search.is_possible:
+            return self.drop(cell)
+        numbers = {run.id: number for number, run in enumerate(outline.runs)}
+        best, last = ([numbers[run] for run in line if run in numbers] for line in _list_lines(known))
+        tried = known.tried if known is not None and not is_new else 0
+        improved = search.improve(REFRESHED if tried >= self._enough else AT_ONCE, best, last)
+        if improved is None:
+            return self.drop(cell)
+        found, here = improved
+        names = [run.id for run in outline.runs]
+        steps = tuple(Suggested(names[who], step, time) for time, who, step in sorted(found.starts))
+        until = found.value[0] + lab_ns(state, STALE_S)
+        was = known.due if known is not None else {}
+        due = {(one.run, one.step): was.get((one.run, one.step), now) for one in steps if one.start <= now}
+        barred = any(now - since > lab_ns(state, STALE_S) for since in due.values())
+        order = OrderSuggested(cell, OWN, until, steps)
+        motions, last_motions = ([names[who] for who in each.order] for each in (found, here))
+        tried += search.tried
+        self._known[cell] = OwnOrder(motions, last_motions, order, runs, now, tried, due, barred)
+        return known is None or barred or _list_sequence(known.order) != _list_sequence(order)
+
+    def goes_on_at(self, cell: str) -> int | None:
+        """When the search goes on (UTC ns); None if it is over."""
+        known = self._known.get(cell)
+        if known is None or known.barred or known.tried >= self._enough:
+            return None
+        return known.seen + BREATH_NS
+
+    def is_too_early(self, state: LabState, cell: str) -> bool:
+        """Whether no run should start yet in an empty workcell."""
+        known = self._known.get(cell)
+        if known is None or known.barred or state.runs.inside(cell):
+            return False
+        return known.tried < min(self._before_start, self._enough)
+
+    def _find_next_look(self, state: LabState, known: OwnOrder) -> int:
+        pause = BREATH_NS if known.tried < self._enough else lab_ns(state, REFRESH_S)
+        return known.seen + pause
+
+
+class Found(msgspec.Struct, frozen=True):
+    value: Value
+    order: list[int]
+    starts: list[tuple[int, int, int]]
+    """(time, run, step)"""
+
+
+class Search:
+    """Looks for an order of the motions of an outline. ``tried`` counts the lists."""
+
+    def __init__(self, outline: Outline) -> None:
+        self.outline = outline
+        self.tried = 0
+        self._count = len(outline.runs)
+        self._room = outline.room
+        self._ready = [outline.now] * self._count
+        self._held: list[dict[int, int]] = []
+        self._free_at = [outline.now] * len(self._room)
+        self._slots = [
+            [outline.now] * max(0, room - used) for room, used in zip(self._room, outline.used, strict=True)
+        ]
+        self._before: list[list[Part]] = []
+        self._motions: list[list[Motion]] = []
+        flying = {who: (end, step) for end, who, step in outline.flying}
+        for end, who, step in outline.flying:
+            task = outline.ways[who][step]
+            self._ready[who] = max(self._ready[who], end)
+            for key in task.takes:
+                self._free_at[key] = max(self._free_at[key], end)
+            for key in task.frees:
+                self._slots[key].append(end)
+        self.is_possible = len(flying) == len(outline.flying) and all(map(self._read, range(self._count)))
+        busy = {key for _, who, step in outline.flying for key in outline.ways[who][step].takes}
+        self.is_possible &= all(not taken or key in busy for key, taken in enumerate(outline.busy))
+
+    def _read(self, who: int) -> bool:
+        """Take down a run's steps that are left; whether they stand in one line."""
+        outline = self.outline
+        way, times = outline.ways[who], outline.times[who]
+        line = self._list_line(who)
+        if line is None:
+            return False
+        before: list[Part] = []
+        groups: list[list[Part]] = []
+        for step in line:
+            task = way[step]
+            if task.carries:
+                groups.append([])
+            (groups[-1] if groups else before).append((step, times[step], task.takes, task.gets, task.frees))
+        self._before.append(before)
+        left, motions = 0, list[Motion]()
+        held: dict[int, int] = {}
+        for group in reversed(groups):
+            left += sum(part[1] for part in group)
+            motions.append(Motion(tuple(group), left))
+            _, _, _, gets, frees = group[0]
+            for key in frees:
+                held[key] = held.get(key, 0) + 1
+            for key in gets:
+                held[key] = max(0, held.get(key, 0) - 1)
+        self._motions.append(motions[::-1])
+        self._held.append({key: count for key, count in held.items() if count})
+        return True
+
+    def _list_line(self, who: int) -> list[int] | None:
+        """A run's main steps that have not begun, each of which waits for the one before; None if some stand
+        beside each other."""
+        outline = self.outline
+        way, turns = outline.ways[who], outline.turns[who]
+        flown = [step for _, other, step in outline.flying if other == who]
+        if len(turns) + len(flown) > 1:
+            return None
+        line: list[int] = []
+        at = [*turns, *flown]
+        while at:
+            if at[0] not in flown:
+                line.append(at[0])
+            at = [after for after in way[at[0]].followers if way[after].main]
+            if len(at) > 1 or any(way[after].before > 1 for after in at):
+                return None
+        return line if len(line) + len(flown) == max(outline.left[who], 0) else None
+
+    # -- how long an order takes ---------------------------------------------------------------------
+
+    def measure(
+        self, order: Sequence[int], most: int | None = None, without: frozenset[int] = frozenset()
+    ) -> Found | None:
+        """When each step starts in this order, as if runs that are left out were not there; None if it is not
+        possible, or if all of it is over later than ``most``."""
+        self.tried += 1
+        free_at, ready = list(self._free_at), list(self._ready)
+        slots = [list(times) for times in self._slots]
+        at = [0] * self._count
+        starts: list[tuple[int, int, int]] = []
+        last = total = 0
+        for who in without:
+            for key, count in self._held[who].items():
+                slots[key] += [self.outline.now] * count
+        for who, parts in enumerate(self._before):
+            if parts and who not in without and not self._go(who, parts, ready, free_at, slots, starts):
+                return None
+        for who in order:
+            motion = self._motions[who][at[who]]
+            at[who] += 1
+            if not self._go(who, motion.parts, ready, free_at, slots, starts):
+                return None
+            if most is not None and starts[-len(motion.parts)][0] + motion.left > most:
+                return None
+        for who, end in enumerate(ready):
+            if who not in without:
+                total += end
+                last = max(last, end)
+        return Found((last, total), list(order), starts)
+
+    def _go(
+        self,
+        who: int,
+        parts: Sequence[Part],
+        ready: list[int],
+        free_at: list[int],
+        slots: list[list[int]],
+        starts: list[tuple[int, int, int]],
+    ) -> bool:
+        """Let a run do these steps as soon as it can; False if there is no room for it yet."""
+        time = ready[who]
+        for step, lasts, takes, gets, frees in parts:
+            for key in takes:
+                if free_at[key] > time:
+                    time = free_at[key]
+            for key in gets:
+                times = slots[key]
+                if not times:
+                    return False
+                first = min(times)
+                times.remove(first)
+                if first > time:
+                    time = first
+            starts.append((time, who, step))
+            time += lasts
+            for key in takes:
+                free_at[key] = time
+            for key in frees:
+                slots[key].append(time)
+        ready[who] = time
+        return True
+
+    # -- putting a run into an order -----------------------------------------------------------------
+
+    def insert(self, order: Sequence[int], who: int, out: frozenset[int] = frozenset()) -> Found | None:
+        """The best order with a run that this one does not have. Others that are ``out`` of it are put back
+        later."""
+        gone = out | {who}
+        found = self.measure(order, without=gone)
+        if found is None:
+            return None
+        if not self._motions[who]:
+            return self.measure(order, without=out)
+        used, peaks, begun = self._list_used(found, gone)
+        best: Found | None = None
+        seen: set[tuple[int, ...]] = set()
+        for first in range(1 if self.outline.inside[who] else len(order) + 1):
+            places = self._find_places(who, first, used, peaks, begun)
+            if places is None or places in seen:
+                continue
+            seen.add(places)
+            merged: list[int] = []
+            done = 0
+            for place in places:
+                merged += order[done:place]
+                merged.append(who)
+                done = place
+            merged += order[done:]
+            other = self.measure(merged, best.value[0] if best is not None else None, without=out)
+            if other is not None and (best is None or other.value < best.value):
+                best = other
+        return best
+
+    def _list_used(
+        self, found: Found, gone: frozenset[int]
+    ) -> tuple[list[list[int]], list[list[int]], list[int]]:
+        """How many take room before each motion of an order, and during each; and when each begins."""
+        floor = list(self.outline.floor)
+        for who in gone:
+            for key, count in self._held[who].items():
+                floor[key] -= count
+        used, peaks = [floor], list[list[int]]()
+        times = {(who, step): time for time, who, step in found.starts}
+        at, begun = [0] * self._count, list[int]()
+        for who in found.order:
+            step, _, _, gets, frees = self._motions[who][at[who]].parts[0]
+            at[who] += 1
+            now = list(used[-1])
+            for key in gets:
+                now[key] += 1
+            peaks.append(now)
+            now = list(now)
+            for key in frees:
+                now[key] -= 1
+            used.append(now)
+            begun.append(times[who, step])
+        return used, peaks, begun
+
+    def _find_places(
+        self, who: int, first: int, used: list[list[int]], peaks: list[list[int]], begun: list[int]
+    ) -> tuple[int, ...] | None:
+        """Where the motions of a run stand if it sets out at ``first``: each waits until it is ready, but
+        goes on before another one needs the place where the run is. None if that is not possible."""
+        room, length = self._room, len(begun)
+        held = dict(self._held[who])
+        places: list[int] = []
+        place = first
+        ready = self._ready[who] + sum(part[1] for part in self._before[who])
+        is_outside = not self.outline.inside[who]
+        for motion in self._motions[who]:
+            _, _, _, gets, frees = motion.parts[0]
+            sets_out = is_outside and not places
+            last = -1
+            while True:
+                if all(used[place][key] + held.get(key, 0) < room[key] for key in gets):
+                    last = place
+                    if sets_out or place == length or begun[place] >= ready:
+                        break
+                if sets_out or place == length:
+                    break
+                if any(peaks[place][key] + count > room[key] for key, count in held.items()):
+                    break
+                place += 1
+            if last < 0:
+                return None
+            place = last
+            places.append(place)
+            for key in gets:
+                held[key] = held.get(key, 0) + 1
+            for key in frees:
+                held[key] = held.get(key, 0) - 1
+            ready = max(ready, begun[place - 1] if place else 0) + sum(part[1] for part in motion.parts)
+        return tuple(places)
+
+    # -- the search ----------------------------------------------------------------------------------
+
+    def improve(
+        self, most: int, order: Sequence[int] = (), last: Sequence[int] = ()
+    ) -> tuple[Found, Found] | None:
+        """A good order, and the one with which the search ended; None if none is found. It begins with what
+        was found ``last``, and the best ``order`` so far. So many lists are tried."""
+        best = self._complete(list(order)) or self._complete([])
+        if best is None:
+            return None
+        here, draw = (self._complete(list(last)) if last else None) or best, self._draw()
+        stop = self.tried + most
+        while self.tried < stop and self._count > 1:
+            left = list(range(self._count))
+            out = [left.pop(next(draw) % len(left)) for _ in range(1 + next(draw) % (self._count // 2 + 1))]
+            rest = [who for who in here.order if who in left]
+            other: Found | None = None
+            while out:
+                who = out.pop()
+                other = self.insert(rest, who, frozenset(out))
+                if other is None:
+                    break
+                rest = other.order
+            if other is None:
+                continue
+            over = (here.value[0] - self.outline.now) * WORSE * (next(draw) % 100) / 100
+            if other.value <= here.value or other.value[0] <= here.value[0] + over:
+                here = other
+            if other.value < best.value:
+                best = other
+        return best, here
+
+    def _complete(self, order: list[int]) -> Found | None:
+        """An order with all motions that are left: those that have begun are gone, runs that are new are put
+        in, the longest first, and of equally long ones the youngest: who comes later is put in front."""
+        kept: list[int] = []
+        left = [len(motions) for motions in self._motions]
+        for who in reversed(order):
+            if left[who]:
+                left[who] -= 1
+                kept.append(who)
+        new = [who for who in range(self._count) if left[who]]
+        rest = [who for who in reversed(kept) if who not in new]
+        new.sort(key=lambda who: (not self.outline.inside[who], -self._motions[who][0].left, -who))
+        found: Found | None = None
+        while new:
+            who = new.pop(0)
+            found = self.insert(rest, who, frozenset(new))
+            if found is None:
+                return None
+            rest = found.order
+        return found or self.measure(rest)
+
+    def _draw(self) -> Iterator[int]:
+        """Numbers that look like chance, the same for the same state."""
+        value = (self.outline.now ^ len(self.outline.runs)) & _MASK
+        while True:
+            value = (value * 6364136223846793005 + 1442695040888963407) & _MASK
+            yield value >> 33
