@@ -1,4 +1,4 @@
-"""Approvals as rows: who approved or refused what, as which digest, when, and with which comment."""
+"""Approvals as rows: the person, the submission and its digest, the time, and the comment."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def on_refused(rows: RowChanges, event: p.ApprovalRefused, head: Envelope, at: f
 
 
 def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at: float) -> None:
-    """Of a run that nobody had to approve but a second person."""
+    """Handle a run that needs only the approval of a second person."""
     run = rows.get(RUNS, event.run)
     rows.put(
         APPROVALS,
@@ -80,7 +80,7 @@ def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at:
 def _answer(
     rows: RowChanges, subject: str, answer: str, by: str, comment: str, head: Envelope, at: float
 ) -> Row | None:
-    """The row of what waits, with its answer; None if nothing does."""
+    """The row of a waiting submission, with its answer; None if none waits."""
     waiting = rows.get(WAITING, subject)
     row = rows.change(APPROVALS, waiting["position"]) if waiting is not None else None
     if row is None or row["answer"]:

@@ -1,4 +1,4 @@
-"""Labware as rows, where it stood and stands."""
+"""Labware as rows, with its present and earlier places."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def on_uncertain(rows: RowChanges, event: b.LabwareUncertain, head: Envelope, at
 
 
 def on_removed(rows: RowChanges, event: b.LabwareRemoved, head: Envelope, at: float) -> None:
-    """A plate leaves with the lid on it; one that may be elsewhere stays in doubt."""
+    """A plate leaves together with its lid; a lid that may be elsewhere stays uncertain."""
     row = rows.change(LABWARE, event.labware)
     source = row["station"] if row is not None else ""
     if row is not None:

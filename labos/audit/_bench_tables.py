@@ -69,7 +69,6 @@ MOVES = Table(
         by_people("why", "A reason, or the observer; empty if none."),
     ),
     view="labware_moves",
-    grows=True,
     indexes=(("labware", "position"),),
 )
 
@@ -79,7 +78,6 @@ TOUCHES = Table(
     ("labware", "position"),
     (LABWARE, POSITION),
     view="labware_touches",
-    grows=True,
 )
 
 TRANSFERS = Table(
@@ -102,7 +100,6 @@ TRANSFERS = Table(
         ACTION,
     ),
     view="transfers",
-    grows=True,
     indexes=(("labware", "well", "position"), ("action",)),
 )
 
@@ -121,7 +118,6 @@ SAMPLES = Table(
         text("actor", "The user who registered it."),
     ),
     view="samples",
-    grows=True,
     indexes=(("sample",), ("labware", "position")),
 )
 
@@ -159,7 +155,6 @@ RESOURCE_CHANGES = Table(
         text("actor", "The cause: a user, a module, or `labos`."),
     ),
     view="resource_changes",
-    grows=True,
     indexes=(("module", "resource", "position"), ("lot",), ("action",)),
 )
 
@@ -180,7 +175,6 @@ LOT_USES = Table(
         ACTION,
     ),
     view="lot_uses",
-    grows=True,
     indexes=(("lot", "position"), ("labware",), ("action",)),
 )
 
@@ -204,7 +198,6 @@ CALIBRATIONS = Table(
         by_people("why", "Their comment."),
     ),
     view="calibrations",
-    grows=True,
     indexes=(("module", "what", "position"),),
 )
 

@@ -40,7 +40,8 @@ def on_drawn(rows: RowChanges, event: b.LiquidDrawn, head: Envelope, at: float) 
 def on_samples_registered(
     rows: RowChanges, event: Any, head: Envelope, at: float, blobs: BlobStore | None
 ) -> None:
-    """A sheet of samples. One too long for the log is a blob; if that is lost, so are its rows."""
+    """Add a sample sheet. A sheet that is too long for the log is a blob; if the blob is lost, its rows are
+    missing."""
     row = rows.change(LABWARE, event.labware)
     samples = event.wells or _unpack(blobs, event.blob)
     if row is not None:
@@ -83,7 +84,7 @@ def on_consumed(rows: RowChanges, event: s.ResourceConsumed, head: Envelope, at:
 def _change(
     rows: RowChanges, event: Any, head: Envelope, at: float, fold: Any, what: tuple[str, float, str, str]
 ) -> None:
-    """The level is folded as the lab itself does it."""
+    """Change a level, with the same fold as the lab itself."""
     row = rows.change(RESOURCES, event.module, event.resource)
     held = s.Resources()
     key = f"{event.module}:{event.resource}"

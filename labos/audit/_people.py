@@ -1,4 +1,4 @@
-"""Users, their experiments, and what the lab asked them, as rows."""
+"""Users, their experiments, and the lab's questions to them, as rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labos.core.users import UserErased
 
 
 def note_actor(rows: RowChanges, head: Envelope, at: float) -> None:
-    """Somebody caused an event; modules and LabOS itself are nobody."""
+    """Record that a user caused an event; modules and LabOS itself are not users."""
     if head.actor != "labos" and "/" not in head.actor:
         _person(rows, head.actor, at)["events"] += 1
 

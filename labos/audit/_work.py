@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, seconds
@@ -19,7 +19,7 @@ from labos.services.files import files_in
 from labos.services.results import labware_of_action, tables
 
 NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
-"""How a table of whole numbers names the parts of a plan that are there for no step."""
+"""The numbers in a table for the parts of a plan that do not belong to a step."""
 
 # -- plans and runs ----------------------------------------------------------------------------
 
@@ -123,9 +123,7 @@ def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float)
             _into(rows, event.run, number, "skipped")
 
 
-def on_run_ended(
-    rows: RowChanges, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
-) -> None:
+def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is None:
         return
@@ -170,7 +168,7 @@ def on_recovering(rows: RowChanges, event: st.StepRecovering, head: Envelope, at
 
 
 def _into(rows: RowChanges, run: str, number: int, state: str, error: str | None = None) -> Row | None:
-    """A step is in another state now; its run counts how many are done."""
+    """Change the state of a step, and the number of done steps of its run."""
     step = rows.change(STEPS, run, number) if run else None
     if step is None:
         return None
@@ -286,7 +284,7 @@ def _end(
 def _add_results(
     rows: RowChanges, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, ended: float
 ) -> None:
-    """What the device returned: files, and values by well."""
+    """Add the results of the device: files, and values by well."""
     action = rows.change(ACTIONS, event.action)
     if action is None or event.result is None:
         return
@@ -307,7 +305,7 @@ def _add_results(
 
 
 def _value(value: Any) -> tuple[float | None, str]:
-    """A measured value as a number, if it is one, and as text."""
+    """A measured value as a number, if possible, and as text."""
     if isinstance(value, bool):
         return None, "true" if value else "false"
     return (None, value) if isinstance(value, str) else (float(value), str(value))
@@ -351,9 +349,7 @@ HANDLERS: dict[Any, Any] = {
     r.RunResumed: on_resumed,
     r.RunCancelling: on_cancelling,
     r.RunLeaving: on_leaving,
-    r.RunCompleted: on_run_ended,
-    r.RunFailed: on_run_ended,
-    r.RunCancelled: on_run_ended,
+    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
     st.WindowBreached: on_breached,
     st.StepRetried: on_retried,
     st.StepSkipped: on_skipped,

@@ -1,4 +1,4 @@
-"""The tables of work: events, runs, steps, actions, their results, and who asked for them."""
+"""The tables of work: events, runs, steps, actions, their results, and their users."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ EVENTS = Table(
         text("id", "The event's own id."),
     ),
     view="events",
-    grows=True,
     indexes=(("at_s",),),
 )
 
@@ -169,7 +168,6 @@ RESULTS = Table(
         text("unit", "Its unit; empty if the device did not report it."),
     ),
     view="results",
-    grows=True,
     indexes=(("run",), ("labware", "well"), ("action",)),
 )
 
@@ -189,7 +187,6 @@ FILES = Table(
         ACTION,
     ),
     view="files",
-    grows=True,
     indexes=(("digest",), ("action",)),
 )
 

@@ -75,7 +75,6 @@ async def run_node(
     metrics: Address | None = None,
     with_parent: bool = False,
     finish_s: float | None = None,
-    stop: asyncio.Event | None = None,
 ) -> None:
     """Answer for ``workcell/name`` until asked to stop; with an empty ``driver``, with the one that the
     workcell names.
@@ -91,7 +90,7 @@ async def run_node(
     the most; asked twice, the node ends at once.
     Raises NotFound, BadInput, JournalError, JournalDamaged, NameTaken.
     """
-    ends = _Ends(stop)
+    ends = _Ends()
     ends.listen(with_parent)
     module = f"{workcell}/{name}"
     if trace:
@@ -302,9 +301,8 @@ async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> 
 class _Ends:
     """A request that the node end: by a signal, or by closing its standard input."""
 
-    def __init__(self, stop: asyncio.Event | None) -> None:
-        self._first = stop or asyncio.Event()
-        self._second = asyncio.Event()
+    def __init__(self) -> None:
+        self._first, self._second = asyncio.Event(), asyncio.Event()
         self._loop = asyncio.get_running_loop()
 
     def listen(self, with_parent: bool) -> None:

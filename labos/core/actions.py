@@ -33,7 +33,8 @@ class ActionEvent(Event, frozen=True):
 class ActionRequested(ActionEvent, frozen=True):
     """The kernel requests an action. The event is on disk before anything is sent. ``attempt`` counts how
     often the same action was sent. ``journal`` is the node's journal for which the request is meant.
-    ``effects`` name the labware that they concern."""
+    ``effects`` name the labware that they concern. ``together`` are all actions that the device carries out
+    at once with this one, this one included; empty if it carries out this one alone."""
 
     attempt: int
     epoch: int
@@ -43,6 +44,7 @@ class ActionRequested(ActionEvent, frozen=True):
     effects: tuple[AnyEffect, ...]
     exclusive: bool = True
     files: dict[str, str] = {}
+    together: tuple[ActionId, ...] = ()
 
 
 @event("action.accepted")
@@ -114,6 +116,10 @@ class ActionReconciled(ActionEvent, frozen=True):
     result: Any = None
 
 
+ActionEnd = ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled
+"""The events with which an action ends."""
+
+
 @event("action.evidence")
 class ActionEvidence(ActionEvent, frozen=True):
     """A result arrived after the outcome of the action had already been settled."""
@@ -154,7 +160,8 @@ class ActionStatus(StrEnum):
 
 class Action(msgspec.Struct):
     """An action that has not ended. Once its device has reported success, ``looks`` are the stations that are
-    looked at before that is believed, and ``result`` and ``ended_ns`` what it said."""
+    looked at before that is believed, and ``result`` and ``ended_ns`` what it said. ``together`` are the
+    actions with which its device carries it out in one go, and itself."""
 
     id: ActionId
     run: RunId
@@ -174,6 +181,7 @@ class Action(msgspec.Struct):
     looks: tuple[StationName, ...] = ()
     result: Any = None
     ended_ns: int = 0
+    together: tuple[ActionId, ...] = ()
 
 
 class Settled(msgspec.Struct):
@@ -244,6 +252,7 @@ def fold_action_requested(actions: Actions, event: ActionRequested, at: int, pos
         files=event.files,
         position=position,
         requested_at=at,
+        together=event.together,
     )
     actions.in_cell.setdefault(workcell_of(event.module), {})[event.action] = True
 

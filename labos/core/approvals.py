@@ -7,7 +7,7 @@ experiments and changes of campaigns; and by a second person, of runs with dange
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 
@@ -26,7 +26,7 @@ from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.open_experiments import Experiments
 from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event, event
-from labos.core.runs import RunCancelled, RunCompleted, RunEvent, RunFailed, Runs, let_wait_anew
+from labos.core.runs import RunEnd, RunEvent, Runs, let_wait_anew
 from labos.core.structs import make_from
 from labos.core.words import Words
 
@@ -202,7 +202,7 @@ def fold_approval_refused(approvals: Approvals, event: ApprovalRefused, at: int)
     del approvals.open[event.subject]
 
 
-def fold_run_ended(approvals: Approvals, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(approvals: Approvals, event: RunEnd, at: int) -> None:
     approvals.open.pop(event.run, None)
 
 
@@ -225,9 +225,7 @@ HANDLERS = {
     ApprovalRequested: fold_approval_requested,
     ApprovalGiven: fold_approval_given,
     ApprovalRefused: fold_approval_refused,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
+    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
     CampaignCancelled: fold_campaign_ended,
     CampaignStopped: fold_campaign_ended,
     CampaignCompleted: fold_campaign_ended,

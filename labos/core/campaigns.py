@@ -7,24 +7,26 @@ order, so that each becomes exactly one run, and a campaign of many rows takes n
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
-from labos.core.actions import (
-    ActionFailed,
-    ActionReconciled,
-    ActionRejected,
-    ActionRequested,
-    ActionSucceeded,
-)
+from labos.core.actions import ActionEnd, ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.conditions import holds
 from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, CampaignId, RunId
 from labos.core.model import Condition
 from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
-from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.runs import (
+    REQUESTS_KEPT,
+    RunCancelled,
+    RunCompleted,
+    RunEnd,
+    RunFailed,
+    RunStarted,
+    RunSubmitted,
+)
 from labos.core.steps import StepUnexpected
 from labos.core.structs import make_from
 from labos.core.viewer import RestrictedCampaign, Visibility
@@ -375,7 +377,7 @@ def fold_run_started(campaigns: Campaigns, event: RunStarted, at: int) -> None:
         campaign.first_started_at = campaign.first_started_at or at
 
 
-def fold_run_ended(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(campaigns: Campaigns, event: RunEnd, at: int) -> None:
     campaign = campaigns.find_by_run(event.run)
     if campaign is None:
         return
@@ -411,9 +413,7 @@ def fold_action_requested(campaigns: Campaigns, event: ActionRequested, at: int)
         campaigns.clocks.setdefault(event.action, at)
 
 
-def fold_action_ended(
-    campaigns: Campaigns, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
-) -> None:
+def fold_action_ended(campaigns: Campaigns, event: ActionEnd, at: int) -> None:
     began = campaigns.clocks.pop(event.action, None)
     campaign = campaigns.find_by_run(event.run)
     if campaign is None:
@@ -464,14 +464,9 @@ HANDLERS = {
     CampaignUnarchived: fold_campaign_unarchived,
     RunSubmitted: fold_run_submitted,
     RunStarted: fold_run_started,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
+    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
     ActionRequested: fold_action_requested,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionReconciled: fold_action_ended,
+    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
     StepUnexpected: fold_step_unexpected,
     ResourceConsumed: fold_resource_consumed,
 }

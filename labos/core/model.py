@@ -117,6 +117,14 @@ class RetryDefault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reset: bool = False
 
 
+class Together(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A device carries these ``actions`` out for the labware of several runs at once. A run waits for the
+    labware of others for at most ``wait_s`` lab seconds after its own could begin."""
+
+    actions: tuple[str, ...]
+    wait_s: float = 0.0
+
+
 class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An instrument or manipulator. ``rest`` are the values of its variables at which others may use it
     (``{"lid": "open"}``). ``regrip`` is the station where a manipulator changes its grip. ``levels`` are the
@@ -125,7 +133,8 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ``on_error``, ``retry`` and ``timeout_s`` are the defaults for its steps: the reaction to a failure, the
     retries before that, and the lab seconds after which the outcome of a step counts as unknown. With
     ``second_person``, runs with dangerous steps there wait for an approval. ``setup`` is the time for
-    changing it from one kind of work to another."""
+    changing it from one kind of work to another, ``together`` the actions that it carries out for several
+    runs at once."""
 
     name: ModuleName
     driver: str
@@ -143,6 +152,7 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout_s: float | None = None
     second_person: bool = False
     setup: Setup | None = None
+    together: Together | None = None
 
 
 class TransferWay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from labos.core.actions import (
+    ActionEnd,
     ActionFailed,
-    ActionReconciled,
     ActionRejected,
     ActionReported,
     ActionRequested,
@@ -439,7 +439,9 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
         module.reached = tuple(sorted(reached))
     setup = module.spec.setup
     if setup is not None and setup.argument in event.args:
-        flight.setup_s = setup.cost_s(module.set_up_for, event.args)
+        others = [module.in_flight[name] for name in event.together if name in module.in_flight]
+        others = [other for other in others if other is not flight]  # it is set up once for all of them
+        flight.setup_s = others[0].setup_s if others else setup.cost_s(module.set_up_for, event.args)
         module.set_up_for = event.args[setup.argument]
     if event.args.get("slow") is True:
         flight.proving = find_unproven(module, event.effects, event.args)
@@ -456,9 +458,7 @@ def fold_action_unknown(modules: Modules, event: ActionUnknown, at: int) -> None
 _CAME_BACK = (ActionSucceeded, ActionRejected)
 
 
-def fold_action_ended(
-    modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
-) -> None:
+def fold_action_ended(modules: Modules, event: ActionEnd, at: int) -> None:
     module = modules.by_name[event.module]
     flight = module.in_flight.pop(event.action, None) or Flight(False)
     if flight.exclusive and isinstance(event, _CAME_BACK):
@@ -524,8 +524,5 @@ HANDLERS = {
     ActionRequested: fold_action_requested,
     ActionReported: fold_action_reported,
     ActionUnknown: fold_action_unknown,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionReconciled: fold_action_ended,
+    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
 }

@@ -171,8 +171,11 @@ class RunCancelled(RunEvent, frozen=True):
     why: Words = ""
 
 
+RunEnd = RunCompleted | RunFailed | RunCancelled
+"""The events with which a run ends."""
+
 RUN_ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)
-"""The types of the events with which a run ends."""
+"""Their types."""
 
 
 class StepState(msgspec.Struct, omit_defaults=True):
@@ -527,7 +530,7 @@ def fold_run_leaving(runs: Runs, event: RunLeaving, at: int) -> None:
         run.steps[index].status = PENDING
 
 
-def fold_run_ended(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(runs: Runs, event: RunEnd, at: int) -> None:
     run = runs.active.pop(event.run, None)
     runs.windowed.pop(event.run, None)
     if run is None:

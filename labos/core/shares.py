@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import msgspec
 
-from labos.core.actions import (
-    ActionFailed,
-    ActionReconciled,
-    ActionRejected,
-    ActionRequested,
-    ActionSucceeded,
-)
+from labos.core.actions import ActionEnd, ActionRequested
 from labos.core.ids import ActionId, RunId
 from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
-from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.runs import RunEnd, RunStarted, RunSubmitted
 from labos.core.users import GroupAdded, GroupRemoved, MemberAdded, MemberRemoved
 
 DAY_NS = 24 * 3600 * 1_000_000_000
@@ -251,7 +247,7 @@ def fold_run_started(shares: Shares, event: RunStarted, at: int) -> None:
         had.running += 1
 
 
-def fold_run_ended(shares: Shares, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(shares: Shares, event: RunEnd, at: int) -> None:
     user = shares.users.pop(event.run, None)
     if user is None:
         return
@@ -267,9 +263,7 @@ def fold_action_requested(shares: Shares, event: ActionRequested, at: int) -> No
     shares.clocks.setdefault(event.action, at)
 
 
-def fold_action_ended(
-    shares: Shares, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
-) -> None:
+def fold_action_ended(shares: Shares, event: ActionEnd, at: int) -> None:
     began = shares.clocks.pop(event.action, at)
     user = shares.users.get(event.run)
     if user is None:
@@ -304,13 +298,8 @@ HANDLERS = {
     MemberRemoved: fold_member_removed,
     RunSubmitted: fold_run_submitted,
     RunStarted: fold_run_started,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
+    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
     ActionRequested: fold_action_requested,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionReconciled: fold_action_ended,
+    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
     ResourceConsumed: fold_resource_consumed,
 }

@@ -230,7 +230,7 @@ class Unexpected(Topic, frozen=True, tag="unexpected"):
     def choices(self) -> tuple[Choice, ...]:
         choices = [Choice("removed", f"It was taken away; {local(self.station)} is as recorded.")]
         if self.type:
-            choices.append(Choice("new", f"It is {self.type}, gets an id and may be used by everybody."))
+            choices.append(Choice("new", f"It is {self.type} for everybody, and gets a name."))
         return tuple(choices)
 
     @property

@@ -10,11 +10,11 @@ import msgspec
 
 from labos.core.campaigns import Budget, Campaign, Terms
 from labos.core.conditions import find_reads
-from labos.core.decide.campaigns import SubmitCampaign, consumption, module_time_s
+from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.policy import demand_of
 from labos.core.decide.runs import NOBODYS
-from labos.core.ids import CampaignId, local
-from labos.core.model import MAIN, Plan
+from labos.core.ids import CampaignId
+from labos.core.model import Plan
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.users import person_of
@@ -326,28 +326,21 @@ def _check_stop_rule(told: CampaignSource, checked: CheckedCampaign) -> None:
 def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: CheckedCampaign) -> Estimate:
     plans = checked.plans
     times = len(told.lines) / len(plans)
-    modules: dict[str, float] = {}
-    needed: dict[str, float] = {}
-    for plan in plans:
-        for step in plan.steps:
-            if step.part == MAIN:
-                name = local(step.module)
-                modules[name] = modules.get(name, 0.0) + step.duration_s * times
-        for kind, amount in consumption(plan).items():
-            needed[kind] = needed.get(kind, 0.0) + amount * times
-    busiest = max(modules, key=modules.__getitem__)
+    asked = demand_of(plans, times)
+    busiest = max(asked.modules, key=asked.modules.__getitem__)
     return Estimate(
         name=told.file.campaign,
         workflow=plans[0].workflow,
         workcell=workcell,
         rows=len(told.lines),
         checked=len(plans),
-        module_time_s=sum(map(module_time_s, plans)) * times,
-        modules=modules,
-        bounds_s=modules[busiest],
+        module_time_s=asked.module_time_s,
+        modules=asked.modules,
+        bounds_s=asked.modules[busiest],
         busiest=busiest,
         consumables={
-            kind: ConsumableEstimate(n, find_left(service, workcell, kind)) for kind, n in needed.items()
+            kind: ConsumableEstimate(n, find_left(service, workcell, kind))
+            for kind, n in asked.consumables.items()
         },
         findings=tuple(checked.findings),
     )

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from labos.errors import NotFound, NotSignedIn
 from labos.http.limits import Line, says
 from labos.http.providing import user_meant
-from labos.http.signing import Days, expect_users
+from labos.http.signing import Days, answer_secret, expect_users
 from labos.services.accounts import Need
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ async def begin(call: Call, told: BeginSignIn) -> Response:
     else:
         begun = await way.begin(told.port)
         found = ProviderSignIn(begun.address, begun.state, begun.browser)
-    return _answer(found)
+    return answer_secret(found)
 
 
 async def finish(call: Call, told: FinishSignIn) -> Response:
@@ -86,27 +86,21 @@ async def finish(call: Call, told: FinishSignIn) -> Response:
     try:
         claims = await way.finish({name: text for name, text in sent.items() if text}, told.key)
         if isinstance(claims, RetryAfter):
-            return _answer(FinishedSignIn(wait_s=claims.seconds))
+            return answer_secret(FinishedSignIn(wait_s=claims.seconds))
         user = await user_meant(call.api, way.provider, claims)
     except NotSignedIn:
         accounts.tell_try("wrong")
         raise
     accounts.tell_try("right")
     secret, token = await accounts.make_token(user, told.label, told.scope, min(told.days, way.most_days))
-    return _answer(FinishedSignIn(user, token.expires_at, secret))
+    return answer_secret(FinishedSignIn(user, token.expires_at, secret))
 
 
 def _way(call: Call) -> CommandLineSignIn:
-    expect_users(call)
+    expect_users(call.kernel.state)
     found = call.api.gate.command_line
     if found is None:
         raise NotFound(
             "This lab has no identity provider.", remedy="Sign in with a password: labos login --user NAME"
         )
     return found
-
-
-def _answer(value: msgspec.Struct) -> Response:
-    # Not for any cache: it may hold a secret.
-    headers = {"cache-control": "no-store"}
-    return Response(msgspec.json.encode(value), 200, headers, "application/json")

@@ -458,10 +458,10 @@ class LabService:
         await self.kernel.execute(EndExperiment(name, why), actor)
         self._heard.pop(name, None)
 
-    async def miss_silent(self, every_s: float = 1.0) -> None:
+    async def miss_silent(self) -> None:
         """Ask a person about applications that have gone silent; for ever."""
         while True:
-            await asyncio.sleep(every_s)
+            await asyncio.sleep(1.0)
             now = self.parts.clock.monotonic()
             try:
                 experiments = list(self.kernel.state.experiments.open.values())

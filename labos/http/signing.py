@@ -8,6 +8,7 @@ import msgspec
 from starlette.responses import Response
 
 from labos.core.decide.users import EraseUser
+from labos.core.state import LabState
 from labos.core.users import LABOS
 from labos.errors import BadInput, Forbidden, NotFound, NotSignedIn, Refused
 from labos.http.identity import SIGN_IN, Gate, Who
@@ -141,9 +142,9 @@ def _is_program(call: Call) -> bool:
     return known is not None and known.kind == "service"
 
 
-def expect_users(call: Call) -> None:
+def expect_users(state: LabState) -> None:
     """Raises Refused in a lab without users."""
-    if call.kernel.state.users.is_open:
+    if state.users.is_open:
         raise Refused(
             "This lab has no users: nobody needs to sign in.",
             remedy="Add the first, on the lab's computer: labos user add NAME",
@@ -151,17 +152,17 @@ def expect_users(call: Call) -> None:
 
 
 async def sign_in(call: Call, told: SignIn) -> Response:
-    expect_users(call)
+    expect_users(call.kernel.state)
     gate, accounts = call.api.gate, call.api.gate.accounts
     client = call.request.client
     await accounts.expect_password(told.user, told.password, client.host if client is not None else "")
     if told.token:
         secret, token = await accounts.make_token(told.user, told.label, told.scope, told.days)
-        return _answer(SignedIn(told.user, token.expires_at, secret))
+        return answer_secret(SignedIn(told.user, token.expires_at, secret))
     secret, session = await accounts.begin_session(
         told.user, "password", before=call.request.cookies.get(gate.cookie, "")
     )
-    answer = _answer(SignedIn(told.user, session.expires_at))
+    answer = answer_secret(SignedIn(told.user, session.expires_at))
     give_cookie(gate, answer, secret, session)
     return answer
 
@@ -188,7 +189,7 @@ async def sign_out(call: Call) -> Response:
     cookie = call.request.cookies.get(gate.cookie, "")
     if cookie and call.who.how == "session":
         await accounts.end_session(cookie)
-    answer = _answer(UserReference(call.who.user))
+    answer = answer_secret(UserReference(call.who.user))
     answer.delete_cookie(gate.cookie, path="/", secure=gate.secure, httponly=True, samesite="strict")
     return answer
 
@@ -218,7 +219,7 @@ async def identity_of(call: Call) -> Identity:
 
 async def make_token(call: Call, told: NewToken) -> MadeToken:
     """Raises Forbidden, NotFound, BadInput."""
-    expect_users(call)
+    expect_users(call.kernel.state)
     user = told.user or call.who.user
     if not user:
         raise BadInput("The token is nobody's.", remedy="Say whose it is: --user NAME")
@@ -309,7 +310,7 @@ def expect_admin(who: Who, call: Call) -> None:
         raise Forbidden("Only admins of the lab may do that.", remedy="Ask one of them.")
 
 
-def _answer(value: msgspec.Struct) -> Response:
+def answer_secret(value: msgspec.Struct) -> Response:
     # Not for any cache: it may hold a secret.
     headers = {"cache-control": "no-store"}
     return Response(msgspec.json.encode(value), 200, headers, "application/json")

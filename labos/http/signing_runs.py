@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Signature:
     """The signature of the user who asks; one that is there already, of the same meaning and comment, is
     given again. Raises Forbidden, NotFound, Refused, TooManyTries."""
-    expect_users(call)
+    expect_users(call.kernel.state)
     user, store = call.who.user, call.service.parts.store
     if not call.who.is_known:
         raise NotSignedIn("Only a user can sign.", remedy="Sign in: labos login")

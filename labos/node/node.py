@@ -152,6 +152,11 @@ current_action: ContextVar[str] = ContextVar("current_action", default="")
 """The id of the action that a method carries out; the server sets it around each action."""
 
 
+current_together: ContextVar[tuple[str, ...]] = ContextVar("current_together", default=())
+"""The ids of all actions that a method carries out in one go; empty if it carries out one. The server sets it
+around each of them."""
+
+
 class Node:
     """Base of every instrument. Subclasses set the class attributes and write actions. What a driver
     offers may follow from a table in the module's configuration (``labos.node.mapping``). ``counters`` are

@@ -57,6 +57,14 @@ class Start(Message, frozen=True, tag="start"):
     effects: tuple[AnyEffect, ...] | None = None
 
 
+class JointStart(Start, frozen=True, tag="start_together", kw_only=True):
+    """Carry out an action ``together`` with others, in one go: these are the names of all of them. The device
+    begins when a start of each has come; else none of them begins. It gets one command, with the arguments of
+    the first, and the outcome holds for each. A node of a version that does not know this refuses it."""
+
+    together: tuple[str, ...]
+
+
 class Ask(Message, frozen=True, tag="ask"):
     """Ask for the outcome of an attempt. With ``void``, an attempt that the node does not know can never run
     afterwards."""
@@ -78,7 +86,7 @@ class Acknowledge(Message, frozen=True, tag="acknowledge"):
     position: int
 
 
-ActionMessage = Start | Ask | Acknowledge
+ActionMessage = Start | JointStart | Ask | Acknowledge
 
 
 class Outcome(msgspec.Struct, frozen=True):

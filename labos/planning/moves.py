@@ -15,7 +15,16 @@ from labos.core.binding import is_same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.floor import OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim, is_closing
-from labos.planning.paths import Motion, door_key, find_kept_module, guards
+from labos.planning.paths import (
+    JOINT,
+    READY,
+    Motion,
+    door_key,
+    find_kept_module,
+    guards,
+    joint_claim,
+    ready_key,
+)
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -71,6 +80,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if not motion.target:
         if motion.uses and not may_use(floor, actor, motion.uses):
             return False
+        if motion.joint and not _are_all_ready(floor, actor, motion.joint):
+            return False
         asks = bool(motion.grabs) and not motion.recovers  # a recovery asks nobody
         if asks and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
             return False
@@ -86,6 +97,25 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     return _open_to(floor, actor, module) and (
         module not in floor.claimed or _may_claim(floor, actor, module)
     )
+
+
+def _are_all_ready(floor: Floor, actor: Actor, module: ModuleName) -> bool:
+    """Whether all who have labware in a module are ready for the same as an actor. One that is not ready any
+    more has had it with the others."""
+    ready = floor.held.get(ready_key(module), {})
+    if actor.name not in ready:
+        return True
+    wish = ready[actor.name]
+    return all(
+        who == actor.name or (wish is not None and ready.get(who) == wish)
+        for who in _list_inside(floor, module)
+    )
+
+
+def _list_inside(floor: Floor, module: ModuleName) -> list[str]:
+    """The actors with labware in a module that does things for all of them at once."""
+    claimed = floor.claimed.get(joint_claim(module), {})
+    return [who for who, number in claimed.items() if number and who != OTHERS]
 
 
 def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
@@ -167,6 +197,8 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     """Whether nobody else holds it, or everybody wants the same."""
+    if key.startswith(READY):
+        return True
     holders = floor.held.get(key)
     return not holders or all(
         who == actor.name or (value is not None and other == value) for who, other in holders.items()
@@ -188,6 +220,8 @@ def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, 
 
 def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
     """Whether nobody but the actor, and what it may use, stands where a claim is held."""
+    if claim.startswith(JOINT):
+        return True
     holders = floor.claimed.get(claim)
     for who, number in holders.items() if holders else ():
         if not number or who == actor.name:
@@ -206,12 +240,14 @@ def _count_usable(floor: Floor, actor: Actor, claim: str) -> int:
 class ActorBefore(msgspec.Struct):
     """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it,
     which plates have become its own (1), or are not any more (-1), out of which pool, and how much it left
-    to whose pool where, and which of what lies on a stack that was."""
+    to whose pool where, and which of what lies on a stack that was. ``joined`` are the others who had it done
+    with it: what they held for that, who, and the value."""
 
     keys: list[tuple[str, bool, Any]] = []
     values: list[tuple[str, Any]] = []
     lent: Loans = ()
     plates: list[tuple[StationName, Counts, int]] = []
+    joined: list[tuple[str, str, Any]] = []
     given: list[tuple[StationName, Counts, int, list[int]]] = []
 
 
@@ -266,6 +302,8 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Undo | None) ->
     if taken is None:
         return
     if isinstance(taken, ActorBefore):
+        for key, who, value in taken.joined:
+            floor.held[key][who] = value
         for key, before, value in reversed(taken.keys):
             if before:
                 floor.held.setdefault(key, {})[actor.name] = value
@@ -370,6 +408,11 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> ActorBefore | None:
         holders = floor.held.setdefault(key, {})
         before.keys.append((key, who in holders, holders.get(who)))
         holders[who] = value
+    if motion.joint and who in floor.held.get(ready_key(motion.joint), {}):
+        key = ready_key(motion.joint)
+        ready = floor.held[key]
+        others = [other for other in _list_inside(floor, motion.joint) if other != who and other in ready]
+        before.joined += [(key, other, ready.pop(other)) for other in others]
     for key in motion.frees:
         holders = floor.held.get(key, {})
         if who in holders:

@@ -122,10 +122,10 @@ class RunBook:
         )
 
 
-def run_histories(log: Log, upto: int | None = None) -> dict[str, RunHistory]:
+def run_histories(log: Log) -> dict[str, RunHistory]:
     """Every run of the log, in order of submission."""
-    book = RunBook(catalogue_of(log, upto))
-    _tell(book, events(log.select(LogQuery(types=FAMILIES, upto=upto))))
+    book = RunBook(catalogue_of(log))
+    _tell(book, events(log.select(LogQuery(types=FAMILIES))))
     return book.runs
 
 
@@ -227,7 +227,7 @@ def _step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int) -> 
         case a.ActionReconciled():
             step.state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
             step.error = "" if step.state == "done" else f"settled by {event.by}"
-    if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+    if isinstance(event, a.ActionEnd):
         step.ended_at = at
         begun = run.flying.pop(event.action, None)
         if begun is not None:

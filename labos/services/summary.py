@@ -121,7 +121,7 @@ class _Usage:
                 run.actions += 1
             case a.ActionFailed():
                 module.failed += 1
-        if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+        if isinstance(event, a.ActionEnd):
             self._end_flight(event.action, at)
 
     def finish(self, now: int) -> None:
@@ -142,13 +142,13 @@ class _Usage:
         return module, self.runs.setdefault(event.run, _Use())
 
 
-def summarise(records: Iterable[Record], now: int | None = None, *, explain: bool = True) -> Summary:
-    """The account of a log at ``now`` (UTC ns; by default at its last event). ``explain``
-    works out what runs waited for, unless the log is long. Raises LogTooNew, LogDamaged."""
+def summarise(records: Iterable[Record], now: int | None = None) -> Summary:
+    """The account of a log at ``now`` (UTC ns; by default at its last event). What runs
+    waited for is worked out unless the log is long. Raises LogTooNew, LogDamaged."""
     meter = Meter()
     book = RunBook(meter.names)
     usage = _Usage()
-    waits = WaitBook() if explain else None
+    waits: WaitBook | None = WaitBook()
     last: Envelope | None = None
     for event, head in events(records):
         meter.add(event, head)

@@ -15,11 +15,11 @@ from labos.core.expressions import ExpressionError, names_in, parse_expression
 from labos.core.model import Condition
 from labos.core.viewer import Visibility
 from labos.errors import SpecError
-from labos.spec.findings import FindingList, SpecErrors
+from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part, Seconds
 from labos.spec.rows import TableLine, expand
 from labos.spec.source import Source, parse
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 MOST_ROWS = 100_000
 
@@ -106,9 +106,7 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
     with all faults of file and table."""
     source = parse(text, name)
     report = FindingList(name)
-    file = validate(CampaignFile, source, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(CampaignFile, source, report)
     terms = Terms(
         priority=file.priority,
         budget=Budget(file.budget.runs, file.budget.lab_time, dict(file.budget.consumables)),

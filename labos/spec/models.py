@@ -51,13 +51,22 @@ class SetupEntry(Part):
     changes: list[SetupChangeEntry] = []
 
 
+class TogetherEntry(Part):
+    """Actions that a module carries out for the labware of several runs at once, and how long a run waits for
+    that of others."""
+
+    actions: list[str] = Field(min_length=1)
+    wait: Seconds = Field(default=0.0, ge=0)
+
+
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
     where it is whenever it acts. ``retry``, ``timeout`` and ``on_error`` hold for steps on it that do not
     say. ``interface`` names the adapter of a foreign node, ``about`` describes one that no driver does,
     ``extends`` what one offers beyond what its driver knows. With ``second_person``, runs that do what is
-    dangerous there wait for an approval. ``setup`` is what it costs to change it to other work."""
+    dangerous there wait for an approval. ``setup`` is what it costs to change it to other work, ``together``
+    what it does for several runs at once."""
 
     name: Name
     model: str = ""
@@ -78,6 +87,7 @@ class ModuleEntry(Part):
     on_error: OnErrorWord | None = None
     second_person: bool = False
     setup: SetupEntry | None = None
+    together: TogetherEntry | None = None
     comment: str = ""
 
 

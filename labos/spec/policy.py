@@ -12,10 +12,10 @@ from labos.core.campaigns import Budget
 from labos.core.policy import BookingLimits, Policy
 from labos.core.structs import make_from
 from labos.spec.campaign import BudgetEntry
-from labos.spec.findings import FindingList, SpecErrors
+from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part
 from labos.spec.source import parse
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 
 class BookingsEntry(Part):
@@ -54,9 +54,7 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     """Read a policy file given as text. Raises SpecError, SpecErrors."""
     source = parse(text, name)
     report = FindingList(name)
-    file = validate(PolicyFile, source, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(PolicyFile, source, report)
     if file.trusted and not file.programs:
         place = source.place(("trusted",), key=True)
         what = "Programs need no approval, so none of them can be trusted more."

@@ -89,12 +89,17 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "on_error": "what follows when a step on it fails for good that does not say itself",
         "second_person": "true: runs that do what is dangerous there wait for a second person's approval",
         "setup": "what it costs to set it up for another value of an argument",
+        "together": "what it does for the labware of several runs at once",
         "comment": _PEOPLE,
     },
     "SetupEntry": {
         "by": "the argument of its actions for whose value the module is set up",
         "takes": "how much longer an action takes with another value than the last one",
         "changes": "changes that take another time",
+    },
+    "TogetherEntry": {
+        "actions": "the actions that it carries out for all labware in it at once",
+        "wait": "how long a run whose labware is in it waits for that of others, at most",
     },
     "SetupChangeEntry": {
         "from": "the value before",

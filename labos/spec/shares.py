@@ -8,10 +8,10 @@ import msgspec
 from pydantic import Field
 
 from labos.core.shares import Group, Member, Quota
-from labos.spec.findings import FindingList, SpecErrors
+from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part
 from labos.spec.source import parse
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 Weight = Annotated[float, Field(gt=0, le=1_000_000)]
 
@@ -61,9 +61,7 @@ def parse_shares(text: str, name: str = "") -> CompiledShares:
     """Read a shares file given as text. Raises SpecError, SpecErrors."""
     source = parse(text, name)
     report = FindingList(name)
-    file = validate(SharesFile, source, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(SharesFile, source, report)
     homes: dict[str, str] = {}
     for group, entry in file.groups.items():
         for user in entry.members:

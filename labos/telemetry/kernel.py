@@ -14,11 +14,12 @@ from labos.telemetry.state_metrics import StateMetrics
 from labos.telemetry.unattended_metrics import UnattendedMetrics
 
 WORKFLOWS, USERS = 50, 100
-"""So many workflows and users have series of their own; those that come later are ``other``."""
+"""The numbers of workflows and users with their own series; later ones are ``other``."""
 
 
 class KernelMetrics:
-    """Made once for each kernel; ``of_events`` listens to it. The others are updated at each scrape."""
+    """The metrics of one kernel. ``of_events`` is a listener of the kernel; the others are updated at each
+    scrape."""
 
     def __init__(self, state: Callable[[], LabState]) -> None:
         workflows, users = BoundedNames(WORKFLOWS), BoundedNames(USERS)

@@ -1,4 +1,4 @@
-"""How the lab stands now: gauges worked out from the folded state when somebody asks."""
+"""The present state of the lab: gauges computed from the folded state at each scrape."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ MODULE_STATES = ("idle", "busy", "error", "gone", "out_of_service")
 RUN_STATES = ("queued", "active", "paused", "cancelling", "leaving")
 
 APPROVALS = ("run", "campaign", "experiment", "amendment")
-"""Kinds of what waits for an approval."""
+"""The kinds of submissions that wait for an approval."""
 
 KINDS_OF_RUNS, USERS_SEEN, WAITS_SEEN = 150, 101, 500
-"""So many workflows in workcells, users, and reasons to wait are shown as 0 when nothing is left of them."""
+"""The number of workflows in workcells, of users, and of reasons for waiting that are still shown, as 0, when
+none are left."""
 
 CELLS = 250
-"""So many workcells have series of their own."""
+"""The number of workcells with their own series."""
 
 
 class StateMetrics(MetricGroup):
-    """The gauges of a lab's state. ``workflows`` and ``users`` bound these labels."""
+    """The gauges of a lab's state. ``workflows`` and ``users`` limit these labels."""
 
     def __init__(self, workflows: BoundedNames, users: BoundedNames) -> None:
         self._workflow, self._user = workflows, users
@@ -56,7 +57,7 @@ class StateMetrics(MetricGroup):
         )
         self.user_share = GaugeMetric(
             "labos_user_share_ratio",
-            "A user's share of the modules' time, as the scheduler counts it (half-life: one day).",
+            "A user's share of module time as the scheduler counts it; used time counts half after a day.",
             ("user",),
             most=101,
         )
@@ -251,14 +252,14 @@ class StateMetrics(MetricGroup):
         self.waiting.replace(found)
 
     def _remember(self, seen: dict[Labels, bool], found: Counter[Labels], most: int) -> None:
-        """What was there once is shown as 0 when it is gone, in each state."""
+        """Show a former series as 0 in each state."""
         for key in list(found):
             if key not in seen and len(seen) < most * len(RUN_STATES):
                 seen.update({(*key[:-1], state): True for state in RUN_STATES})
 
 
 OWN = "bench"
-"""Stands for the module of a station that belongs to none."""
+"""The module name for stations that belong to no module."""
 
 
 # A factory has thousands of names, and they stay what they are.
@@ -281,7 +282,7 @@ def _place_key(station: StationName, module: ModuleName) -> Labels:
 
 
 def _cell_of(state: LabState, run: str, module: str) -> str:
-    """The workcell that a question is about; empty if it is about the lab."""
+    """The workcell of a question; empty if it concerns the whole lab."""
     found = state.runs.get(run) if run else None
     if found is not None:
         return state.runs.plan_of(found).workcell

@@ -1,5 +1,4 @@
-"""Time without human intervention as metrics; what it is stands in
-``docs/time-without-human-intervention.md``."""
+"""Time without human intervention as metrics; ``docs/time-without-human-intervention.md`` defines it."""
 
 from __future__ import annotations
 
@@ -13,8 +12,8 @@ if TYPE_CHECKING:
 
 
 class UnattendedMetrics(MetricGroup):
-    """The figures of the lab (scope ``lab``, no workcell) and of each workcell. They are there as soon as the
-    log was read from its beginning."""
+    """The figures of the lab (scope ``lab``, no workcell) and of each workcell. They exist as soon as the log
+    was read from its beginning."""
 
     def __init__(self) -> None:
         scope = ("scope", "workcell")

@@ -1,8 +1,8 @@
-"""A whole lab in one process: real kernel, real planning, real nodes, on a bad day.
+"""A whole lab in one process, with a real kernel, real planning and real nodes, under many faults.
 
-The bus loses messages, processes die at any durable write and send, commits end unknown; a
-person answers interventions by looking at the simulated bench, as a real one would. What the
-devices did is compared with what the log says.
+The bus loses messages, processes die at any durable write and send, and commits have unknown outcomes. A
+simulated person looks at the bench and answers interventions. At the end, the actions of the devices are
+compared with the log.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from labos.testing.stand import Job, Meddle, Stand, make_cancellers
 __all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "make_bare_scheduler", "make_cancellers"]
 
 ALL_DAY_S = 14 * 24 * 3600.0
-"""Virtual time after which a lab that has not finished is given up."""
+"""The virtual time after which an unfinished lab counts as stalled."""
 
 
 def _stands_at(station: StationName, state: LabState) -> bool:
@@ -40,7 +40,7 @@ def _stands_at(station: StationName, state: LabState) -> bool:
 
 
 class _Trusting(Safety):
-    """Lets everything start that the rules allow."""
+    """Planning that starts everything that the rules allow."""
 
     def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
         return []
@@ -55,10 +55,10 @@ def make_bare_scheduler() -> Scheduler:
 
 
 class SimulatedLab(People):
-    """One lab under one seed. Modules in ``dead`` have no node from the start; those in
-    ``doomed`` lose theirs after so many seconds, for good unless somebody mends them after so many more
-    (``mended``); ``stops`` are emergency stops: a module, and after how many seconds. With ``still_s``
-    the lab is left as soon as nothing has happened for so long. The rest: see ``Conditions``."""
+    """One lab under one seed. Modules in ``dead`` never have a node. Modules in ``doomed`` lose their node
+    after the given seconds, and get it back after the seconds in ``mended``, if given there. ``stops`` are
+    emergency stops: a module, and the seconds after which it is stopped. With ``still_s``, the simulation
+    ends when nothing has happened for this time. The other fields are those of ``Conditions``."""
 
     def __init__(
         self,
@@ -89,9 +89,9 @@ class SimulatedLab(People):
         self.still_s = still_s
         self.meddles = meddles
         self.remembered = ""
-        """The hash of what the kernel had in memory when the day was over."""
+        """The hash of the kernel's state in memory at the end of the simulation."""
         self.answers_all = False
-        """Whether the day is over only when no question is open any more."""
+        """Whether the simulation ends only when no question is open."""
 
     # -- running -----------------------------------------------------------------------------
 
@@ -103,7 +103,7 @@ class SimulatedLab(People):
         return state
 
     def run_for(self, jobs: Sequence[Job], limit_s: float) -> LabState:
-        """Run until all jobs have ended or the time is over; returns the folded log."""
+        """Run until all jobs have ended or the given time has passed; returns the folded log."""
         asyncio.set_event_loop(self.loop)
         try:
             return self.loop.run_until_complete(asyncio.wait_for(self._run(jobs), limit_s))
@@ -113,8 +113,8 @@ class SimulatedLab(People):
             asyncio.set_event_loop(None)
 
     def close(self) -> None:
-        """Forget the world. What is still suspended is thrown away: its ports are dead, so that
-        nothing of it shows."""
+        """Discard the world. Suspended code is discarded too; because its ports are closed, it has no
+        effect."""
         for process in self._everybody:
             process.on_death.clear()
             process.alive = False
@@ -205,7 +205,7 @@ class SimulatedLab(People):
     # -- judging -----------------------------------------------------------------------------
 
     def differences(self, state: LabState) -> list[str]:
-        """Where the bench and the log disagree; empty if they agree in every plate."""
+        """The differences between the bench and the log; empty if they agree on every plate."""
         return differences(self.world, state, self.store.records)
 
     def report(self) -> str:
@@ -230,9 +230,9 @@ class SimulatedLab(People):
         )
 
     def save(self, path: Path) -> None:
-        """Keep the log as a file that ``labos replay`` steps through."""
+        """Store the log as a file for ``labos replay``."""
         write_segment(path, self.store.records)
 
     def fingerprint(self) -> str:
-        """The same seed gives the same."""
+        """A hash of the result; the same seed gives the same hash."""
         return state_hash(self.fold_log())

@@ -1,6 +1,5 @@
-"""The processes of a simulated lab: one kernel, a node for each module, and what they stand on.
-
-Whoever dies is started again after a while, as by a supervisor.
+"""The processes of a simulated lab: one kernel, a node for each module, and their bus and store. A process
+that dies is started again after a while, as by a supervisor.
 """
 
 from __future__ import annotations
@@ -42,11 +41,11 @@ from labos.testing.stand import Stand
 HEARTBEAT_S = 30.0
 
 MACHINES = ("one", "another")
-"""Where kernels run."""
+"""The machines on which kernels run."""
 
 
 class SlipperyWorld(World):
-    """A bench on which hands lose what they hold, as often as the faults say."""
+    """A bench on which grippers lose labware with the probability of the faults."""
 
     def __init__(self, faults: Faults) -> None:
         super().__init__()
@@ -60,8 +59,8 @@ class SlipperyWorld(World):
 
 
 class NotedFiles(Files):
-    """The files of a lab without a disk: what a node leaves behind is noted and let go, and what it is given
-    is no more than a name."""
+    """The files of a lab without a disk: the names of output files are recorded without their content, and an
+    input file is only a name."""
 
     async def send(self, attachment: Attachment) -> dict[str, Any]:
         content = attachment.content
@@ -73,9 +72,9 @@ class NotedFiles(Files):
 
 
 class Conditions(msgspec.Struct, frozen=True):
-    """How a lab is run. Modules in ``dead`` have no node; those in ``mended`` get theirs back so many
-    seconds after they lost it. With ``standby`` somebody looks, now and then, whether the kernel has let
-    its lease of ``lease_s`` run out, and starts another one on another machine."""
+    """How a lab is run. Modules in ``dead`` have no node; those in ``mended`` get theirs back after the given
+    seconds. With ``standby``, another kernel is started on another machine when the lease of the kernel
+    (``lease_s``) has expired."""
 
     dead: Sequence[str] = ()
     mended: Mapping[str, float] = {}
@@ -85,7 +84,7 @@ class Conditions(msgspec.Struct, frozen=True):
     lease_s: float = 1e9
     standby: bool = False
     most_kernels: int = 100_000
-    """One that does not stay up is given up after so many starts."""
+    """The number of starts after which a process that keeps failing is not started again."""
     snapshot_every: int = 300
 
 
@@ -121,21 +120,21 @@ class Processes:
         self.before_restart: Callable[[], None] = lambda: None
 
     def files_of(self, bus: Bus) -> Files:
-        """Where a node leaves its files."""
+        """The place for the files of a node."""
         return NotedFiles(bus, "", Path())
 
     @property
     def processes(self) -> list[Process]:
-        """All that there ever were."""
+        """All processes that ever existed."""
         return self._everybody
 
     def is_moving(self, module: str) -> bool:
-        """Whether anybody can see a module's device move."""
+        """Whether a module's device is visibly moving."""
         node = self._devices.get(module)
         return bool(getattr(getattr(node, "device", node), "moving", False))
 
     def fold_log(self) -> LabState:
-        """The state that the log amounts to, folded from nothing."""
+        """The state of the log, folded from the first event."""
         state = LabState()
         fold(state, self.store.read())
         return state
@@ -178,7 +177,7 @@ class Processes:
             self._schedule_restart(self._start_kernel, machine)
 
     def _find_latest_kernel(self) -> Kernel | None:
-        """The kernel that people talk to: of several the one that was started last."""
+        """The kernel that people use: the one that was started last."""
         living = [kernel for kernel in self._serving if self._process_of[kernel].alive]
         return max(living, key=self.opened.index, default=None)
 
@@ -186,14 +185,14 @@ class Processes:
         return [process for process in self._everybody if process.alive and is_kernel(process)]
 
     def _choose_peer(self, process: Process) -> Process | None:
-        """Somebody whom a process talks to."""
+        """A process with which a process communicates."""
         if not is_kernel(process):
             return next(iter(self._list_living_kernels()), None)
         nodes = [other for other in self._everybody if other.alive and not is_kernel(other)]
         return self.rng.choice(nodes) if nodes else None
 
     def _watch_over(self, process: Process) -> None:
-        """A kernel may be away: its standby looks at the lease for a while."""
+        """Watch the lease of a kernel, as its standby does."""
         if self.conditions.standby and is_kernel(process):
             self._look_at_lease(process, self.loop.time() + self.conditions.lease_s / 2)
 
@@ -211,7 +210,7 @@ class Processes:
             self.loop.call_later(1.0, self._look_at_lease, process, until, context=outside)
 
     async def _run_or_die(self, process: Process, main: Coroutine[Any, Any, None]) -> None:
-        """A program that ends with an error is started again like one that was killed."""
+        """Run a program. If it ends with an error, it is started again like a killed one."""
         try:
             await main
         except LabosError:
@@ -244,7 +243,7 @@ class Processes:
         process.kill()
 
     def _serve(self, kernel: Kernel) -> None:
-        """What else a kernel's process does: nothing, but in labs that say so."""
+        """Further work of a kernel's process; there is none by default."""
 
     def _bury(self, name: str) -> None:
         self.dead.add(name)
@@ -305,7 +304,7 @@ class Processes:
         return self.store.head().lab
 
     def _schedule_restart(self, start: Callable[..., None], *args: str) -> None:
-        """Somebody starts a process again after a while; the dead one's context is no part of it."""
+        """Start a process again after a while, outside the context of the dead process."""
         low, high = self.faults.rates.restart_s
         self.loop.call_later(self.rng.uniform(low, high), start, *args, context=contextvars.Context())
 

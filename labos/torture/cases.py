@@ -1,4 +1,5 @@
-"""Which calls of a driver are tried: those that its author gives, else what follows from ``about``."""
+"""The calls of a driver that are tried: those that its author gives, otherwise those that follow from
+``about``."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ PLACES = {"source": "bench.source", "target": "bench.target"}
 
 
 def cases_of(about: Description, torture: Torture, folder: Path) -> list[Case]:
-    """At least one for each action but ``reset``, in the order of the description."""
+    """At least one case for each action except ``reset``, in the order of the description."""
     found: list[Case] = []
     for spec in about.actions:
         if spec.name == "reset":
@@ -29,7 +30,7 @@ def cases_of(about: Description, torture: Torture, folder: Path) -> list[Case]:
 
 
 def find_unknown_cases(about: Description, torture: Torture) -> list[str]:
-    """Actions of given cases that the driver does not offer."""
+    """The actions in given cases that the driver does not have."""
     return [case.action for case in torture.cases if about.action(case.action) is None]
 
 
@@ -75,7 +76,7 @@ def _write(path: Path, text: str) -> str:
 
 
 def list_wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Calls that must be refused, each with what is wrong with it."""
+    """Calls that must be refused, each with its error."""
     args = {find_name(spec, name): value for name, value in case.args.items()}
     yield "an argument that there is none of", {**args, "no_such_argument": 1}
     for arg in spec.args:
@@ -112,5 +113,6 @@ def moves_labware(spec: ActionSpec) -> bool:
 
 
 def works_a_gate(spec: ActionSpec) -> bool:
-    """Whether what the action does shows in a variable of the module, as a lid's position."""
+    """Whether the effect of the action is visible in a variable of the module, such as the position of a
+    lid."""
     return any(isinstance(effect, Sets) and effect.of == "module" for effect in spec.effects)

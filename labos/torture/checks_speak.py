@@ -16,7 +16,7 @@ from labos.torture.session import END_S, TRIES, Attempt, Failed, LeftOut, Sessio
 
 
 async def check_about(on: Session) -> None:
-    """about is complete: everything is described, bounded and named once."""
+    """about is complete: everything has a description and limits, and each name is used once."""
     flaws = [*_find_ambiguous_names(on), *_find_undescribed(on), *_find_undeclared(on)]
     if flaws:
         raise Failed("; ".join(flaws))
@@ -96,7 +96,7 @@ def _find_undeclared(on: Session) -> list[str]:
 
 
 async def check_happy_path(on: Session) -> None:
-    """Each action does what its effects say, once, and the module is idle again."""
+    """Each action has exactly its declared effects, once, and the module is then idle again."""
     for case in on.cases:
         spec = on.spec(case)
         await on.fulfil(case)
@@ -140,8 +140,8 @@ def _check_declined(name: str, why: str, outcome: Outcome) -> None:
 def _check_consumed(
     on: Session, spec: ActionSpec, effects: tuple[AnyEffect, ...], before: dict[str, float | None]
 ) -> None:
-    """Each resource is used up as the effects say, and no other. Nothing is said where an amount stands in a
-    file. Raises Failed."""
+    """Check that resources are used up as the effects declare, and no others. An amount from a file is not
+    checked. Raises Failed."""
     spends = [effect for effect in effects if isinstance(effect, Consumes)]
     if sum(isinstance(effect, Consumes) for effect in spec.effects) > len(spends):
         return
@@ -155,7 +155,7 @@ def _check_consumed(
 
 
 async def check_set_points(on: Session) -> str:
-    """The device's own record has the speeds, times, temperatures and volumes that were asked for."""
+    """The device's own record has the requested speeds, times, temperatures and volumes."""
     tried = [case for case in on.cases if case.record is not None and not case.refused]
     for case in tried:
         for args in (case.args, _vary_set_points(on, case)):
@@ -231,7 +231,7 @@ async def _check_variables(on: Session, name: str, effects: tuple[Any, ...]) -> 
 
 
 async def check_invalid_arguments(on: Session) -> None:
-    """Wrong arguments and unknown actions are refused for good, and nothing moves."""
+    """Wrong arguments and unknown actions are refused permanently, and nothing moves."""
     since = on.bench.mark()
     calls = [(case.action, *wrong) for case in on.cases for wrong in list_wrong_args(case, on.spec(case))]
     for name, what, args in [*calls, ("no_such_action", "an action that there is none of", {})]:
@@ -248,7 +248,7 @@ async def check_invalid_arguments(on: Session) -> None:
 
 
 async def check_duplicate_id(on: Session) -> None:
-    """The same attempt asked for again, while it runs and after, is carried out once."""
+    """An attempt that is requested again, while it runs and afterwards, is carried out only once."""
     case = on.choose_motion()
     done = await on.begin_to_middle(case, 0.2)
     again = await on.kernel.send(done.start)
@@ -265,7 +265,7 @@ async def check_duplicate_id(on: Session) -> None:
 
 
 async def check_busy(on: Session) -> None:
-    """While it works it says so, refuses other work for the time being, and answers questions."""
+    """While it works, it reports BUSY, refuses other work for the time being, and answers queries."""
     case = on.choose_motion()
     done, state, other = await _ask_while_it_works(on, case)
     if other.reply.status != "refused" or not other.reply.transient:
@@ -289,8 +289,8 @@ async def check_busy(on: Session) -> None:
 
 
 async def _ask_while_it_works(on: Session, case: Case) -> tuple[Attempt, StateReport, Attempt]:
-    """A motion, its node's state in it, and what came of asking for another: all three for sure while the
-    first was under way, for it still is afterwards. Raises Failed."""
+    """Start a motion, ask for the node's state, and request another motion, all while the first is certainly
+    under way. Raises Failed."""
     for _ in range(TRIES):
         done = await on.begin_to_middle(case, 0.2)
         state, other = await on.kernel.state(), await on.ask_for(case)

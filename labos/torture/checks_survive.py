@@ -20,19 +20,20 @@ if TYPE_CHECKING:
     from labos.torture.relay import Mode, Relay
 
 HELD_S = 20.0
-"""A reply that is held back arrives after this long, if the driver has not given it up before."""
+"""The delay of a reply that is held back, if the driver has not stopped waiting before."""
 
 STOP_S = 10.0
 
 MOST_ORDERS = 4
-"""Of what a driver says in a motion and not at rest, the reply to so many is spoiled, one at a time. That to
-the order that begins it is among them."""
+"""The number of messages that a driver sends only during a motion and whose replies are spoiled, one at a
+time. The order that starts the motion is one of them."""
 
 MENDED_S = 10.0
-"""What went wrong in mid-motion is put right after so long, if the motion has not ended by then."""
+"""The time after which a fault during a motion is repaired, if the motion has not ended by then."""
 
 SLOWNESS = 4.0
-"""A device that is to move for longer than its node needs to start again is so much slower, at least."""
+"""The least factor by which a device is slowed down, so that its motion takes longer than a restart of the
+node."""
 
 IDLE_TOO_SOON = "ready for new work while its device still moves"
 
@@ -59,7 +60,7 @@ async def check_true_state(on: Session) -> None:
 
 
 async def check_device_error(on: Session) -> None:
-    """An error of the device is reported as one, with what is known of its effects; a reset ends it."""
+    """An error of the device is reported as an error, with the known effects; a reset ends it."""
     if not on.torture.faults:
         raise LeftOut("TORTURE names no fault of the device")
     case = on.choose_motion()
@@ -81,7 +82,7 @@ async def check_device_error(on: Session) -> None:
 
 
 async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) -> None:
-    """What is said of a motion in which something goes wrong is so, and it can be put right."""
+    """The report about a motion with a fault is true, and the fault can be repaired."""
     done = await on.begin_to_middle(case)
     for fault in faults:
         on.strike(fault)
@@ -94,7 +95,8 @@ async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) ->
 
 
 async def _end_by_person(on: Session, done: Attempt) -> None:
-    """What waits for a person, also after it was put right, says so; it is stopped then. Raises Failed."""
+    """An action that waits for a person, also after the repair, must report this; it is then stopped. Raises
+    Failed."""
     if await on.kernel.outcome(done.start, MENDED_S) is not None or not await on.is_running(done):
         return
     state = await on.kernel.state()
@@ -104,12 +106,13 @@ async def _end_by_person(on: Session, done: Attempt) -> None:
 
 
 async def check_stop(on: Session) -> None:
-    """A stop in mid-motion ends it, or says that it cannot; what is said of the motion is so."""
+    """A stop during a motion ends the motion, or reports that this is impossible; the report about the motion
+    is true."""
     await _check_stopping(on, "stop")
 
 
 async def check_emergency_stop(on: Session) -> None:
-    """An emergency stop in mid-motion is reported until a reset, and nothing begins before."""
+    """An emergency stop during a motion is reported until a reset, and nothing starts before the reset."""
     await _check_stopping(on, "estop")
 
 
@@ -134,9 +137,9 @@ async def _check_stopping(on: Session, command: str) -> None:
 
 
 async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Attempt, AdminReply, Outcome]:
-    """A motion that was stopped, what the stop said, and how it ended, with the device at rest. One that
-    ended well although it is said to be stopped has gone on if the bench shows it; else it was over
-    before the stop came, and is begun again. Raises Failed."""
+    """Stop a motion; returns the motion, the answer to the stop and the outcome, with the device at rest. If
+    the motion succeeded although the node reports that it was stopped, the bench shows whether it continued
+    after the stop. If it had ended before the stop, the check is repeated. Raises Failed."""
     for _ in range(TRIES):
         done = await on.begin_to_middle(case)
         reply = await on.kernel.admin(command, STOP_S, by="torture")
@@ -152,7 +155,8 @@ async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Attempt, 
 
 
 async def unplug_before(on: Session) -> None:
-    """Unplugged: an action fails, nothing has moved, and the driver says so; plugged in, it works."""
+    """With the line unplugged, an action fails without motion, and the driver reports this. With the line
+    plugged in, it works."""
     case, relay = on.choose_motion(), _require_relay(on)
     await on.fulfil(case)
     relay.unplug()
@@ -168,7 +172,8 @@ async def unplug_before(on: Session) -> None:
 
 
 async def unplug_during(on: Session) -> None:
-    """Unplugged in mid-motion: the action ends, as failed or unknown; plugged in, it works."""
+    """If the line is unplugged during a motion, the action ends as failed or unknown. With the line plugged
+    in, it works."""
     case, relay = on.choose_motion(), _require_relay(on)
     done = await on.begin_to_middle(case)
     relay.unplug()
@@ -176,7 +181,8 @@ async def unplug_during(on: Session) -> None:
 
 
 async def unplug_after(on: Session) -> None:
-    """Unplugged while it rests: the node lives and answers; plugged in, it works."""
+    """If the line is unplugged at rest, the node stays alive and answers. With the line plugged in, it
+    works."""
     case, relay = on.choose_motion(), _require_relay(on)
     await on.act(case)
     relay.unplug()
@@ -196,7 +202,7 @@ async def lose_reply(on: Session) -> None:
 
 
 async def garble_reply(on: Session) -> None:
-    """Noise is never taken for an answer."""
+    """The driver never accepts noise as an answer."""
     await _spoil_reply(on, "garble")
 
 
@@ -206,7 +212,7 @@ async def cut_reply(on: Session) -> None:
 
 
 async def delay_reply(on: Session) -> None:
-    """A reply that comes late is not taken for the answer to a later question."""
+    """A late reply is not mistaken for the answer to a later question."""
     case, relay = on.choose_motion(), _require_relay(on)
     for in_motion in (False, True):
         if in_motion:
@@ -224,7 +230,7 @@ async def delay_reply(on: Session) -> None:
 
 
 async def say_unasked(on: Session) -> str:
-    """What the device says without having been asked is not taken for an answer."""
+    """A message that the device sends without a question is not mistaken for an answer."""
     case = on.choose_motion()
     require_wire(on)
     if not on.torture.unasked:
@@ -254,7 +260,7 @@ async def _find_orders(on: Session) -> list[bytes]:
 
 
 async def _spoil_one_reply(on: Session, mode: Mode, order: bytes, stray: bytes = b"") -> None:
-    """Spoil the reply to one order, as soon as the driver gives it."""
+    """Spoil the reply to one message, as soon as the driver sends the message."""
     case, relay = on.choose_motion(), _require_relay(on)
     await on.fulfil(case)
     on.lay(case)
@@ -310,7 +316,7 @@ async def _settle(on: Session, done: Attempt, outcome: Outcome) -> None:
 
 
 async def power_cycle(on: Session) -> None:
-    """The device loses its power, at rest and in mid-motion, and comes back."""
+    """The device loses its power, at rest and during a motion, and comes back."""
     case = on.choose_motion()
     require_wire(on)
     on.switch_off()
@@ -337,8 +343,8 @@ async def restart_device(on: Session) -> None:
 
 
 async def cut_power(on: Session) -> None:
-    """The lab loses its power: node and device at once, in mid-motion. Both come back, and nothing is
-    repeated."""
+    """The node and the device lose their power at the same time, during a motion. Both come back, and nothing
+    is repeated."""
     case = on.choose_motion()
     require_wire(on)
     done = await on.begin_to_middle(case)
@@ -356,7 +362,8 @@ async def cut_power(on: Session) -> None:
 
 
 async def kill_node(on: Session) -> None:
-    """Its node killed in mid-motion: nothing is repeated, and it is not idle before the device rests."""
+    """If the node is killed during a motion, nothing is repeated, and the new node is not idle before the
+    device is at rest."""
     case = on.choose_motion()
     if on.is_wired:
         await on.await_rest()
@@ -380,7 +387,8 @@ async def kill_node(on: Session) -> None:
 
 
 async def _kill_and_start(on: Session, done: Attempt, fault: Fault | None = None) -> None:
-    """Raises Failed. A ``fault`` of the device is put right when its node is not BUSY, or has waited."""
+    """Kill the node and start it again. A ``fault`` of the device is repaired when its node is not BUSY, or
+    has waited. Raises Failed."""
     on.kill()
     await on.await_node_gone()
     await on.start_node()
@@ -400,15 +408,15 @@ async def _kill_and_start(on: Session, done: Attempt, fault: Fault | None = None
 
 
 async def _check_remembered(on: Session, done: Attempt) -> None:
-    """A node that was started again knows the attempt. Raises Failed."""
+    """Check that a restarted node knows the attempt. Raises Failed."""
     again = await on.kernel.send(done.start)
     if again.status not in ("interrupted", "running", "finished"):
         raise Failed(f"started again, it tells {done.case.action} as {again.status}: {again.why}")
 
 
 async def _check_reconciled(on: Session, done: Attempt, outcome: Outcome | None) -> None:
-    """What a node that was started again has found out about an attempt is so, and nothing was done twice.
-    Raises Failed."""
+    """Check that the outcome which a restarted node reports for an attempt is true, and that nothing was done
+    twice. Raises Failed."""
     deeds, expected = on.list_deeds(done), on.reference[key_of(done.case)]
     if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
         raise Failed(f"started again, it did again: {describe_deeds(twice)}")

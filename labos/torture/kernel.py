@@ -1,4 +1,4 @@
-"""The kernel's side of one node, without a lab: it gives the module its settings, asks, and remembers."""
+"""The kernel's side for one node, without a lab: it gives the node its settings, and sends requests."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Kernel:
 
     @classmethod
     async def open(cls, module: str, setup: SetupReply, home: Path) -> Kernel:
-        """With a bus of its own."""
+        """Open it with its own bus."""
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
@@ -72,7 +72,7 @@ class Kernel:
 
     @property
     def node_lives(self) -> bool:
-        """Whether a node of the module shows itself on the bus."""
+        """Whether a node of the module is alive on the bus."""
         return bool(self._alive)
 
     # -- asking ------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""After an outcome that nobody knows: whether what the driver sees settles it, and whether it is so."""
+"""Checks whether the driver's observation settles an unknown outcome, and whether the observation is true."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from labos.torture.session import Attempt, Failed, Session, key_of
 
 
 async def observe_bench(on: Session, done: Attempt) -> None:
-    """Note whether ``observe`` settles what became of an attempt. Raises Failed if it says what is not
-    so."""
+    """Record whether ``observe`` settles the outcome of an attempt. Raises Failed if the observation is
+    false."""
     reply = await on.kernel.admin("observe")
     seen: dict[str, Any] = reply.result if reply.done and isinstance(reply.result, dict) else {}
     labware = seen.get("labware")
@@ -37,7 +37,7 @@ async def observe_bench(on: Session, done: Attempt) -> None:
 
 
 def _is_labware_settled(on: Session, effect: Carrying, sights: dict[str, bool | None]) -> bool:
-    """Whether one place is left for the labware: the rule by which the lab itself settles it."""
+    """Whether only one place is possible for the labware. The lab uses the same rule."""
     if effect.lid:
         return False  # no sensor tells a plate with a lid from one without
     places = {on.bench.place(str(place)) for place in (effect.source, effect.target, "gripper")}
@@ -47,7 +47,7 @@ def _is_labware_settled(on: Session, effect: Carrying, sights: dict[str, bool | 
 
 
 def _is_variable_settled(on: Session, done: Attempt, effect: Any, seen: dict[str, Any]) -> bool | None:
-    """Whether a variable of the module is seen as it is; None if the effect is of another kind."""
+    """Whether the observed variable of the module is correct; None if the effect is of another kind."""
     if not isinstance(effect, Sets) or effect.of != "module":
         return None
     if effect.variable not in seen:

@@ -1,4 +1,4 @@
-"""A driver's node as a process of its own, with its event loop watched: what the suite kills."""
+"""A driver's node as a separate process with a watched event loop, which the suite can kill."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def _watch(node: type[Node], watch: LoopWatch) -> type[Node]:
-    """The driver's class, which begins to be watched when it connects its device."""
+    """The driver's class; the watch starts when it connects its device."""
 
     class Watched(node):  # type: ignore[misc, valid-type]
         __doc__ = node.__doc__

@@ -1,7 +1,6 @@
-"""A line in the middle: between a driver and a simulated device, where it can be cut and spoiled.
-
-What the driver says always arrives. What the device says can be lost, held back, garbled or cut short;
-the line can be unplugged, and the device be switched off and on behind it.
+"""A relay between a driver and a simulated device, which can cut and spoil the line. Messages of the driver
+always arrive. Messages of the device can be lost, held back, garbled or cut short. The line can be unplugged,
+and the device behind it can be switched off and on.
 """
 
 from __future__ import annotations
@@ -23,20 +22,20 @@ Write = Callable[[bytes], object]
 
 POLL_S = 0.05
 ANSWER_S = 0.5
-"""How long the answer to a last question is waited for: a device need not answer all that is said to it."""
+"""How long to wait for the answer to the last question; a device need not answer every message."""
 
 NOWHERE = ("", 0)
 
 MOST_KINDS, LONGEST_KIND = 500, 200
-"""Of questions that are told apart: by their first bytes, whatever numbers stand in them."""
+"""The number of first bytes by which kinds of questions are distinguished, ignoring numbers in them."""
 
 _DIGITS = re.compile(rb"[0-9]+")
 
 
 class Relay(Protocol):
-    """``address`` is what the driver opens in the place of the device's own; ``spoiled`` counts what was
-    spoiled since somebody last asked for that; ``questions`` are the kinds of what the driver has said, each
-    once and in order."""
+    """``address`` is the address that the driver opens instead of the device's own. ``spoiled`` counts the
+    spoiled messages since the last request to spoil. ``questions`` are the kinds of messages of the driver,
+    each once and in order."""
 
     address: str
 
@@ -47,18 +46,19 @@ class Relay(Protocol):
     def spoiled_count(self) -> int: ...
 
     def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
-        """Do this to what the device says, until told otherwise or so many times (0: without end); with
-        ``to``, once the driver has asked this kind of question. ``precede`` lets ``stray`` come before it."""
+        """Spoil messages of the device in this way, the given number of times (0: until the next call). With
+        ``to``, only after the driver has asked this kind of question. ``precede`` sends ``stray`` before the
+        message."""
 
     def restore(self) -> None:
-        """Say what was held back, and pass on all that comes from now on."""
+        """Send the messages that were held back, and pass on all later ones."""
 
     def unplug(self) -> None: ...
 
     def plug(self) -> None: ...
 
     def reach(self, address: str) -> None:
-        """The device answers there now; nowhere, if empty."""
+        """Connect to the device at this address; empty: the device is off."""
 
     def wait_for_device(self) -> None:
         """Hold back what the driver sends from now on until the next ``reach``; what it asked before is
@@ -68,7 +68,7 @@ class Relay(Protocol):
 
 
 class Spoiler:
-    """What happens to the bytes that a device says."""
+    """Spoils the bytes that a device sends."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -85,7 +85,7 @@ class Spoiler:
             self.spoiled_count = 0
 
     def hear(self, data: bytes) -> None:
-        """The driver has said this."""
+        """The driver has sent these bytes."""
         kind = _DIGITS.sub(b"#", data)[:LONGEST_KIND]
         with self._lock:
             if kind == self._to:
@@ -101,12 +101,12 @@ class Spoiler:
                 write(data)
 
     def forget(self) -> None:
-        """What was held back will never arrive."""
+        """Discard the messages that were held back."""
         with self._lock:
             self._held = []
 
     def say(self, write: Write, data: bytes) -> Mode:
-        """Deliver what the device said, or what is left of it; returns what was done to it."""
+        """Deliver a message of the device, or the rest of it; returns how it was spoiled."""
         with self._lock:
             mode = self._mode
             if self._to:
@@ -129,7 +129,7 @@ class Spoiler:
         return mode
 
     def garble(self, data: bytes) -> bytes:
-        """Noise in the place of what was said; its end, if it has one, is whole."""
+        """Replace a message by noise; the message end, if there is one, is kept."""
         first = 1 if len(data.strip()) > 1 else 0
         return bytes(byte ^ 0x2A if n % 3 == first else byte for n, byte in enumerate(data))
 
@@ -223,9 +223,9 @@ class LineRelay(Spoiler):
 
 
 class TcpRelay(Spoiler):
-    """Between a driver that connects to a TCP port and a device that listens on one; for any number of
-    connections. The address is of the same form as the device's. While the device has no power, or the
-    cable is out, nobody takes a connection."""
+    """Between a driver that connects to a TCP port and a device that listens on one, for any number of
+    connections. The address has the same form as the device's. While the device has no power, or the cable is
+    out, no connection is accepted."""
 
     def __init__(self, address: str) -> None:
         super().__init__()
@@ -253,13 +253,13 @@ class TcpRelay(Spoiler):
         self._hang_up()
 
     def wait_for_device(self) -> None:
-        """Its connections end with it."""
+        """Its connections end too."""
 
     def close(self) -> None:
         self.unplug()
 
     def pass_answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
-        """Pass on what the device says, until it hangs up. ``asked`` ends when the driver does."""
+        """Pass on messages of the device until it disconnects. ``asked`` ends when the driver disconnects."""
         _pump(far, near, lambda data: self.say(near.sendall, data))
         asked.join(2)
 
@@ -330,8 +330,8 @@ def _host_and_port(address: str) -> tuple[str, int]:
 
 
 class Relays:
-    """For a device with several lines, whose addresses stand in one text with commas between them: all are
-    cut at once, and each is spoiled as if it were alone."""
+    """For a device with several lines, whose addresses are in one text, separated by commas. All lines are
+    cut together, and each is spoiled separately."""
 
     def __init__(self, lines: Sequence[Relay]) -> None:
         self._lines = lines

@@ -1,7 +1,6 @@
-"""A line in the middle of HTTP: what is lost, held back, garbled or cut short is a whole answer.
-
-The connection of an answer that is lost or late stays silent until the driver gives it up: whoever saw it
-end would know that no answer will come. That of one that is cut short ends there.
+"""A relay for HTTP: it loses, holds back, garbles or cuts short whole answers. The connection of a lost or
+late answer stays open and silent until the driver stops waiting; if it ended, the driver would know that no
+answer comes. The connection of an answer that is cut short ends there.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ BODILESS = (b"204", b"304")
 
 
 class HttpRelay(TcpRelay):
-    """Between a driver and a device that answers HTTP. An answer tells its length, or ends with its
+    """Between a driver and a device that answers HTTP. An answer contains its length, or ends with its
     connection."""
 
     def pass_answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
@@ -36,7 +35,7 @@ class HttpRelay(TcpRelay):
         asked.join(None if silent else 2)
 
     def garble(self, data: bytes) -> bytes:
-        """Noise that is HTTP, as from a proxy that answers for the device, and noise that is none."""
+        """Noise in the form of HTTP, as from a proxy that answers for the device, and noise in no form."""
         noise = super().garble
         head, end, body = data.partition(HEAD_END)
         if self.spoiled_count % 2:
@@ -46,7 +45,7 @@ class HttpRelay(TcpRelay):
 
 
 def split_answers(line: socket.socket) -> Iterator[bytes]:
-    """One after the other, each with its head; the last one may be broken off."""
+    """The answers one after the other, each with its head; the last one may be incomplete."""
     heard = b""
     while True:
         while HEAD_END not in heard:
@@ -66,7 +65,7 @@ def split_answers(line: socket.socket) -> Iterator[bytes]:
 
 
 def _read_size(heard: bytes) -> int | None:
-    """How many bytes an answer has in all; None if only its end tells."""
+    """The total number of bytes of an answer; None if only the end of the connection shows it."""
     head = heard.partition(HEAD_END)[0]
     bare = len(head) + len(HEAD_END)
     if head.split(b" ", 2)[1:2] in ([status] for status in BODILESS):

@@ -1,5 +1,5 @@
-"""One driver under torture: its node in a process that can be killed, its device behind a line that can
-be cut, its bench, and who asks it."""
+"""One driver under torture: its node in a process that can be killed, its device behind a line that can be
+cut, its bench, and the kernel's side."""
 
 from __future__ import annotations
 
@@ -32,29 +32,30 @@ WORKCELL, MODULE = "torture", "device"
 START_S = 60.0
 REST_S = 60.0
 END_S = 120.0
-"""However slow the machine: a node starts, a device comes to rest, an action ends within this."""
+"""The longest time, also on a slow machine, for a node to start, a device to come to rest, or an action to
+end."""
 
 
 SHARE = 0.4
-"""Of a motion, after which it is interrupted if its driver names no moment."""
+"""The part of a motion after which it is interrupted if its driver names no moment."""
 
 LEAST_SHARE = 0.2
-"""A device that notes what it does earlier in its motion than this, notes it when it begins."""
+"""A device that records a motion before this part of it counts as recording it at its start."""
 
 TRIES = 3
-"""On a busy machine a motion may be over before it can be interrupted: so often is it tried."""
+"""The number of attempts to interrupt a motion, because on a busy machine a motion may end before."""
 
 
 DEPTH = 6
-"""An action may need another one before it, which needs a third, so many times."""
+"""The longest chain of actions that each need another one before."""
 
 
 class Failed(Exception):
-    """The driver does not keep what every driver must."""
+    """The driver does not fulfil a requirement for all drivers."""
 
 
 class LeftOut(Exception):
-    """The check cannot be made on this driver."""
+    """The check is not possible for this driver."""
 
 
 class Attempt(msgspec.Struct, frozen=True):
@@ -68,10 +69,10 @@ class Attempt(msgspec.Struct, frozen=True):
 
 
 class Session:
-    """``reference`` holds what each action does when all goes well; ``sights`` what the driver saw, and
-    what was true, after outcomes that nobody knew; ``orders`` what it says in a motion and not at rest.
-    ``took_s`` is how long an action takes by its node, ``moved_s`` when the last of its ``motions`` was
-    seen on the bench: a driver may go on waiting long after its device has come to rest."""
+    """``reference`` has the motions of each action without faults. ``sights`` are the driver's observations
+    and the truth after unknown outcomes. ``orders`` are the messages that the driver sends only during a
+    motion. ``took_s`` is the duration of an action by its node, and ``moved_s`` the time of the last of its
+    ``motions`` on the bench, because a driver may wait long after its device has come to rest."""
 
     def __init__(
         self, reference: str, node: type[Node], torture: Torture, folder: Path, motion_s: float
@@ -106,7 +107,7 @@ class Session:
 
     @property
     def blocks(self) -> Path:
-        """Where the node notes how its event loop was held up."""
+        """The file in which the node records blocks of its event loop."""
         return self.folder / "blocks.txt"
 
     def spec(self, case: Case) -> ActionSpec:
@@ -185,7 +186,7 @@ class Session:
         self.powered = True
 
     def mend(self, fault: Fault) -> None:
-        """Put right what was made to fail, if a reset does not."""
+        """Repair a fault that was caused, if a reset does not end it."""
         if fault.mend is not None:
             fault.mend(self.device, self.bench.world)
 
@@ -196,7 +197,7 @@ class Session:
         self.switch_off()
 
     def strike(self, fault: Fault) -> None:
-        """Make the device fail, in its own thread where it has one that can be asked."""
+        """Make the device fail, in its own thread if it has one."""
         at_once = getattr(self.device, "do_at_once", None)
         if at_once is None:
             fault.strike(self.device, self.bench.world)
@@ -267,13 +268,13 @@ class Session:
     # -- the bench ---------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Somebody takes all plates away."""
+        """Remove all plates."""
         self.bench.clear()
         if self.torture.clear is not None:
             self.torture.clear(self.device, self.bench.world)
 
     def lay(self, case: Case) -> None:
-        """Somebody puts what a case needs where it is needed, and nothing else."""
+        """Put only the labware on the bench that a case needs."""
         self.clear()
         self.bench.lay(case, self.spec(case))
         if case.prepare is not None:
@@ -282,7 +283,7 @@ class Session:
     # -- acting ------------------------------------------------------------------------------
 
     async def begin(self, case: Case) -> Attempt:
-        """Lay the bench for a case, bring the module into the condition that it needs, and ask for it."""
+        """Prepare the bench and the module for a case, and request its action."""
         await self.fulfil(case)
         self.lay(case)
         return await self.ask_for(case)
@@ -361,8 +362,8 @@ class Session:
         return self.bench.list_deeds(done.since, gates=works_a_gate(self.spec(done.case)))
 
     async def fulfil(self, case: Case, depth: int = 0) -> None:
-        """Bring the module's variables to where the case needs them, by the driver's own actions, which may
-        need something themselves. Raises Failed."""
+        """Bring the module's variables to the values that the case needs, with the driver's own actions,
+        which may need other actions. Raises Failed."""
         wanted = [
             (effect.variable, effect.value)
             for effect in self.bench.effects(case, self.spec(case))
@@ -407,7 +408,7 @@ class Session:
     # -- the motion that is interrupted ------------------------------------------------------
 
     def choose_motion(self) -> Case:
-        """The action whose middle is long enough to be interrupted. Raises LeftOut, Failed."""
+        """An action that is long enough to be interrupted. Raises LeftOut, Failed."""
         if not self.reference:
             raise Failed("not made: no action does what it should")
         names = [case for case in self.cases if not case.refused and self.spec(case).exclusive]
@@ -419,8 +420,8 @@ class Session:
         return max(names, key=lambda c: (moves_labware(self.spec(c)), self.spec(c).duration_s))
 
     async def begin_to_middle(self, case: Case, share: float | None = None) -> Attempt:
-        """Begin a motion, and return while the device is in the middle of it: at the next of the driver's
-        ``moments``, or after a share of the time that it takes. Raises Failed."""
+        """Start a motion, and return while the device is moving: at the next of the driver's ``moments``, or
+        after a part of its duration. Raises Failed."""
         for _ in range(TRIES):
             done = await self.begin(case)
             if done.reply.status != "accepted":
@@ -437,8 +438,8 @@ class Session:
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
     async def interrupt(self, case: Case, switch_off: Callable[[], None]) -> Attempt:
-        """Begin a motion, and switch its device off in its middle. It is begun again if it had just ended, as
-        it may on a busy computer: such an end says nothing of the driver. Raises Failed."""
+        """Start a motion, and switch the device off during it. If the motion has just ended, which can happen
+        on a busy computer and says nothing about the driver, it is started again. Raises Failed."""
         for _ in range(TRIES):
             done = await self.begin_to_middle(case)
             switch_off()
@@ -459,7 +460,7 @@ class Session:
         return self.moved_s[case.action] >= LEAST_SHARE * took_s
 
     def _is_over(self, done: Attempt) -> bool:
-        """Whether all of it is done on the bench, whatever its node says; nothing is in mid-motion then."""
+        """Whether all its motions have ended on the bench, whatever its node reports."""
         if self.torture.moments or not self._shows_its_end(done.case):
             return False
         return len(self.bench.motions(done.since)) >= self.motions[done.case.action]
@@ -472,12 +473,12 @@ class Session:
         self._interrupted += 1
 
     async def is_running(self, done: Attempt) -> bool:
-        """Whether its node says that it is still under way."""
+        """Whether its node reports that it is still under way."""
         return (await self.kernel.ask(done.start)).status == "running"
 
     async def await_rest(self) -> None:
-        """Wait until nothing has moved for as long as the longest motion takes; at once, if nothing was
-        asked for since that was so. Raises Failed."""
+        """Wait until nothing has moved for the duration of the longest motion. Returns at once if there was
+        no request since the last rest. Raises Failed."""
         if self._rested == (self._asked, self.bench.mark()):
             return
         still_s = 1.2 * self.motion_s * self.slowness
@@ -499,8 +500,8 @@ class Session:
         return wrong
 
     async def recover(self) -> None:
-        """What a person does after a failure: put the line right, wait, clear the bench, reset. Raises
-        Failed if the module is not IDLE then, or if the reset did what nobody asked for."""
+        """Recover from a failure as a person does: repair the line, wait, clear the bench, reset. Raises
+        Failed if the module is then not IDLE, or if the reset caused other motions."""
         if self.relay is not None:
             self.relay.restore()
             self.relay.plug()

@@ -1,4 +1,4 @@
-"""The suite: which checks there are, in which order, and what follows from them."""
+"""The suite: its checks, their order, and the resulting badge."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from labos.torture.report import Finding, Report, Tier, Verdict, badge_of, evide
 from labos.torture.session import Failed, LeftOut, Session
 
 Check = Callable[[Session], Awaitable[str | None]]
-"""What a check returns is told beside its verdict."""
+"""A check; the text that it returns is shown beside its result."""
 Tell = Callable[[Finding], None]
 
 MOTION_S = 1.0
-"""How long the longest motion takes under torture."""
+"""The duration of the longest motion under torture."""
 
 CHECK_S = 600.0
 
@@ -76,7 +76,7 @@ def find_declaration(node: type[Node]) -> Torture:
 
 
 def is_person(node: type[Node]) -> bool:
-    """Whether it offers nothing but what people do."""
+    """Whether all its actions are done by people."""
     offered = [spec for spec in node.describe().actions if not spec.recovers]
     return bool(offered) and all(spec.by_person for spec in offered)
 
@@ -89,8 +89,8 @@ async def torture(
     motion_s: float = MOTION_S,
     folder: Path | None = None,
 ) -> Report:
-    """Torture a driver: an installed one by its name, or one in a file. ``only`` names checks; the badge
-    then says less. Raises NotFound, BadInput."""
+    """Torture a driver: an installed one by its name, or one in a file. ``only`` names checks; the badge then
+    has less evidence. Raises NotFound, BadInput."""
     if unknown := [name for name in only if name not in CHECKS]:
         raise BadInput(f"There is no check {unknown[0]!r}.", remedy=f"There are: {', '.join(CHECKS)}.")
     node = load_driver(driver)
@@ -142,7 +142,7 @@ async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
 
 
 async def _bring_back(on: Session) -> str:
-    """Why no check can be made any more; empty if the node is idle."""
+    """The reason why no further check is possible; empty if the node is idle."""
     try:
         await on.make_ready()
     except (Failed, LabosError) as error:

@@ -148,6 +148,7 @@ def parts() -> str:
             for name in (
                 "ModuleSpec",
                 "RetryDefault",
+                "Together",
                 "StationSpec",
                 "LabwareSpec",
                 "TransferWay",

@@ -79,8 +79,7 @@ class GeneratedAccounts(Calls):
     def tokens(self, user: str = "") -> list[dict[str, Any]]:
         """Tokens of programs. The answer has no secrets: the lab does not store them. ``user``: the owner;
         only admins may name another user."""
-        found: list[dict[str, Any]] = self._get("/tokens", user=user)["tokens"]
-        return found
+        return self._get("/tokens", user=user)["tokens"]
 
     def make_token(
         self, label: str = "", *, scope: str = "submitter", days: float = 90.0, user: str = ""
@@ -97,8 +96,7 @@ class GeneratedAccounts(Calls):
 
     def people(self) -> list[dict[str, Any]]:
         """List the names of users."""
-        found: list[dict[str, Any]] = self._get("/people")["people"]
-        return found
+        return self._get("/people")["people"]
 
     def set_password(self, user: str, password: str, present: str = "") -> None:
         """Change a user's password. All sessions of the user end; tokens stay. ``password``: the new

@@ -53,7 +53,7 @@ class GeneratedApprovals(Calls):
         limit. ``consumables``: the largest amounts, by kind of consumable. ``alike``: for a run of an
         experiment: further runs of its workflow there need no approval. Returns the digest. Raises
         Refused."""
-        found: str = self._post(
+        return self._post(
             f"/approvals/{in_path(subject)}/approve",
             {
                 "by": by,
@@ -68,16 +68,14 @@ class GeneratedApprovals(Calls):
             },
             repeat=True,
         )["digest"]
-        return found
 
     def refuse(self, subject: str, by: str, *, comment: str = "") -> str:
         """Refuse a submission. The submission is cancelled. If it is a change of a campaign, the campaign
         continues unchanged. ``comment``: a reason or comment for the log. Returns the digest. Raises
         Refused."""
-        found: str = self._post(
+        return self._post(
             f"/approvals/{in_path(subject)}/refuse", {"by": by, "comment": comment}, repeat=True
         )["digest"]
-        return found
 
     def policy(self) -> dict[str, Any]:
         """Show the policy: which submissions need an approval, and the highest priority. Returns ``applied``,

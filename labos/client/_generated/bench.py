@@ -23,20 +23,16 @@ class GeneratedBench(Calls):
     def place(self, station: str, labware: str, by: str) -> str:
         """Report that labware was put on an empty station. ``station``: the station. ``labware``: its type.
         Returns the labware. Raises NotFound, Refused."""
-        found: str = self._post("/stations/place", {"station": station, "labware": labware, "by": by})[
-            "labware"
-        ]
-        return found
+        return self._post("/stations/place", {"station": station, "labware": labware, "by": by})["labware"]
 
     def load(self, station: str, labware: str, by: str, *, count: int = 1, lot: str = "") -> list[str]:
         """Report that labware was loaded. The labware is on top of a stack, or in free slots. It is refused
         if the station does not accept it or has no room. ``station``: the station. ``labware``: its type.
         ``count``: the number of pieces; 1 if left out. ``lot``: their lot, which each piece keeps as its
         variable ``lot``. Returns the labware. Raises NotFound, Refused."""
-        found: list[str] = self._post(
+        return self._post(
             "/stations/load", {"station": station, "labware": labware, "by": by, "count": count, "lot": lot}
         )["labware"]
-        return found
 
     def unload(self, station: str, by: str, *, labware: str = "", count: int | None = None) -> dict[str, Any]:
         """Report that labware was taken away. The labware has left the bench. It is refused for labware of a
@@ -67,10 +63,9 @@ class GeneratedBench(Calls):
         declared, or none. ``stations``: types of labware by station. ``workcell``: the workcell for
         ``empty``, if the lab has several. ``empty``: all stations that were not reported are empty. Returns
         the declared. Raises NotFound, Refused."""
-        found: dict[str, list[str]] = self._post(
+        return self._post(
             "/stations/declare", {"stations": stations or {}, "by": by, "workcell": workcell, "empty": empty}
         )["declared"]
-        return found
 
     def round(self) -> dict[str, Any]:
         """Show what has to be reported of the bench after the log lost its end. The evidence that the log has
@@ -135,7 +130,7 @@ class GeneratedBench(Calls):
         lists the places of all faults. ``text``: the sheet, CSV. ``name``: the name of the sheet in error
         messages. ``labware``: the plate, if the sheet does not name it. ``station``: or where it stands.
         ``replace``: replace an earlier sheet. Returns the plates. Raises NotFound, Refused, BadInput."""
-        found: dict[str, int] = self._post(
+        return self._post(
             "/samples",
             {
                 "text": text,
@@ -147,4 +142,3 @@ class GeneratedBench(Calls):
             },
             repeat=True,
         )["plates"]
-        return found

@@ -13,8 +13,7 @@ class GeneratedBookings(Calls):
     def bookings(self, target: str = "") -> list[dict[str, Any]]:
         """List the bookings. The bookings that have not ended, in the order of their next times. ``target``:
         only those of this workcell, or of this module (including those of its workcell). Raises NotFound."""
-        found: list[dict[str, Any]] = self._get("/bookings", target=target)["bookings"]
-        return found
+        return self._get("/bookings", target=target)["bookings"]
 
     def book(
         self,

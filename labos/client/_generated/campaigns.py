@@ -13,8 +13,7 @@ class GeneratedCampaigns(Calls):
 
     def campaigns(self) -> list[dict[str, Any]]:
         """List the campaigns that have not been completed."""
-        found: list[dict[str, Any]] = self._get("/campaigns")["campaigns"]
-        return found
+        return self._get("/campaigns")["campaigns"]
 
     def _submit_campaign_file(
         self,
@@ -170,8 +169,7 @@ class GeneratedCampaigns(Calls):
 
     def shares(self) -> list[dict[str, Any]]:
         """Show each user's share of the lab, and the use so far. Returns the accounts."""
-        found: list[dict[str, Any]] = self._get("/shares")["accounts"]
-        return found
+        return self._get("/shares")["accounts"]
 
     def apply_shares(self, text: str, file: str, by: str) -> None:
         """Apply a shares file with weights and quotas. ``text``: the file. ``file``: the name of the file in

@@ -36,8 +36,7 @@ class GeneratedLab(Calls):
         waits at most two seconds. Nothing moves. ``module``: a module; may be repeated; left out: all
         modules. ``check``: each node also reports its identity and what its device observes; nothing moves.
         Returns the modules."""
-        found: list[dict[str, Any]] = self._get("/nodes", module=module, check=int(check))["modules"]
-        return found
+        return self._get("/nodes", module=module, check=int(check))["modules"]
 
     def _pause_target(self, target: str, by: str, *, why: str = "", stay: bool = False) -> dict[str, Any]:
         """Pause a run, an experiment, a module, a workcell or the lab. Nothing more starts there except

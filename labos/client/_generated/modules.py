@@ -25,10 +25,7 @@ class GeneratedModules(Calls):
         """Start or stop the transcript of a device's links. The module's node records every byte on the links
         to its device, or stops doing so ([links](../links.md)). ``on``: true or left out: start a transcript
         in a new file; false: stop it. Returns the file. Raises Refused."""
-        found: str = self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)[
-            "file"
-        ]
-        return found
+        return self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)["file"]
 
     def replenish(
         self,
@@ -47,7 +44,7 @@ class GeneratedModules(Calls):
         is room for. ``unit``: the unit of the amount, such as ``mL``; the unit of the resource if left out.
         ``lot``: the lot of the new pack. ``expires``: the expiry date, such as ``2027-05-31``. ``instead``:
         the rest of the old packs was taken out; ``false`` if left out. Returns the amount. Raises Refused."""
-        found: float = self._post(
+        return self._post(
             f"/modules/{in_path(module, 2)}/replenish",
             {
                 "resource": resource,
@@ -59,13 +56,11 @@ class GeneratedModules(Calls):
                 "instead": instead,
             },
         )["amount"]
-        return found
 
     def locations(self, module: str) -> dict[str, dict[str, Any]]:
         """Show the poses of a manipulator by station. Version 0 is the pose of the workcell file. Poses for
         particular labware types are under ``types``."""
-        found: dict[str, dict[str, Any]] = self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
-        return found
+        return self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
 
     def teach(
         self,
@@ -81,12 +76,11 @@ class GeneratedModules(Calls):
         station. ``pose``: the numbers of the pose, as many as in the present pose. ``why``: a word for the
         log. ``labware_type``: the pose is only for labware of this type; the station needs a pose for all
         types first. Returns the version. Raises Refused."""
-        found: int = self._post(
+        return self._post(
             f"/modules/{in_path(module, 2)}/locations",
             {"station": station, "pose": pose, "by": by, "why": why, "labware_type": labware_type},
             repeat=True,
         )["version"]
-        return found
 
     def calibrate(
         self,
@@ -156,10 +150,9 @@ class GeneratedModules(Calls):
         access is ``granted``, and which modules may still be moving because the outcome of their action is
         unknown (``perhaps_moving``). ``why``: what for. ``park``: false: arms stay where they are. Returns
         the parking. Raises Refused."""
-        found: list[str] = self._post(
+        return self._post(
             f"/workcells/{in_path(workcell)}/access", {"by": by, "why": why, "park": park}, repeat=True
         )["parking"]
-        return found
 
     def _end_workcell_access(
         self, workcell: str, by: str, *, note: str = "", changed: Sequence[Mapping[str, Any]] = ()

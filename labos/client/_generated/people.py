@@ -12,8 +12,7 @@ class GeneratedPeople(Calls):
 
     def users(self) -> list[dict[str, Any]]:
         """List the users and their roles."""
-        found: list[dict[str, Any]] = self._get("/users")["users"]
-        return found
+        return self._get("/users")["users"]
 
     def add_user(
         self, user: str, by: str, *, kind: str = "person", role: str | None = None, scope: str = "*"
@@ -42,8 +41,7 @@ class GeneratedPeople(Calls):
 
     def groups(self) -> list[dict[str, Any]]:
         """Groups, their members and their roles."""
-        found: list[dict[str, Any]] = self._get("/groups")["groups"]
-        return found
+        return self._get("/groups")["groups"]
 
     def add_group(self, group: str, by: str) -> None:
         """Add a group. The group has weight 1; a shares file may set another weight. ``group``: its name.

@@ -30,12 +30,11 @@ class GeneratedPlanning(Calls):
         the steps, in any order; none: withdraw the suggestion. ``until``: the time until which it is valid
         (UTC ns). ``position``: the position of the log from which it was computed. Returns the steps. Raises
         NotFound, Refused."""
-        found: int = self._post(
+        return self._post(
             f"/workcells/{in_path(workcell)}/order",
             {"steps": steps, "until": until, "position": position, "by": by},
             repeat=True,
         )["steps"]
-        return found
 
     def _check_run(
         self,

@@ -200,10 +200,9 @@ class GeneratedRuns(Calls):
         """Store a file of an experiment. Stores a file of an experiment that has not ended, such as the
         result of a computation. ``/files/{sha256}`` returns it. A repeated request has no further effect.
         ``content``: the file, in base64. Returns the sha256. Raises NotFound."""
-        found: str = self._post(
+        return self._post(
             f"/experiments/{in_path(experiment)}/files", {"content": content}, user=user, repeat=True
         )["sha256"]
-        return found
 
     def heartbeat(self, experiment: str, user: str = "") -> None:
         """Report that the application is running. The application is running."""

@@ -26,8 +26,7 @@ class GeneratedSignatures(Calls):
     def signatures(self, run: str) -> list[dict[str, Any]]:
         """List the signatures for the record of a run. They are in the order of the log. ``holds``: the
         record is still the one that was signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
-        return found
+        return self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
 
     def sign_experiment(
         self, experiment: str, meaning: str, password: str, *, why: str = ""
@@ -46,10 +45,7 @@ class GeneratedSignatures(Calls):
     def experiment_signatures(self, experiment: str) -> list[dict[str, Any]]:
         """List the signatures for the record of an experiment. They are in the order of the log. ``holds``:
         the records are still those that were signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/experiments/{in_path(experiment)}/signatures")[
-            "signatures"
-        ]
-        return found
+        return self._get(f"/experiments/{in_path(experiment)}/signatures")["signatures"]
 
     def sign_campaign(self, campaign: str, meaning: str, password: str, *, why: str = "") -> dict[str, Any]:
         """Sign the record of a campaign that has ended. It works as for a run. The signature covers all
@@ -66,5 +62,4 @@ class GeneratedSignatures(Calls):
     def campaign_signatures(self, campaign: str) -> list[dict[str, Any]]:
         """List the signatures for the record of a campaign. They are in the order of the log. ``holds``: the
         records are still those that were signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/campaigns/{in_path(campaign)}/signatures")["signatures"]
-        return found
+        return self._get(f"/campaigns/{in_path(campaign)}/signatures")["signatures"]

@@ -13,8 +13,7 @@ class GeneratedWords(Calls):
 
     def erasures(self) -> list[dict[str, Any]]:
         """List the erasures that wait for a second person."""
-        found: list[dict[str, Any]] = self._get("/words/erasures")["erasures"]
-        return found
+        return self._get("/words/erasures")["erasures"]
 
     def erase_words(
         self, because: str, by: str, *, records: Sequence[int] = (), user: str = ""
@@ -40,7 +39,4 @@ class GeneratedWords(Calls):
     def refuse_erasure(self, erasure: str, by: str) -> str:
         """Refuse an erasure that waits for a second person. Nothing is erased. The user who asked can
         withdraw the request in this way. Raises Refused."""
-        found: str = self._post(f"/words/erasures/{in_path(erasure)}/refuse", {"by": by}, repeat=True)[
-            "erasure"
-        ]
-        return found
+        return self._post(f"/words/erasures/{in_path(erasure)}/refuse", {"by": by}, repeat=True)["erasure"]

@@ -379,7 +379,7 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 
 
 def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
-    """A campaign that may not continue is stopped. A campaign without remaining work is completed."""
+    """A campaign that may not continue is stopped, and a campaign without remaining work is completed."""
     for name in list(state.campaigns.due):
         campaign = state.campaigns.open[name]
         if why := explain_stop(campaign):

@@ -22,6 +22,7 @@ from labos.core.runs import (
     RunCancelled,
     RunCancelling,
     RunCompleted,
+    RunEnd,
     RunFailed,
     RunState,
     RunStatus,
@@ -61,7 +62,7 @@ def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> 
 
 
 def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | StepSkipped) -> Iterator[Event]:
-    """Steps that are next and whose condition is false are skipped. If a condition cannot be evaluated, the
+    """Steps that are next and whose condition is false are skipped; if a condition cannot be evaluated, the
     run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status not in SETTLED:
@@ -131,9 +132,7 @@ def give_up(state: LabState, run: RunState, why: str, kind: str = "experiment") 
         yield from record_end(state, run, RunFailed(run.id, why, kind), f"failed: {why}")
 
 
-def record_end(
-    state: LabState, run: RunState, end: RunCompleted | RunFailed | RunCancelled, what: str
-) -> Iterator[Event]:
+def record_end(state: LabState, run: RunState, end: RunEnd, what: str) -> Iterator[Event]:
     """The events that end a run: its labware goes to its experiment or user; what it leaves in
     the way is shown to a person."""
     heir = user_owner(run.user)

@@ -277,8 +277,8 @@ def _end(state: LabState, experiment: Experiment, why: str = "") -> list[Event]:
 
 
 def end_experiments(state: LabState, event: Event) -> Iterator[Event]:
-    """A cancelled experiment starts to close when its last run has ended. A closing experiment ends when its
-    closing workflow has ended."""
+    """A cancelled experiment closes when its last run has ended; a closing experiment ends when its closing
+    workflow has ended."""
     for name in list(state.experiments.ending):
         experiment = state.experiments.open[name]
         if not experiment.runs and experiment.status == ExperimentStatus.CLOSING:

@@ -42,6 +42,7 @@ from labos.core.decide import (
     suggestions,
     targets,
     teach,
+    together,
     users,
     verification,
     work,
@@ -341,6 +342,7 @@ RIGHTS: dict[type[Command], Right] = {
     runs.BreachWindow: _INSIDE,
     shorter.ReportShorterLog: _INSIDE,
     steps.TimeOutAction: _INSIDE,
+    together.StartTogether: _INSIDE,
     verification.VerifyAction: _INSIDE,
     work.NoteOverdue: _INSIDE,
 }

@@ -108,7 +108,7 @@ def retry_step(state: LabState, event: ActionFailed) -> Iterator[Event]:
 
 def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepUnexpected) -> Iterator[Event]:
     """A failed step without further retries is handled as its plan says: a person is asked, its recovery
-    starts, or it is skipped. Otherwise its run ends as failed."""
+    starts, it is skipped, or its run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.steps[event.step].status != FAILED:
         return

@@ -61,8 +61,8 @@ _GOES_ON: dict[type[Event], str] = {
 
 
 def withdraw_action_questions(state: LabState, event: ActionEvent) -> Iterator[Event]:
-    """The questions about an action are withdrawn when its node reports the outcome. A question about
-    planned work is answered with the outcome, which a simulated person reports through the node."""
+    """The questions about an action are withdrawn when its node reports the outcome; a question about planned
+    work is answered with the outcome, which a simulated person reports through the node."""
     for question in state.interventions.all_about(event.action):
         if isinstance(question.topic, PlannedWork) and isinstance(event, ActionSucceeded | ActionFailed):
             done = "done" if isinstance(event, ActionSucceeded) else "not_done"

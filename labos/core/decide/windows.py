@@ -11,17 +11,7 @@ from labos.core.interventions import (
 )
 from labos.core.model import Plan, Window
 from labos.core.registry import Event
-from labos.core.runs import (
-    Anchor,
-    EndTimes,
-    RunCancelled,
-    RunCompleted,
-    RunFailed,
-    RunPaused,
-    RunResumed,
-    RunStarted,
-    RunState,
-)
+from labos.core.runs import Anchor, EndTimes, RunEnd, RunPaused, RunResumed, RunStarted, RunState
 from labos.core.state import LabState
 from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, SecondPerson, Topic
 
@@ -115,9 +105,7 @@ def withdraw_late_questions(state: LabState, event: RunResumed) -> Iterator[Even
         yield InterventionResolved(name, "withdrawn", "labos", "the run was resumed")
 
 
-def withdraw_run_questions(
-    state: LabState, event: RunStarted | RunCompleted | RunFailed | RunCancelled
-) -> Iterator[Event]:
+def withdraw_run_questions(state: LabState, event: RunStarted | RunEnd) -> Iterator[Event]:
     """When a run starts or ends, the questions about it and its steps are withdrawn."""
     why = "the run has begun" if isinstance(event, RunStarted) else "the run has ended"
     for name in questions_of(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson, Approval):
