@@ -250,7 +250,8 @@ class EndedCampaign(msgspec.Struct):
 
 class Campaigns(msgspec.Struct):
     """``open`` are those that have not been completed; ``named`` and ``requests`` as for runs. ``members``
-    are the runs alive of campaigns, ``clocks`` hold when their open actions were requested. ``due`` are the
+    are the runs alive of campaigns, ``clocks`` hold when their open actions were requested, ``parts`` how
+    many actions share the time of their module, where a device carries out several in one go. ``due`` are the
     campaigns that must be stopped or are over. ``ended`` and ``restricted`` are kept for ever: a campaign may
     be archived years later, and its events stay in the log."""
 
@@ -259,6 +260,7 @@ class Campaigns(msgspec.Struct):
     requests: dict[str, CampaignId] = {}
     members: dict[RunId, CampaignId] = {}
     clocks: dict[ActionId, int] = {}
+    parts: dict[ActionId, int] = {}
     due: dict[CampaignId, bool] = {}
     ended: dict[CampaignId, EndedCampaign] = {}
     restricted: dict[CampaignId, RestrictedCampaign] = {}
@@ -411,15 +413,17 @@ def _meets(campaign: Campaign, results: dict[str, Any]) -> bool:
 def fold_action_requested(campaigns: Campaigns, event: ActionRequested, at: int) -> None:
     if event.run in campaigns.members:
         campaigns.clocks.setdefault(event.action, at)
+        if event.together:
+            campaigns.parts[event.action] = len(event.together)
 
 
 def fold_action_ended(campaigns: Campaigns, event: ActionEnd, at: int) -> None:
-    began = campaigns.clocks.pop(event.action, None)
+    began, parts = campaigns.clocks.pop(event.action, None), campaigns.parts.pop(event.action, 1)
     campaign = campaigns.find_by_run(event.run)
     if campaign is None:
         return
     if began is not None:
-        campaign.spent_ns += at - began
+        campaign.spent_ns += (at - began) // parts
     is_done = isinstance(event, ActionSucceeded) or (
         isinstance(event, ActionReconciled) and event.effects == "all"
     )

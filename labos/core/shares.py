@@ -111,8 +111,9 @@ class Had(msgspec.Struct):
 class Shares(msgspec.Struct):
     """``usage`` by user, ``group_usage`` by group; ``had`` by user, ``group_had`` by group. ``group_of``
     names the group of each user who is in one. ``users`` of runs alive; ``started`` are those of them that
-    are under way; ``clocks`` hold when open actions were requested. ``kept`` are the groups that stay when a
-    file does not name them."""
+    are under way; ``clocks`` hold when open actions were requested, ``parts`` how many actions share the
+    time of their module, where a device carries out several in one go. ``kept`` are the groups that stay
+    when a file does not name them."""
 
     digest: str = ""
     groups: dict[str, Group] = {}
@@ -125,6 +126,7 @@ class Shares(msgspec.Struct):
     users: dict[RunId, str] = {}
     started: dict[RunId, bool] = {}
     clocks: dict[ActionId, int] = {}
+    parts: dict[ActionId, int] = {}
     kept: dict[str, bool] = {}
 
     def member(self, user: str) -> Member:
@@ -261,21 +263,23 @@ def fold_run_ended(shares: Shares, event: RunEnd, at: int) -> None:
 
 def fold_action_requested(shares: Shares, event: ActionRequested, at: int) -> None:
     shares.clocks.setdefault(event.action, at)
+    if event.together:
+        shares.parts[event.action] = len(event.together)
 
 
 def fold_action_ended(shares: Shares, event: ActionEnd, at: int) -> None:
-    began = shares.clocks.pop(event.action, at)
+    spent = (at - shares.clocks.pop(event.action, at)) // shares.parts.pop(event.action, 1)
     user = shares.users.get(event.run)
     if user is None:
         return
-    _find_usage(shares.usage, user, at).add(at - began, at)
+    _find_usage(shares.usage, user, at).add(spent, at)
     group = shares.group_of.get(user)
     if group is not None:
-        _find_usage(shares.group_usage, group, at).add(at - began, at)
+        _find_usage(shares.group_usage, group, at).add(spent, at)
     day = at // DAY_NS
     for had in _had(shares, user):
         had.week.forget_before(day)
-        had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + at - began
+        had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + spent
 
 
 def fold_resource_consumed(shares: Shares, event: ResourceConsumed, at: int) -> None:

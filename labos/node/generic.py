@@ -109,7 +109,7 @@ class GenericDevice:
         self._is_stopped = False
         self.world.leave(self.name)
 
-    def held(self) -> str:
+    def find_held_plate(self) -> str:
         """What the hand holds, or empty."""
         return self._top(f"hand:{self.name}")
 

@@ -22,6 +22,7 @@ from labos.planning.paths import (
     door_key,
     find_kept_module,
     guards,
+    had_key,
     joint_claim,
     ready_key,
 )
@@ -80,7 +81,7 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if not motion.target:
         if motion.uses and not may_use(floor, actor, motion.uses):
             return False
-        if motion.joint and not _are_all_ready(floor, actor, motion.joint):
+        if motion.joint and not _are_all_ready(floor, actor, motion):
             return False
         asks = bool(motion.grabs) and not motion.recovers  # a recovery asks nobody
         if asks and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
@@ -99,17 +100,23 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     )
 
 
-def _are_all_ready(floor: Floor, actor: Actor, module: ModuleName) -> bool:
-    """Whether all who have labware in a module are ready for the same as an actor. One that is not ready any
-    more has had it with the others."""
-    ready = floor.held.get(ready_key(module), {})
-    if actor.name not in ready:
+def _are_all_ready(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether all who have labware in a module are ready for what an actor wants of it now, or it was done
+    for the actor already, with another one."""
+    if actor.name in floor.held.get(had_key(motion.joint), {}):
         return True
-    wish = ready[actor.name]
-    return all(
-        who == actor.name or (wish is not None and ready.get(who) == wish)
-        for who in _list_inside(floor, module)
-    )
+    ready, wish = floor.held.get(ready_key(motion.joint), {}), motion.wish
+    inside = _list_inside(floor, motion.joint)
+    return all(who == actor.name or (wish is not None and ready.get(who) == wish) for who in inside)
+
+
+def _becomes_ready(actor: Actor, motion: Motion) -> bool:
+    """Whether nothing else is left before the step for which a motion makes an actor ready. Behind a fork
+    only the order that was planned is known."""
+    left = [other for other in actor.motions[actor.done :] if other.for_step == motion.for_step]
+    if motion not in left:
+        return motion.is_last
+    return all(other.step == motion.step for other in left)
 
 
 def _list_inside(floor: Floor, module: ModuleName) -> list[str]:
@@ -251,6 +258,9 @@ class ActorBefore(msgspec.Struct):
     given: list[tuple[StationName, Counts, int, list[int]]] = []
 
 
+NOT_HELD = object()
+"""In place of what somebody held, where that was nothing."""
+
 Undo = tuple[Counts, str, Counts | None, Loans] | ActorBefore
 """From which count a motion took its labware, in whose name, from which pool it took over the plate whose
 lid it carries, and what was lent to its actor before; for taking it back. Or what its actor held."""
@@ -302,8 +312,11 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Undo | None) ->
     if taken is None:
         return
     if isinstance(taken, ActorBefore):
-        for key, who, value in taken.joined:
-            floor.held[key][who] = value
+        for key, who, value in reversed(taken.joined):
+            if value is NOT_HELD:
+                del floor.held[key][who]
+            else:
+                floor.held[key][who] = value
         for key, before, value in reversed(taken.keys):
             if before:
                 floor.held.setdefault(key, {})[actor.name] = value
@@ -404,15 +417,13 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> ActorBefore | None:
     if not motion.changes_anything:
         return None
     who, before = actor.name, ActorBefore(lent=floor.lent.get(actor.name, ()))
-    for key, value in motion.grabs:
+    is_early = motion.for_step is not None and not _becomes_ready(actor, motion)
+    for key, value in motion.grabs if not is_early else ():
         holders = floor.held.setdefault(key, {})
         before.keys.append((key, who in holders, holders.get(who)))
         holders[who] = value
-    if motion.joint and who in floor.held.get(ready_key(motion.joint), {}):
-        key = ready_key(motion.joint)
-        ready = floor.held[key]
-        others = [other for other in _list_inside(floor, motion.joint) if other != who and other in ready]
-        before.joined += [(key, other, ready.pop(other)) for other in others]
+    if motion.joint:
+        _join(floor, who, motion, before)
     for key in motion.frees:
         holders = floor.held.get(key, {})
         if who in holders:
@@ -433,6 +444,20 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> ActorBefore | None:
     if motion.heir:
         _leave_all(floor, actor, motion.heir, before)
     return before
+
+
+def _join(floor: Floor, who: str, motion: Motion, before: ActorBefore) -> None:
+    """What a module does for one, it does for all who have labware in it."""
+    ready = floor.held.setdefault(ready_key(motion.joint), {})
+    had = floor.held.setdefault(had_key(motion.joint), {})
+    if who in had:
+        before.joined.append((had_key(motion.joint), who, had.pop(who)))
+        return
+    for other in _list_inside(floor, motion.joint):
+        if other != who:
+            before.joined.append((ready_key(motion.joint), other, ready.pop(other)))
+            before.joined.append((had_key(motion.joint), other, NOT_HELD))
+            had[other] = motion.wish
 
 
 def _leave_all(floor: Floor, actor: Actor, heir: Owner, before: ActorBefore) -> None:

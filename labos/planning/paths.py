@@ -77,7 +77,8 @@ class Motion(msgspec.Struct, frozen=True):
     and its labware is at ``target`` (as before on a stack, if ``new``) instead of at ``source``; or without a
     ``target``, ``source`` need not be kept free for it any more. ``heir``: who has what the run had.
     ``joint`` is the module that does the step for all whose labware is in it at once: they all have to be
-    ready.
+    ready for the same (``wish``). With a step that makes a run ready ``for_step`` another one, that one is
+    named; ``is_last``: no other step is before that one and after this, in this order.
 
     What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
     asked before any of it is done, so they stand with its first motion: where it needs labware or room
@@ -96,6 +97,9 @@ class Motion(msgspec.Struct, frozen=True):
     returns: bool = False
     heir: Owner = Owner("")
     joint: ModuleName = ModuleName("")
+    wish: bytes | None = None
+    for_step: int | None = None
+    is_last: bool = False
     wants: Settings = ()
     sets: Settings = ()
     recovers: bool = False
@@ -296,8 +300,6 @@ def motions_of_steps(
     behind = _find_joint_behind(plan, order, joint)
     for index in order:
         step = plan.steps[index]
-        if index in behind.get(index, ()):
-            motions.append(_make_ready(plan, index, index))
         rest, after = rests.get(step.module, {}), settings_after(step.effects)
         doors = values.setdefault(step.module, {})
         doors.update(after.variables)
@@ -332,13 +334,14 @@ def motions_of_steps(
         for what in moving:
             before.carry(what, claims)
         if is_joint(joint, step):
-            motions.append(Motion(index, frees=(ready_key(step.module),), joint=step.module))
+            wish = find_planned_wish(plan, step)
+            motions.append(Motion(index, frees=(ready_key(step.module),), joint=step.module, wish=wish))
         if frees or sets:
             motions.append(Motion(index, frees=frees, sets=sets))
             for key in frees:
                 held.pop(key, None)
-        motions += [_make_ready(plan, index, later) for later in behind.get(index, ()) if later != index]
-    ever.update((ready_key(plan.steps[later].module), True) for each in behind.values() for later in each)
+        motions += [_make_ready(plan, index, later, is_last=last) for later, last in behind.get(index, ())]
+    ever.update((ready_key(plan.steps[later].module), True) for each in behind.values() for later, _ in each)
     if ever or lent:  # also of what it has let go of before: steps beside each other may end in any order
         motions.append(Motion(END, frees=tuple(ever), returns=lent))
     return tuple(motions)
@@ -346,22 +349,26 @@ def motions_of_steps(
 
 def _find_joint_behind(
     plan: Plan, order: Sequence[int], joint: Mapping[ModuleName, Together]
-) -> dict[int, list[int]]:
-    """By the last step before each of them in this order, the steps that modules do for several runs at once;
-    by itself one that no step is before."""
-    found: dict[int, list[int]] = {}
+) -> dict[int, list[tuple[int, bool]]]:
+    """By the steps before them, the steps that modules do for several runs at once, and whether no other step
+    before them comes later in this order."""
+    found: dict[int, list[tuple[int, bool]]] = {}
     place = {step: position for position, step in enumerate(order)} if joint else {}
     for index in place:
         if is_joint(joint, plan.steps[index]):
-            before = [step for step in plan.steps[index].after if step in place]
-            found.setdefault(max(before, key=place.__getitem__, default=index), []).append(index)
+            before = sorted(
+                (step for step in plan.steps[index].after if step in place), key=place.__getitem__
+            )
+            for step in before:
+                found.setdefault(step, []).append((index, step == before[-1]))
     return found
 
 
-def _make_ready(plan: Plan, index: int, later: int) -> Motion:
-    """With a step a run becomes ready for a later one, which is done for several runs at once."""
+def _make_ready(plan: Plan, index: int, later: int, *, is_last: bool) -> Motion:
+    """With a step a run becomes ready for a later one, if all others before that are done."""
     step = plan.steps[later]
-    return Motion(index, grabs=((ready_key(step.module), find_planned_wish(plan, step)),))
+    grabs = ((ready_key(step.module), find_planned_wish(plan, step)),)
+    return Motion(index, grabs=grabs, for_step=later, is_last=is_last)
 
 
 def _needs(
@@ -414,6 +421,12 @@ def joint_claim(module: ModuleName) -> str:
 def ready_key(module: ModuleName) -> str:
     """What a run holds that is ready for what a module does for several runs at once."""
     return f"{READY}{JOINT}{module}"
+
+
+@cache
+def had_key(module: ModuleName) -> str:
+    """What a run holds for which a module has done it already, together with another one."""
+    return f"{READY}had:{JOINT}{module}"
 
 
 def is_joint(joint: Mapping[ModuleName, Together], step: PlanStep) -> bool:

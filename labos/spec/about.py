@@ -25,7 +25,8 @@ ArgType = Literal["str", "int", "float", "bool", "list", "dict", "any", "station
 
 
 class ArgAbout(Part):
-    """An argument; ``minimum`` and ``maximum`` in ``unit``. One with a default need not be given."""
+    """An argument; ``minimum`` and ``maximum`` are in ``unit``. An argument with a default may be left
+    out."""
 
     type: ArgType = "any"
     required: bool | None = None
@@ -41,7 +42,8 @@ class ArgAbout(Part):
 class ActionAbout(Part):
     """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``;
     ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``;
-    ``duration_from`` is where the duration is found if arguments decide it, such as ``20 + {seconds}``."""
+    ``duration_from`` is the formula for the duration if it depends on arguments, such as ``20 +
+    {seconds}``."""
 
     description: str = ""
     args: dict[Name, ArgAbout] = {}
@@ -68,7 +70,7 @@ class StationAbout(Part):
 
 
 class About(Part):
-    """What a driver would say of the module."""
+    """The description of the module that a driver would give."""
 
     description: str = ""
     manipulator: bool = False
@@ -81,14 +83,14 @@ class About(Part):
 
 
 class ExtendedAction(ActionAbout):
-    """An action that the driver does not know; or arguments that it does not know of one that it does. One
-    that ``replaces`` the driver's action of that name stands in its place."""
+    """An action that the driver does not have, or further arguments of one that it has. With ``replaces``, it
+    replaces the driver's action of that name."""
 
     replaces: bool = False
 
 
 class Extends(Part):
-    """What the module's own node offers beyond what its driver knows."""
+    """Parts of the module's own node that its driver does not have."""
 
     stations: dict[Name, StationAbout] = {}
     actions: dict[Name, ExtendedAction] = {}

@@ -25,8 +25,8 @@ MOST_ROWS = 100_000
 
 
 class Span(Part):
-    """Numbers from one to another; a Latin hypercube takes some of them; ``whole`` numbers only, if it
-    says so."""
+    """Numbers from one to another, of which a Latin hypercube uses some; with ``whole``, only whole
+    numbers."""
 
     from_: float = Field(alias="from")
     to: float
@@ -34,8 +34,8 @@ class Span(Part):
 
 
 class LatinHypercube(Part):
-    """So many rows that fill a space of parameters evenly: each parameter's span is cut into as many
-    slices as there are rows, and each slice is met once. The same seed gives the same rows."""
+    """Rows that fill a space of parameters evenly: each parameter's span is divided into as many slices as
+    there are rows, and each slice is used once. The same seed gives the same rows."""
 
     samples: int = Field(ge=1, le=MOST_ROWS)
     seed: int
@@ -46,7 +46,7 @@ Values = Annotated[list[Any], Field(min_length=1)]
 
 
 class RowsEntry(Part):
-    """Where the rows come from: exactly one of these. Keys may lead into tables: ``seal.time``."""
+    """The source of the rows: exactly one of these. Keys may lead into tables: ``seal.time``."""
 
     table: str = ""
     list_: list[dict[str, Any]] = Field(default=[], alias="list")
@@ -56,7 +56,7 @@ class RowsEntry(Part):
 
 
 class BudgetEntry(Part):
-    """What it may use at most: runs, module time, and consumables by kind in their own unit."""
+    """The most that the campaign may use: runs, module time, and consumables by kind in their own units."""
 
     runs: int = Field(default=0, ge=0)
     lab_time: Seconds = Field(default=0.0, ge=0)
@@ -64,7 +64,7 @@ class BudgetEntry(Part):
 
 
 class StopAfter(Part):
-    """So many rows may fail; then no further one is submitted."""
+    """After this number of failed rows, no further row is submitted."""
 
     stop_after: int = Field(ge=1)
 

@@ -19,8 +19,8 @@ from labos.spec.validation import expect_valid
 
 
 class BookingsEntry(Part):
-    """What users who are no operators may book. ``total_hours`` are those still to come, of all bookings
-    together; 24, or as many as one booking may have."""
+    """Limits for bookings of users who are not operators. ``total_hours`` are all future hours together; the
+    default is 24, or the limit for one booking if that is more."""
 
     hours: float | None = Field(default=None, gt=0, le=8_784)
     total_hours: float | None = Field(default=None, gt=0, le=1_000_000)
@@ -28,7 +28,8 @@ class BookingsEntry(Part):
 
 
 class PolicyFile(Part):
-    """A policy file. What it does not say is as in a lab without one: only what programs submit waits."""
+    """A policy file. The defaults are as in a lab without a policy: only submissions of programs need an
+    approval."""
 
     labos: Literal[1]
     programs: bool = True

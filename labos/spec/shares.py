@@ -1,4 +1,4 @@
-"""Files that say who may have how much of the lab: weights and quotas of groups and users."""
+"""Shares files: weights and quotas of groups and users."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Weight = Annotated[float, Field(gt=0, le=1_000_000)]
 
 
 class QuotaEntry(Part):
-    """What somebody may have at most; what is left out, or 0, is not limited."""
+    """Limits; a value that is left out, or 0, means no limit."""
 
     running: int = Field(default=0, ge=0)
     queued: int = Field(default=0, ge=0)
@@ -34,7 +34,7 @@ class MemberEntry(Part):
 
 
 class GroupEntry(Part):
-    """Users who share one part of the lab, and what they may have together."""
+    """Users who share one part of the lab, with common limits."""
 
     weight: Weight = 1.0
     members: dict[Label, MemberEntry] = Field(min_length=1)
@@ -42,7 +42,7 @@ class GroupEntry(Part):
 
 
 class SharesFile(Part):
-    """A shares file. Who stands in none of it is a group alone, of weight 1."""
+    """A shares file. A user who is not in it forms a group alone, with weight 1."""
 
     labos: Literal[1]
     groups: dict[Label, GroupEntry] = {}

@@ -103,7 +103,9 @@ async def check_happy_path(on: Session) -> None:
         on.lay(case)
         effects = on.bench.effects(case, spec)
         plates = [(effect, on.bench.find_subject(effect)) for effect in effects]
-        used = {name: on.bench.world.left("device", name) for name in {**on.about.levels, **on.about.units}}
+        used = {
+            name: on.bench.world.find_level("device", name) for name in {**on.about.levels, **on.about.units}
+        }
         began = on.now()
         done = await on.ask_for(case)
         outcome = await on.learn(done)
@@ -148,7 +150,7 @@ def _check_consumed(
     for resource, had in before.items():
         amounts = [effect.amount for effect in spends if effect.resource == resource]
         said = [float(amount) for amount in amounts if isinstance(amount, int | float)]
-        left = on.bench.world.left("device", resource)
+        left = on.bench.world.find_level("device", resource)
         if had is None or left is None or len(said) < len(amounts) or abs(had - left - sum(said)) < 1e-6:
             continue
         raise Failed(f"{spec.name} says that it uses {sum(said):g} {resource}; it used {had - left:g}")

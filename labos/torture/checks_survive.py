@@ -49,7 +49,7 @@ async def check_true_state(on: Session) -> None:
     if report.error:
         raise Failed(f"resources: {report.error}")
     for resource, level in report.levels.items():
-        left = on.bench.world.left("device", resource)
+        left = on.bench.world.find_level("device", resource)
         if resource not in on.about.levels and resource not in on.about.units:
             raise Failed(f"resources tells of {resource}, which about does not name")
         if left is not None and abs(left - level) > max(0.02 * left, 10):

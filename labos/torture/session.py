@@ -84,6 +84,7 @@ class Session:
         self.motion_s = motion_s
         self.slowness = 1.0
         self.powered = True
+        self._powered_until = 0
         self.start_s = 0.0
         self._asked = self._interrupted = 0
         self._rested: tuple[int | None, int] = (None, 0)
@@ -176,6 +177,7 @@ class Session:
         assert self.relay is not None
         assert self.device is not None
         self.relay.reach("")
+        self._powered_until = self.bench.mark()
         self.device.close()
         self.powered = False
 
@@ -443,7 +445,8 @@ class Session:
         for _ in range(TRIES):
             done = await self.begin_to_middle(case)
             switch_off()
-            if not self._is_over(done):
+            # What a device notes because its power has gone is not the end of its motion.
+            if not self._is_over(done, self._powered_until):
                 return done
             self.switch_on()
             await self.end(done)
@@ -459,11 +462,13 @@ class Session:
         took_s = min(self.took_s[case.action], self.motion_s)
         return self.moved_s[case.action] >= LEAST_SHARE * took_s
 
-    def _is_over(self, done: Attempt) -> bool:
-        """Whether all its motions have ended on the bench, whatever its node reports."""
+    def _is_over(self, done: Attempt, until: int | None = None) -> bool:
+        """Whether all its motions have ended on the bench, whatever its node reports. Only motions up to the
+        mark ``until`` count, if there is one."""
         if self.torture.moments or not self._shows_its_end(done.case):
             return False
-        return len(self.bench.motions(done.since)) >= self.motions[done.case.action]
+        noted = [motion for motion in self.bench.motions(done.since) if until is None or motion.seq <= until]
+        return len(noted) >= self.motions[done.case.action]
 
     async def _await_moment(self, done: Attempt) -> None:
         """Wait until the device is at the moment at which it is to be interrupted, or its motion is over."""

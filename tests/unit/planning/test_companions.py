@@ -229,6 +229,19 @@ def test_work_with_other_arguments_stays_out_while_the_node_is_away() -> None:
     assert lab.pump() == ["R1#2"]
 
 
+def test_each_run_is_charged_its_part_of_the_time() -> None:
+    lab = centrifuge()
+    for user in ("ada", "ada", "bo"):
+        lab.submit(spin(), user)
+        lab.step(f"R{lab.state.runs.named}")
+    assert len(lab.pump()) == 3
+    lab.wait(300.0)
+    for name in lab.list_flying():
+        lab.finish(name)
+    assert [lab.state.shares.usage[user].used_ns / SECOND for user in ("ada", "bo")] == [200.0, 100.0]
+    assert not lab.state.shares.parts
+
+
 def test_explain_says_with_whom() -> None:
     lab = centrifuge()
     for _ in range(3):
@@ -281,6 +294,42 @@ def through_a_nest(g: int, turn: int) -> Plan:
         step("arm", move(f"{out}", "trash"), key="away", duration_s=20.0),
         name=f"spin at {g} to {out}",
     )
+
+
+def two_plates(g: int) -> Plan:
+    """Two plates of one run, which may be brought in either order, and are spun together."""
+    spun = {"action": "spin", "args": {"g": g}, "duration_s": 300.0}
+    return plan(
+        step("arm", take("stack", "spinner.rotor"), key="one", duration_s=20.0),
+        step("arm2", take("stack", "front"), key="other", duration_s=20.0),
+        step("arm2", move("front", "spinner.rotor"), key="in", duration_s=20.0, after=(1,)),
+        step("spinner", needs(), key="spin", after=(0, 2), **spun),
+        step("arm", move("spinner.rotor", "trash"), key="out", duration_s=20.0, after=(3,)),
+        step("arm2", move("spinner.rotor", "back"), key="back", duration_s=20.0, after=(3,)),
+        step("arm", move("back", "trash"), key="away", duration_s=20.0, after=(5,)),
+        name=f"two at {g}",
+        parallel=True,
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_runs_whose_steps_have_no_order_wait_for_nobody_for_ever(seed: int) -> None:
+    """What a run brings last is known only when it is there: who is not ready keeps the others waiting."""
+    rng = random.Random(f"two/{seed}")
+    nests = [station("front"), station("back")]
+    lab = centrifuge(Together(("spin",), 600.0), *nests, places=rng.choice([2, 3, 4]))
+    lab.careful = False
+    for _ in range(8):
+        kinds = [two_plates, two_plates, spin, lambda g: through_a_nest(g, rng.randint(0, 1))]
+        lab.submit(rng.choice(kinds)(rng.choice([500, 3000])))
+        if rng.random() < 0.5:
+            lab.pump()
+            for action in list(lab.state.actions.open.values())[:1]:
+                for name in action.together or (action.id,):
+                    lab.finish(name)
+    go_on(lab, rng)
+    assert not lab.state.runs.active, lab.describe_stuck()
+    assert not lab.state.runs.queued, lab.describe_stuck()
 
 
 @pytest.mark.parametrize("seed", range(30))
