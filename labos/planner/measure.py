@@ -2,7 +2,8 @@
 
 The less, the better, in this order: runs that do not come to their ends; windows that are missed; how late
 the runs of campaigns with a deadline end; when those end that go before others, class by class: urgent
-campaigns, then each higher priority; and then the end of all together with the ends of runs on average.
+campaigns, then each higher priority; how late a user's runs end after their due dates only because others of
+the same user went before; and then the end of all together with the ends of runs on average.
 """
 
 from __future__ import annotations
@@ -24,32 +25,37 @@ nobody knows yet. With more than that, experiments go before what takes longer b
 
 class Score(msgspec.Struct, frozen=True, order=True):
     """How good a play was, the less the better. All but the first two in seconds of wall time: ``overdue_s``
-    of all runs, ``first_s`` the ends of each class that goes before others, the highest first; ``cost_s`` the
-    end of all, with that of each run of an experiment, and the mean of all ends."""
+    of all runs, ``first_s`` the ends of each class that goes before others, the highest first;
+    ``avoidable_s`` by how much less late runs would be after their due dates if each user's runs ended at the
+    same times, but in the order of these dates; ``cost_s`` the end of all, with that of each run of an
+    experiment, and the mean of all ends."""
 
     stays: int
     missed: int
     overdue_s: float
     first_s: tuple[float, ...]
+    avoidable_s: float
     cost_s: float
 
 
 class Rated(msgspec.Struct, frozen=True):
     """What is known of a run before anything is played. ``rank``: 0 for those of the lowest class.
-    ``deadline`` is that of its campaign (UTC ns; 0: none)."""
+    ``deadline`` is that of its campaign, ``due`` its own due date (UTC ns; 0: none)."""
 
     rank: int
     deadline: int
     more: bool
+    user: str = ""
+    due: int = 0
 
 
 def rate(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId, Rated]:
     """The classes of runs among one another."""
-    found = {run.id: (is_urgent(state, run, now), run.priority) for run in runs}
-    ranks = {known: rank for rank, known in enumerate(sorted(set(found.values())))}
+    found = {run.id: (run, (is_urgent(state, run, now), run.priority)) for run in runs}
+    ranks = {known: rank for rank, known in enumerate(sorted({known for _, known in found.values()}))}
     return {
-        name: Rated(ranks[known], _deadline_of(state, name), _goes_on(state, name))
-        for name, known in found.items()
+        name: Rated(ranks[known], _deadline_of(state, name), _goes_on(state, name), run.user, run.due_at)
+        for name, (run, known) in found.items()
     }
 
 
@@ -62,6 +68,7 @@ def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
         sum(score.missed for score in scores),
         _mean([score.overdue_s for score in scores]),
         tuple(_mean(list(times)) for times in zip(*(score.first_s for score in scores), strict=True)),
+        _mean([score.avoidable_s for score in scores]),
         _mean([score.cost_s for score in scores]),
     )
 
@@ -74,7 +81,27 @@ def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int) -> Score:
     overdue_s = sum(max(0.0, ends[run] - deadline) for run, deadline in deadlines.items())
     goes_on = sum(end for run, end in ends.items() if rated[run].more)
     cost_s = max(ends.values(), default=0.0) + GOES_ON * goes_on + _mean(list(ends.values()))
-    return Score(sum(run in rated for run in play.stays), play.missed, overdue_s, first_s, cost_s)
+    avoidable_s = _find_avoidable(ends, rated, now)
+    stays = sum(run in rated for run in play.stays)
+    return Score(stays, play.missed, overdue_s, first_s, avoidable_s, cost_s)
+
+
+def _find_avoidable(ends: Mapping[RunId, float], rated: Mapping[RunId, Rated], now: int) -> float:
+    """Due dates order the runs of one user and rank. So what counts is not how late these are, but how much
+    less late they would be in the order of their dates: nobody has more of the lab by early dates."""
+    groups: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    for run, end in ends.items():
+        known = rated[run]
+        due_s = (known.due - now) / 1e9 if known.due else float("inf")
+        groups.setdefault((known.user, known.rank), []).append((due_s, end))
+    return sum(map(_count_avoidable, groups.values()))
+
+
+def _count_avoidable(runs: list[tuple[float, float]]) -> float:
+    late = sum(max(0.0, end - due) for due, end in runs)
+    dates, ends = sorted(due for due, _ in runs), sorted(end for _, end in runs)
+    least = sum(max(0.0, end - due) for due, end in zip(dates, ends, strict=True))
+    return max(0.0, late - least)
 
 
 def _deadline_of(state: LabState, name: RunId) -> int:

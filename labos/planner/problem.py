@@ -8,8 +8,10 @@ start of the task that brings it to the end of the task that carries it away, an
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
+from typing import Any
 
 import msgspec
 from msgspec.structs import replace
@@ -17,7 +19,7 @@ from msgspec.structs import replace
 from labos.core.actions import ActionStatus
 from labos.core.booked import contacts, find_blocked, is_exempt
 from labos.core.effects import list_carried
-from labos.core.ids import RunId, StationName, experiment_owner, run_owner
+from labos.core.ids import ModuleName, RunId, StationName, experiment_owner, run_owner
 from labos.core.model import MAIN, PlanStep
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
@@ -25,6 +27,7 @@ from labos.core.suggestions import MOST_STEPS
 from labos.core.waits import station_key
 from labos.planner.lengths import at_level
 from labos.planner.measure import rate
+from labos.planning.forecast import setup_under_way
 from labos.planning.suggested import list_taken
 
 MOST_WAITING = 30
@@ -77,6 +80,16 @@ class RoomUse(msgspec.Struct, frozen=True):
     last: int | None
 
 
+class SetupCosts(msgspec.Struct, frozen=True):
+    """Tasks on a module that is set up for each of them. Each is done after one of the others, or as the
+    first: by so many lab seconds longer it takes (``first_s``, and ``change_s`` with a row for each task
+    before)."""
+
+    tasks: tuple[int, ...]
+    first_s: tuple[float, ...]
+    change_s: tuple[tuple[float, ...], ...]
+
+
 class SchedulingProblem(msgspec.Struct, frozen=True):
     """All tasks, those of a run together, and how many have room where. ``like`` are pairs of runs' first
     tasks that are alike: the first goes first. Of each run ``ends`` are the tasks that no other follows, and
@@ -94,6 +107,8 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     ranks: tuple[int, ...] = ()
     due_s: tuple[float | None, ...] = ()
     line: tuple[int, ...] = ()
+    own_due_s: tuple[float | None, ...] = ()
+    setups: tuple[SetupCosts, ...] = ()
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
@@ -120,13 +135,45 @@ def problem_of(
     for run in runs:
         reader.read(run)
     rated = rate(state, runs, now)
-    due = [rated[run.id].deadline for run in runs]
+    users = Counter(run.user for run in runs)
     return replace(
         reader.problem(cell),
         ranks=tuple(rated[run.id].rank for run in runs),
-        due_s=tuple((at - now) / 1e9 * state.lab.pace if at else None for at in due),
+        due_s=tuple(_find_time_to(state, rated[run.id].deadline, now) for run in runs),
+        own_due_s=tuple(
+            _find_time_to(state, run.due_at, now) if users[run.user] > 1 else None for run in runs
+        ),
         line=tuple(reader.line),
+        setups=tuple(_list_setups(state, reader.tasks)),
     )
+
+
+def _find_time_to(state: LabState, at: int, now: int) -> float | None:
+    """Lab seconds from now to a time (UTC ns); None if that is 0, no time."""
+    return (at - now) / 1e9 * state.lab.pace if at else None
+
+
+def _list_setups(state: LabState, tasks: Sequence[Task]) -> Iterator[SetupCosts]:
+    """What changes cost between tasks that have not started, for each module that is set up for them."""
+    by_module: dict[ModuleName, dict[int, Mapping[str, Any]]] = {}
+    for number, task in enumerate(tasks):
+        run = state.runs.get(task.run)
+        assert run is not None
+        step = state.runs.plan_of(run).steps[task.step]
+        module = state.modules.by_name.get(step.module)
+        setup = module.spec.setup if module is not None else None
+        if setup is not None and setup.argument in step.args and not task.runs:
+            by_module.setdefault(step.module, {})[number] = step.args
+    for name, args in by_module.items():
+        module = state.modules.by_name[name]
+        setup = module.spec.setup
+        assert setup is not None
+        values = [found[setup.argument] for found in args.values()]
+        yield SetupCosts(
+            tuple(args),
+            tuple(setup.cost_s(module.set_up_for, found) for found in args.values()),
+            tuple(tuple(setup.cost_s(before, found) for found in args.values()) for before in values),
+        )
 
 
 def _goes_on(run: RunState) -> bool:
@@ -202,8 +249,8 @@ class _Reader:
     def _find_left_s(self, run: RunState, index: int, step: PlanStep) -> float:
         for action in self.state.actions.within(self.state.runs.plan_of(run).workcell):
             if action.run == run.id and action.step == index and action.status != ActionStatus.UNKNOWN:
-                gone_s = (self.now - action.requested_at) / 1e9 * self.state.lab.pace
-                return max(self._takes_s(step) - gone_s, LEAST_S)
+                gone_ns = self.now - action.requested_at - setup_under_way(self.state, action)
+                return max(self._takes_s(step) - gone_ns / 1e9 * self.state.lab.pace, LEAST_S)
         return LEAST_S
 
     def _takes_s(self, step: PlanStep) -> float:

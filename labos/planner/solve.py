@@ -11,7 +11,7 @@ import msgspec
 
 from labos.errors import SystemFailed
 from labos.planner.measure import GOES_ON
-from labos.planner.problem import SchedulingProblem, Task, TimeLag
+from labos.planner.problem import SchedulingProblem, SetupCosts, Task, TimeLag
 from labos.planning.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -62,14 +62,25 @@ def solve(
     tasks = problem.tasks
     # A booking begins when it likes: then time goes on in smaller steps.
     booked = [BOOKED_UNIT_S] if any(task.shut for task in tasks) else []
-    unit = _unit_of([*(task.duration_s for task in tasks), *booked])
+    set_up = [
+        cost for each in problem.setups for row in (each.first_s, *each.change_s) for cost in row if cost
+    ]
+    unit = _unit_of([*(task.duration_s for task in tasks), *booked, *set_up])
     length = [max(1, math.ceil(task.duration_s / unit - 1e-9)) for task in tasks]
     waits = [lag.wait_s for task in tasks for lag in task.lags]
     shut_s = max((ends for task in tasks for _, ends in task.shut), default=0.0)
-    horizon = sum(length) + math.ceil((sum(waits) + shut_s) / unit) + 1
+    changes_s = sum(
+        max(max(row) for row in (each.first_s, *each.change_s)) * len(each.tasks) for each in problem.setups
+    )
+    horizon = sum(length) + math.ceil((sum(waits) + shut_s + changes_s) / unit) + 1
     model = cp_model.CpModel()
     begin = [model.new_int_var(0, 0 if task.runs else horizon, f"s{n}") for n, task in enumerate(tasks)]
-    end = [start + takes for start, takes in zip(begin, length, strict=True)]
+    end: list[cp_model.LinearExprT] = [start + time for start, time in zip(begin, length, strict=True)]
+    changes: dict[int, cp_model.IntVar] = {}
+    for costs in problem.setups:
+        changes.update(_add_setups(model, costs, begin, length, unit, hint or {}))
+    for number in changes:
+        end[number] = model.new_int_var(0, 2 * horizon, f"e{number}")
     whole = model.new_int_var(0, 2 * horizon, "makespan")
     late: list[cp_model.IntVar] = []
     using: dict[str, list[cp_model.IntervalVar]] = {}
@@ -77,7 +88,8 @@ def solve(
         model.add(whole >= end[number])
         if hint and number in hint:
             model.add_hint(begin[number], round(hint[number] / unit))
-        interval = model.new_fixed_size_interval_var(begin[number], length[number], f"i{number}")
+        takes = length[number] + changes[number] if number in changes else length[number]
+        interval = model.new_interval_var(begin[number], takes, end[number], f"i{number}")
         for name in task.takes:
             using.setdefault(name, []).append(interval)
         if task.shut:
@@ -120,12 +132,15 @@ def solve(
     # Of an experiment more runs follow, which nobody knows yet: the sooner it goes on, the better.
     goes_on = sum(last for last, more in zip(over, problem.more, strict=True) if more)
     first = sum(rank * last for last, rank in zip(over, problem.ranks, strict=False) if rank)
-    overdue: list[cp_model.IntVar] = []
-    for last, due_s in zip(over, problem.due_s, strict=False):
-        if due_s is not None:
-            overdue.append(model.new_int_var(0, 4 * horizon, f"overdue{len(overdue)}"))
-            model.add(overdue[-1] >= last - max(-horizon, math.floor(due_s / unit)))
-    cost = whole + GOES_ON * goes_on + FIRST * (first + sum(overdue)) + 4 * horizon * sum(late)
+    overdue = _add_overdue(model, over, problem.due_s, unit, horizon)
+    own_overdue = _add_overdue(model, over, problem.own_due_s, unit, horizon)
+    cost = (
+        whole
+        + GOES_ON * goes_on
+        + FIRST * (first + sum(overdue))
+        + sum(own_overdue)
+        + 4 * horizon * sum(late)
+    )
     model.minimize(cost)
     solver = cp_model.CpSolver()
     solver.parameters.num_workers = 2
@@ -135,7 +150,7 @@ def solve(
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return None
     proven, bound = status == cp_model.OPTIMAL, solver.best_objective_bound
-    starts = [solver.value(start) for start in begin]
+    starts, makespan = [solver.value(start) for start in begin], max(map(solver.value, end), default=0)
     # From there on, each run's end counts too: on average as much as the end of all.
     model.minimize(len(over) * cost + sum(over))
     model.clear_hints()
@@ -143,9 +158,60 @@ def solve(
         model.add_hint(start, value)
     _limit(solver, seconds * TIDY, counted=counted)
     if solver.solve(model) in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-        starts = [solver.value(start) for start in begin]
-    makespan = max((start + takes for start, takes in zip(starts, length, strict=True)), default=0)
+        starts, makespan = [solver.value(start) for start in begin], max(map(solver.value, end), default=0)
     return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
+
+
+def _add_setups(
+    model: cp_model.CpModel,
+    costs: SetupCosts,
+    begin: Sequence[cp_model.IntVar],
+    length: Sequence[int],
+    unit: float,
+    hint: Mapping[int, float],
+) -> dict[int, cp_model.IntVar]:
+    """By how much longer each of these tasks takes, as its module is set up first: they are done one after
+    the other, and what a change costs depends on the one before."""
+    found: dict[int, cp_model.IntVar] = {}
+    # Node 0 stands for what was before, and for what comes after; the tasks follow it.
+    arcs: list[tuple[int, int, cp_model.IntVar]] = []
+    known = sorted((hint[number], number) for number in costs.tasks if number in hint)
+    follows = dict(
+        zip([None, *(number for _, number in known)], (number for _, number in known), strict=False)
+    )
+    for column, number in enumerate(costs.tasks):
+        cost = [math.ceil(row[column] / unit - 1e-9) for row in (costs.first_s, *costs.change_s)]
+        found[number] = model.new_int_var(0, max(cost), f"change{number}")
+        arcs.append((column + 1, 0, model.new_bool_var(f"last{number}")))
+        for before in (None, *costs.tasks):
+            if before == number:
+                continue
+            row = 0 if before is None else costs.tasks.index(before) + 1
+            is_next = model.new_bool_var(f"next{before}/{number}")
+            arcs.append((row, column + 1, is_next))
+            model.add(found[number] == cost[row]).only_enforce_if(is_next)
+            if known:
+                model.add_hint(is_next, follows.get(before) == number)
+            if before is not None:
+                model.add(begin[number] >= begin[before] + length[before]).only_enforce_if(is_next)
+    model.add_circuit(arcs)
+    return found
+
+
+def _add_overdue(
+    model: cp_model.CpModel,
+    over: Sequence[cp_model.IntVar],
+    due_s: Sequence[float | None],
+    unit: float,
+    horizon: int,
+) -> list[cp_model.IntVar]:
+    """How long after it is due each run ends, of those that are."""
+    found: list[cp_model.IntVar] = []
+    for last, due in zip(over, due_s, strict=False):
+        if due is not None:
+            found.append(model.new_int_var(0, 4 * horizon, ""))
+            model.add(found[-1] >= last - max(-horizon, math.floor(due / unit)))
+    return found
 
 
 def _let_nobody_wait_long(model: cp_model.CpModel, line: Sequence[cp_model.IntVar]) -> None:

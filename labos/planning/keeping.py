@@ -19,7 +19,7 @@ from labos.core import reasons
 from labos.core.booked import find_begun_booking
 from labos.core.ids import ModuleName, RunId
 from labos.core.rules import examine, lab_ns
-from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, find_holds
+from labos.core.runs import PENDING, UNKNOWN, RunState, StepStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
@@ -27,6 +27,7 @@ from labos.planning.forecast import find_earliest_start, is_pending
 from labos.planning.layout import is_down
 from labos.planning.passage import find_late_step, first_trap
 from labos.planning.player import FAR, Player, Step, find_chained
+from labos.planning.punctual import PunctualOrders
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
@@ -49,12 +50,13 @@ ALONE_LIMIT = 8
 
 class CellOutlook:
     """How a workcell goes on from one position of the log and one time: who has to start something in time
-    (``obliged``), what each of them has to wait for, and what comes of it. Its scene is set when somebody
-    needs it."""
+    (``obliged``), what each of them has to wait for, and what comes of it; ``as_suggested`` if that is what a
+    planner suggested. Its scene is set when somebody needs it."""
 
     def __init__(self, state: LabState, cell: str, now: int, obliged: list[RunState], advice: Advice) -> None:
         self.cell, self.now = cell, now
         self.obliged, self.advice, self.outcome = obliged, advice, RehearsalResult()
+        self.as_suggested = False
         self._state = state
         self._scene: Scene | None = None
 
@@ -100,13 +102,19 @@ class Windows:
         self._met: dict[Step, set[str]] = {}
         self._at_rest: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
         self._put_off: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
+        self._punctual = PunctualOrders()
 
     def find_planned_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
         """When the plan that keeps the windows has the step start (UTC ns); FAR if it does not."""
         cell = state.runs.plan_of(run).workcell
-        if not state.runs.windowed_in.get(cell):
+        if not state.runs.windowed_in.get(cell) and not self._punctual.find_starts(state, cell, now):
             return FAR
-        return self._plan(state, cell, now, safety).outcome.starts.get((str(run.id), step), FAR)
+        plan, who = self._plan(state, cell, now, safety), (str(run.id), step)
+        at = plan.outcome.starts.get(who)
+        if at is None and plan.as_suggested:
+            suggested = plan.advice.not_before.get(who, FAR)  # it is let in later
+            return suggested if suggested > now else FAR
+        return FAR if at is None else at
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if it may go ahead."""
@@ -129,7 +137,11 @@ class Windows:
         if any(late[0] == who[0] for late in trial.list_newly_late(found)):
             trial.known.update(self._list_late_alone(state, trial))
         at_first = trial.list_newly_late(found)
-        if at_first or found.tangle is not None:
+        behind = at_first[:1] or ([found.tangle] if found.tangle is not None else [])
+        if behind and plan.as_suggested and plan.scene.flying:
+            # Somebody has planned all of it, and it goes as planned: nothing better is looked for.
+            return self._wait(state, plan, run, step, behind[0])
+        if behind:
             advice, found = self._search(state, trial, safety, forced=True)
         late = trial.list_newly_late(found)
         others = [other for other in late if other[0] != who[0]]
@@ -241,6 +253,7 @@ class Windows:
         self._hopeless = dict(other._hopeless)
         self._at_rest, self._put_off = dict(other._at_rest), dict(other._put_off)
         self._anxious, self._met = dict(other._anxious), dict(other._met)
+        self._punctual = other._punctual
 
     # -- the plan ------------------------------------------------------------------------------
 
@@ -272,14 +285,19 @@ class Windows:
         obliged = [run for run in _find_obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
         before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
         plan = CellOutlook(state, cell, now, obliged, before)
+        starts = self._punctual.find_starts(state, cell, now)
+        suggested = _find_suggested_advice(state, cell, now) if starts or obliged else None
+        if starts and suggested is not None:
+            plan.advice, plan.outcome, plan.as_suggested = suggested, RehearsalResult(starts), True
+            return plan
         if obliged:
             trial = Trial(plan, None, -1, set(self._hopeless))
-            suggested = _find_suggested_advice(state, cell, now)
             if suggested is not None and _is_on_time(state, suggested, now):
                 # What somebody has planned for all of them comes first, if it keeps all windows.
                 plan.advice = suggested
                 _, plan.outcome = self._search(state, trial, safety, limit=1)
                 if not trial.list_newly_late(plan.outcome) and plan.outcome.tangle is None:
+                    plan.as_suggested = True
                     return plan
                 plan.advice = before
             plan.advice, plan.outcome = self._search(state, trial, safety)
@@ -349,7 +367,8 @@ class Windows:
         key, late_key = state.runs.plan_of(run).steps[step].key, state.runs.plan_of(whose).steps[late[1]].key
         itself = whose.id == run.id
         why = reasons.FollowsLate if itself else reasons.WouldDelay
-        times = [again, *plan.outcome.starts.values(), *(end for end, *_ in plan.scene.flying)]
+        mine = plan.advice.not_before.get((str(run.id), step), FAR)
+        times = [again, mine, *plan.outcome.starts.values(), *(end for end, *_ in plan.scene.flying)]
         modules = [module_key(item[3].module) for item in plan.scene.flying]
         windows = [window_key(other.id) for other in plan.obliged]
         return Wait(
@@ -421,8 +440,8 @@ def _make_players(
         yield player(other, free=other.id in advice.leaving, first=first)
     names = {str(other.id) for other in [*plan.obliged, *mine]}
     for name in sorted(advice.leaving - names):
-        leaving = state.runs.active.get(RunId(name))
-        if leaving is not None and not leaving.paused and leaving.status == RunStatus.ACTIVE:
+        leaving = state.runs.get(RunId(name))
+        if leaving is not None and not find_holds(leaving) and not leaving.is_ending:
             yield player(leaving, free=True)
 
 
@@ -441,15 +460,15 @@ def _find_trap(state: LabState, plan: CellOutlook, outcome: RehearsalResult, saf
 
 
 def _find_suggested_advice(state: LabState, cell: str, now: int) -> Advice | None:
-    """To do as a planner has suggested: everybody inside goes on, each step at its time. Like any other
-    advice it counts only if a rehearsal shows that it keeps the windows."""
+    """To do as a planner has suggested: everybody inside goes on, and those come in whose time it is, each
+    step at its time. Like any other advice it counts only if a rehearsal shows that it keeps the windows."""
     times = find_suggested_times(state, cell, now)
     if not times:
         return None
-    inside = {str(run.id) for run in _inside(state, cell) if not run.paused and not run.is_ending}
+    goes_on = {run.id for run in _inside(state, cell)} | {run for (run, _), at in times.items() if at <= now}
     return Advice(
         not_before={(str(run), step): at for (run, step), at in times.items()},
-        leaving=frozenset(str(run) for run, _ in times if str(run) in inside),
+        leaving=frozenset(str(run) for run, _ in times if run in goes_on),
     )
 
 

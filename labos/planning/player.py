@@ -74,6 +74,7 @@ class Player:
         self.steps = statuses_of(self.plan, run)
         self.ends = ends
         self.left = find_chained(run, self.plan, first) | {i for i in first if is_pending(run, i)}
+        self._open = [index for index, status in enumerate(self.steps) if status == PENDING]
         self.free = free
         self.due: dict[int, int] = {}
         self.latest: dict[int, int] = {}
@@ -84,9 +85,13 @@ class Player:
 
     def turns(self) -> Iterator[int]:
         """The steps whose turn it is."""
-        for index, status in enumerate(self.steps):
-            may_start = status == PENDING and (self.free or index in self.left)
-            if may_start and all(self.steps[before] in SETTLED for before in self.plan.steps[index].after):
+        for index in list(self._open):
+            if not self.free and index not in self.left:
+                continue
+            for before in self.plan.steps[index].after:
+                if self.steps[before] not in SETTLED:
+                    break
+            else:
                 yield index
 
     def may_start_at(self, index: int) -> int:
@@ -95,6 +100,7 @@ class Player:
 
     def start(self, index: int, end: int) -> None:
         self.steps[index] = IN_FLIGHT
+        self._open.remove(index)
         self.ends[index] = end
         self.left.discard(index)
         for follower in self._state.runs.plans[self.run.plan].windowed:

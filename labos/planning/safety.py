@@ -49,6 +49,7 @@ from labos.planning.moves import may_move, move
 from labos.planning.orders import put_in_order
 from labos.planning.paths import END, FORKED, ClosingStep, Motion, Path, left_by, path_of
 from labos.planning.stuck import find_block, reaches_into
+from labos.planning.suggested_way import follow_order
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
 OVER = (*SETTLED, IN_FLIGHT)
@@ -241,6 +242,9 @@ class Safety:
                     return LastResult(_find_stuck(actors), order, frozenset(to_end))
         else:
             mover.begin(step)
+        advised = follow_order(state, view.cell, floor, actors, to_end)
+        if advised is not None:
+            return LastResult(_find_stuck(actors), advised, frozenset(to_end))
         witness, ends = self.find(floor, actors, to_end)
         lost = sorted(to_end - ends)
         return lost or LastResult(_find_stuck(actors), witness, frozenset(ends))

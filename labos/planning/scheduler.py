@@ -177,7 +177,7 @@ class Scheduler:
         if not at_once and not self.adviser.is_time(state, run, step, now):
             early = check_arrival(state, run, step, now, self._list_plans(state, cell))
             if early is not None and not self.room.is_overtaken(state, run):
-                return early
+                return self.adviser.wake_in_time(state, run, step, early, now)
         inside = self.patience.keeps_out(state, run, self.sleepers)
         return Wait(reasons.AfterElder(inside), (near_key(cell),)) if inside is not None else None
 

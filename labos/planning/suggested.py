@@ -83,6 +83,13 @@ class Adviser:
         """Whether any workcell has an order."""
         return bool(state.suggestions.orders) or bool(self.own)
 
+    def wake_in_time(self, state: LabState, run: RunState, step: int, wait: Wait, now: int) -> Wait:
+        """The same wait, but until the time at which the step should start: no event marks that time."""
+        begins = self.start_of(state, run, step, now) if state.suggestions.orders else LAST
+        if now < begins < (LAST if wait.until is None else wait.until):
+            return msgspec.structs.replace(wait, until=begins)
+        return wait
+
     def find_next(self, state: LabState, run: RunState, now: int) -> RunState:
         """Who should be let in of those who wait in line with this run, the first of them."""
         advice = self._advice(state, state.runs.plan_of(run).workcell, now)

@@ -43,6 +43,20 @@ def test_a_deadline_of_a_campaign_goes_before_the_end_of_all() -> None:
     assert score(ends(60, 100), rated) < score(ends(50, 110), rated), "in time is in time"
 
 
+def test_due_dates_order_the_runs_of_one_user() -> None:
+    due = Rated(0, 0, False, "ada", 60 * S)
+    own = {ONE: due, TWO: Rated(0, 0, False, "ada")}
+    assert score(ends(60, 90), own) < score(ends(90, 40), own), "it is late only because the other went first"
+    other = {ONE: due, TWO: Rated(0, 0, False, "bob")}
+    assert score(ends(90, 40), other) < score(ends(60, 90), other), "nobody else waits for it"
+
+
+def test_of_two_runs_that_are_late_the_one_that_was_due_first_goes_first() -> None:
+    rated = {ONE: Rated(0, 0, False, "ada", 10 * S), TWO: Rated(0, 0, False, "ada", 40 * S)}
+    assert score(ends(50, 60), rated).avoidable_s == 0.0
+    assert score(ends(50, 20), rated).avoidable_s == 20.0
+
+
 def test_a_window_that_is_kept_goes_before_all_that() -> None:
     assert score(ends(90, 200)) < score(ends(50, 100, missed=1))
 

@@ -1,0 +1,101 @@
+"""Suggested orders that are followed to the letter.
+
+A suggested order is rehearsed once to its end, with every run that it names. If that keeps all windows, each
+step may start at its suggested time for as long as all goes as suggested: everything has started that
+should have, and nothing in flight is behind. Then nothing has to be rehearsed again at each decision.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.ids import RunId
+from labos.core.model import MAIN
+from labos.core.rules import lab_ns
+from labos.core.runs import find_holds
+from labos.core.state import LabState
+from labos.core.suggestions import OrderSuggested
+from labos.planning.forecast import find_usual_time, is_pending, setup_under_way
+from labos.planning.player import Player, Step
+from labos.planning.rehearsal import Advice, play
+from labos.planning.scene import Scene
+from labos.planning.suggested import find_suggested_times
+
+EXACT_S = 0.01
+"""What starts or ends at most so much later (lab seconds) than was suggested goes as suggested."""
+
+
+class _Rehearsed(msgspec.Struct):
+    """An order, its runs, and whether it keeps all windows: None if it was not rehearsed yet."""
+
+    order: OrderSuggested
+    runs: frozenset[RunId]
+    is_good: bool | None
+
+
+class PunctualOrders:
+    """The suggestion of each workcell, rehearsed once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, _Rehearsed] = {}
+
+    def find_starts(self, state: LabState, cell: str, now: int) -> dict[Step, int] | None:
+        """When each step starts (UTC ns) that an order names, if it keeps all windows and all goes as
+        suggested; None if not, or if none of its runs has windows."""
+        order = state.suggestions.orders.get(cell)
+        if order is None or order.until <= now:
+            return None
+        known = self._known.get(cell)
+        if known is None or known.order is not order:
+            runs = frozenset(one.run for one in order.steps)
+            has_windows = any(state.runs.plans[run.plan].windowed for run in map(state.runs.get, runs) if run)
+            known = self._known[cell] = _Rehearsed(order, runs, None if has_windows else False)
+        if known.is_good is False:
+            return None
+        times = find_suggested_times(state, cell, now)
+        if not times or not _goes_as_suggested(state, cell, known.runs, times, now):
+            return None
+        starts = {(str(run), step): at for (run, step), at in times.items()}
+        if known.is_good is None:
+            known.is_good = _keeps_windows(state, cell, starts, now)
+        return starts if known.is_good else None
+
+
+def _goes_as_suggested(
+    state: LabState, cell: str, runs: frozenset[RunId], times: dict[tuple[RunId, int], int], now: int
+) -> bool:
+    """Whether all has started that should have, nothing in flight is behind, and nobody is inside who was not
+    reckoned with."""
+    late = now - lab_ns(state, EXACT_S)
+    if min(times.values()) < late or any(run.id not in runs for run in state.runs.inside(cell)):
+        return False
+    if any(find_holds(run) or run.is_ending for run in map(state.runs.get, runs) if run is not None):
+        return False
+    for action in state.actions.within(cell):
+        acting = state.runs.active.get(action.run)
+        if acting is None:
+            return False
+        takes = find_usual_time(state, state.runs.plan_of(acting).steps[action.step])
+        if action.requested_at + takes + setup_under_way(state, action) < late:
+            return False
+    return True
+
+
+def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int) -> bool:
+    """Whether every step of these runs starts at its time, and nobody is late, if all of it is rehearsed."""
+    scene = Scene(state, cell, now)
+    ends: dict[str, dict[int, int]] = {}
+    for end, _, (name, index), *_ in scene.flying:
+        ends.setdefault(name, {})[index] = end
+    players: list[Player] = []
+    for name in dict.fromkeys(run for run, _ in starts):
+        run = state.runs.get(RunId(name))
+        assert run is not None
+        steps = state.runs.plan_of(run).steps
+        left = [i for i, step in enumerate(steps) if step.part == MAIN and is_pending(run, i)]
+        if any((name, index) not in starts for index in left):
+            return False
+        players.append(Player(state, run, ends.get(name, {}), free=True, first=left))
+    outcome = play(scene, players, Advice(not_before=starts))
+    slack = lab_ns(state, EXACT_S)
+    return not outcome.late and all(at <= starts[who] + slack for who, at in outcome.starts.items())
