@@ -67,7 +67,7 @@ class Admission:
     def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
         """Who of a bundle is next."""
         first = self._room.first(state, bundle, partial(self._ranking.make_turn_key, state, now))
-        if first is None or not state.suggestions.orders or self._room.is_overtaken(state, first):
+        if first is None or not self._adviser.has_orders(state) or self._room.is_overtaken(state, first):
             return first
         return self._adviser.find_next(state, first, now)
 
@@ -122,7 +122,7 @@ class Admission:
         first = Candidate(option, step, early=early)
         goes_first = run.id in state.runs.windowed or self._room.is_overtaken(state, run)
         stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
-        if goes_first or not stands or cell in state.suggestions.orders:
+        if goes_first or not stands or self._adviser.has_order(state, cell):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
@@ -166,10 +166,26 @@ class Admission:
         found = [other for other in found if other.id != run.id and other.id not in state.runs.windowed]
         return sorted(found, key=lambda other: other.position)
 
+    def list_next(self, state: LabState, cell: str, most: int, now: int) -> list[RunState]:
+        """The first of the waiting runs in a workcell, so many at most, that differ in rank only by age."""
+        heads: list[RunState] = []
+        for bundle in self._room.within(cell)[: 4 * most]:
+            heads += [head for head in self._room.heads(state, bundle) if not find_holds(head)]
+        if not heads:
+            return []
+        ranks = {head.id: self._make_rank(state, head, now) for head in heads}
+        first = min(ranks.values())
+        found: list[RunState] = []
+        for head in heads:
+            if ranks[head.id] == first:
+                group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+                found += [state.runs.queued[name] for name in islice(group, most)]
+        return sorted(found, key=lambda run: run.position)[:most]
+
     def _list_heads(self, state: LabState, cell: str) -> Iterator[RunState]:
         for bundle in self._room.within(cell)[:MOST_WAITING]:
             yield from self._room.heads(state, bundle)
 
     def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
         """The rank of a waiting run without its age."""
-        return run.priority, *self._ranking.make_turn_key(state, now, run)[:-1]
+        return -run.priority, *self._ranking.make_turn_key(state, now, run)[:-1]

@@ -82,7 +82,7 @@ class Ranking:
         if not waits and patience.is_over(run.id):
             nobody = (0.0, 0.0)
             return Rank(deadline, False, False, 0, 0, False, nobody, UNDATED, 0, run.position, behind)
-        advised = self._adviser.start_of(state, run, step, now) if state.suggestions.orders else LAST
+        advised = self._adviser.start_of(state, run, step, now) if self._adviser.has_orders(state) else LAST
         due, change = self._rank_own(state, run, step)
         return Rank(
             deadline,

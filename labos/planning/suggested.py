@@ -10,7 +10,8 @@ it. So that bad advice does little harm, a step waits for another only
 - if its own run is not urgent, of a higher priority, or overtaken too often.
 
 A step that starts a clock waits until its own time as well: what has to follow it was given its time by the
-same plan. So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
+same plan. With planning's own order (``window_order``) so does a run that is to be let in. So that windows
+are kept, the rehearsal tries the suggested times too (``keeping``).
 """
 
 from __future__ import annotations
@@ -56,9 +57,11 @@ class OrderLookup(msgspec.Struct):
 
 
 class Adviser:
-    """The suggestions of one state after the other, each put in order once."""
+    """The suggestions of one state after the other, each put in order once. ``own`` are orders of workcells
+    that planning has made for itself (``window_order``): they count where nobody suggests another."""
 
-    def __init__(self) -> None:
+    def __init__(self, own: dict[str, OrderSuggested]) -> None:
+        self._own = own
         self._known: dict[str, OrderLookup] = {}
         self._since: dict[tuple[RunId, int], int] = {}
 
@@ -74,7 +77,7 @@ class Adviser:
 
     def is_time(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step should have started by now, by what was suggested."""
-        return bool(state.suggestions.orders) and self.start_of(state, run, step, now) <= now
+        return self.has_orders(state) and self.start_of(state, run, step, now) <= now
 
     def find_next(self, state: LabState, run: RunState, now: int) -> RunState:
         """Who should be let in of those who wait in line with this run, the first of them."""
@@ -101,9 +104,14 @@ class Adviser:
         mine = advice.starts.get((run.id, step), LAST)
         urgent = is_urgent(state, run, now)
         goes_first = urgent or run.priority > advice.least
-        if now < mine < LAST and not goes_first and _starts_clock(state, run, step):
-            later = reasons.ClockLater(plan.steps[step].key, in_zone(mine, "UTC"))
-            return Wait(later, (cell_key(plan.workcell),), mine)
+        is_own = not advice.order.by
+        waits_outside = is_own and not run.has_started
+        if now < mine < LAST and not goes_first and (waits_outside or _starts_clock(state, run, step)):
+            if is_own and self._has_waited_enough(state, run, step, now):
+                return None
+            later = reasons.LaterHere if is_own else reasons.ClockLater
+            why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
+            return Wait(why_later, (cell_key(plan.workcell),), mine)
         for resource in _list_resources(state, plan.steps[step]):
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= mine:
@@ -118,15 +126,31 @@ class Adviser:
                     continue
                 if run.priority > other.priority or (urgent and not is_urgent(state, other, now)):
                     continue
-                enough = self._since.setdefault((run.id, step), now) + lab_ns(state, MOST_S)
-                if enough < now:
+                if self._has_waited_enough(state, run, step, now):
                     return None
-                why = reasons.AfterSuggested(str(other.id), resource.partition(":")[2])
-                return Wait(why, (cell_key(plan.workcell),), min(until, enough) + 1)
+                enough = self._since[run.id, step] + lab_ns(state, MOST_S)
+                why = reasons.SoonerAfter if is_own else reasons.AfterSuggested
+                return Wait(
+                    why(str(other.id), resource.partition(":")[2]),
+                    (cell_key(plan.workcell),),
+                    min(until, enough) + 1,
+                )
         return None
 
+    def _has_waited_enough(self, state: LabState, run: RunState, step: int, now: int) -> bool:
+        """Whether a step has waited for so long that no order counts for it any more."""
+        return self._since.setdefault((run.id, step), now) + lab_ns(state, MOST_S) < now
+
+    def has_order(self, state: LabState, cell: str) -> bool:
+        """Whether there is an order for a workcell."""
+        return cell in state.suggestions.orders or cell in self._own
+
+    def has_orders(self, state: LabState) -> bool:
+        """Whether there is an order for any workcell."""
+        return bool(state.suggestions.orders or self._own)
+
     def _advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
-        order = state.suggestions.orders.get(cell)
+        order = find_order(state, self._own, cell)
         if order is None or order.until <= now:
             return None
         known = self._known.get(cell)
@@ -136,9 +160,15 @@ class Adviser:
         return known
 
 
-def find_suggested_times(state: LabState, cell: str, now: int) -> dict[tuple[RunId, int], int]:
-    """When steps that have not started should start (UTC ns), if an order is suggested that still counts."""
-    order = state.suggestions.orders.get(cell)
+def find_order(state: LabState, own: dict[str, OrderSuggested], cell: str) -> OrderSuggested | None:
+    """The order of a workcell: the one that a planner suggests, else planning's own."""
+    return state.suggestions.orders.get(cell) or own.get(cell)
+
+
+def find_suggested_times(
+    state: LabState, order: OrderSuggested | None, now: int
+) -> dict[tuple[RunId, int], int]:
+    """When steps that have not started should start (UTC ns), if this order still counts."""
     if order is None or order.until <= now:
         return {}
     found: dict[tuple[RunId, int], int] = {}

@@ -291,6 +291,8 @@ class Standstill:
                 | reasons.WouldBlock()
                 | reasons.HoldsUp()
                 | reasons.SoonerLater()
+                | reasons.SoonerAfter()
+                | reasons.LaterHere()
                 | reasons.AfterSuggested()
                 | reasons.ClockLater()
                 | reasons.Unsafe()

@@ -54,9 +54,11 @@ from labos.core.reasons._planning import (
     ClockLater,
     FollowsLate,
     HoldsUp,
+    LaterHere,
     NotInTime,
     NoWayOut,
     Reserved,
+    SoonerAfter,
     SoonerLater,
     Unsafe,
     WouldBlock,
@@ -135,6 +137,8 @@ AnyReason = (
     | WouldDelay
     | FollowsLate
     | AfterElder
+    | SoonerAfter
+    | LaterHere
     | AfterSuggested
     | ClockLater
     | WouldBlock
@@ -168,6 +172,7 @@ __all__ = [
     "InMotion",
     "InUse",
     "Key",
+    "LaterHere",
     "LogShorter",
     "Lost",
     "ModuleBusy",
@@ -194,6 +199,7 @@ __all__ = [
     "Reserved",
     "RetryLater",
     "Setpoint",
+    "SoonerAfter",
     "SoonerLater",
     "StackEmpty",
     "StillToCome",

@@ -68,6 +68,20 @@ class SoonerLater(Reason, frozen=True):
     WAKES = ("cell", "near", "module")
 
 
+class SoonerAfter(Reason, frozen=True):
+    SENTENCE = "all work ends sooner if {run} goes first, at {place}"
+    WAKES = ("cell",)
+    run: str
+    place: str
+
+
+class LaterHere(Reason, frozen=True):
+    SENTENCE = "all work ends sooner if {step!r} starts later (at about {at})"
+    WAKES = ("cell",)
+    step: str
+    at: str
+
+
 class AfterSuggested(Reason, frozen=True):
     SENTENCE = "the planner suggests that {run} goes first, at {place}"
     WAKES = ("cell",)
