@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from labos.client import _flows, _globus, _transfers
+from labos.client._batches import BatchRun, workflow_texts
 from labos.client._files import workflow_text
 from labos.client._flows import Flow, FlowFailed, FlowResult
 from labos.client._lab import LabClient, LabUnreachable
@@ -198,17 +199,23 @@ class Experiment(LoggedEvents):
         key: str = "",
         **options: Any,
     ) -> list[str]:
-        """Queue one run of a workflow for each payload, in order; returns their ids. Options are those of
-        ``LabClient.submit``. Raises ReplayMismatch."""
+        """Queue one run of a workflow for each payload, as ``LabClient.submit_all``; returns their ids.
+        Raises ReplayMismatch."""
         taken = self._take("submit_all", workflow, key)
-        request = options.pop("request", "") or self._record.request_of(taken)
-        found, warnings = [], list[str]()
-        with self._record.keep_key_on_failure(taken):
-            for number, payload in enumerate(payloads):
-                found.append(self._submit(taken, f"{request}-{number}", workflow, payload, options))
-                warnings += self.lab.warnings
-        self.lab.warnings = list(dict.fromkeys(warnings))
-        return found
+        record = self._record
+        request = options.pop("request", "") or record.request_of(taken)
+        given = list(payloads)
+        texts = workflow_texts(workflow, given)
+        keys = [f"{request}-{number}" for number in range(len(given))]
+        asked = [BatchRun(*each) for each in zip(range(len(given)), keys, texts, given, strict=True)]
+        with record.keep_key_on_failure(taken):
+            known = {run.number: record.find_run(taken, run.key, run.workflow, run.payload) for run in asked}
+            new = [run for run in asked if not known[run.number]]
+            if len(new) < len(asked):
+                options.pop("place", None)  # it was recorded with the first of them
+            with record.same_each(taken, new):
+                found = self.lab._submit_batches(new, **{**self._options(), **options})
+        return [known[run.number] or found.pop(0) for run in asked]
 
     def as_completed(self, runs: Iterable[str], *, check: bool = True) -> Iterator[RunResult]:
         """Runs in the order in which they end. Raises RunFailed at one that does not complete."""

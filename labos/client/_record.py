@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,6 +24,7 @@ from labos.core.canonical import canonical, digest
 from labos.errors import CommitInDoubt, KeyReused, LabosError, NotFound, Refused
 
 if TYPE_CHECKING:
+    from labos.client._batches import BatchRun
     from labos.client._lab import LabClient
 
 LARGEST_IN_EVENT = 16 * 1024
@@ -111,6 +112,17 @@ class ExperimentRecord:
         except KeyReused:
             self._past_again()
             self.find_run(key, request, told, payload)
+            raise
+
+    @contextmanager
+    def same_each(self, key: Key, runs: Sequence[BatchRun]) -> Iterator[None]:
+        """The same for several requests that are sent together."""
+        try:
+            yield
+        except KeyReused:
+            self._past_again()
+            for run in runs:
+                self.find_run(key, run.key, run.workflow, run.payload)
             raise
 
     # -- notes -------------------------------------------------------------------------------

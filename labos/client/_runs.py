@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from labos import errors
+from labos.client._batches import BatchRun, cut_into_batches, merge_files, workflow_texts
 from labos.client._calls import LONG_POLL_S
 from labos.client._files import step_text, workflow_text
 from labos.client._generated import GeneratedCalls
@@ -109,15 +110,44 @@ class RunCalls(GeneratedCalls):
         request: str = "",
         **options: Any,
     ) -> list[str]:
-        """Queue one run of a workflow for each payload, in order; returns their ids. Options are those of
-        ``submit``. The same ``request`` twice are the same runs, so that a call that broke off in the middle
-        can be repeated. ``warnings`` of the client are those of all of them."""
+        """Queue one run of a workflow for each payload, in order; returns their ids. All of them are queued
+        before the first one starts, or none is, and the error names the payload: ``payloads[2]: …``. Of more
+        than 50 runs, each 50 are one request. Options are those of ``submit``; what is in ``place`` was put
+        there once, for all of them. The same ``request`` twice are the same runs, so that a call that broke
+        off can be repeated. ``warnings`` of the client are those of all of them."""
         request = request or self._ids.new()
+        given = list(payloads)
+        texts = workflow_texts(workflow, given)
+        keys = [f"{request}-{number}" for number in range(len(given))]
+        asked = [BatchRun(*each) for each in zip(range(len(given)), keys, texts, given, strict=True)]
+        return self._submit_batches(asked, user=user, **options)
+
+    def _submit_batches(self, asked: Sequence[BatchRun], *, user: str, **options: Any) -> list[str]:
+        """Queue runs, as many in one request as it takes; returns their ids. What was put on the bench for
+        them is recorded with the first request."""
+        place = puts_of(options.pop("place", ()))
         warnings: list[str] = []
-        found = []
-        for number, payload in enumerate(payloads):
-            found.append(self.submit(workflow, payload, user=user, request=f"{request}-{number}", **options))
-            warnings += self.warnings
+        found: list[str] = []
+        self.approval = ""
+        for batch in cut_into_batches(asked):
+            files, names = merge_files(batch)
+            answer = self._submit_runs(
+                {**batch[0].workflow, "files": files},
+                [run.payload for run in batch],
+                user,
+                keys=[run.key for run in batch],
+                files=names,
+                first=batch[0].number,
+                place=place,
+                request=self._ids.new(),
+                **options,
+            )
+            place = []
+            found += answer["runs"]
+            warnings += map(_remark, answer.get("warnings", ()))
+            approvals = list(map(str, answer.get("approvals", ())))
+            warnings += approvals
+            self.approval = approvals[-1] if approvals else self.approval
         self.warnings = list(dict.fromkeys(warnings))
         return found
 

@@ -18,11 +18,13 @@ QUOTA_KEY = "quota"
 """Touched when a run has ended, or quotas are others."""
 
 
-def explain_full_queue(state: LabState, user: str) -> str:
-    """Why a user may have no further run wait, as a sentence; empty if one may."""
+def explain_full_queue(state: LabState, user: str, ahead: int = 0) -> str:
+    """Why a user may have no further run wait, behind so many others that are submitted with it, as a
+    sentence; empty if one may."""
     for whose, quota, had in state.shares.limits(user):
-        if quota.queued and had.queued >= quota.queued:
-            return f"{had.queued} runs of {whose} wait already, and {quota.queued} may."
+        waiting = had.queued + ahead
+        if quota.queued and waiting >= quota.queued:
+            return f"{waiting} runs of {whose} wait already, and {quota.queued} may."
     return ""
 
 

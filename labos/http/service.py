@@ -287,19 +287,10 @@ class LabService:
         twice is one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with
         it, or not at all. With ``propose`` it waits for an approval; it should be over when it is ``due``."""
         self.expect_role(user, "submitter")  # before anything is kept of it
-        self._expect_own(experiment, user)
-        files = await asyncio.to_thread(_digests, workflow.files)
-        asked = digest_of_request(
-            workflow.text,
-            files,
-            payload,
-            user,
-            workcell,
-            priority,
-            experiment,
-            *([place] if place else []),
-            *(["propose"] if propose else []),
-            *([f"due {due}"] if due else []),
+        self.expect_own(experiment, user)
+        files = await asyncio.to_thread(digest_files, workflow.files)
+        asked = digest_of_run(
+            workflow, files, payload, user, workcell, priority, experiment, place, propose=propose, due=due
         )
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
@@ -328,9 +319,9 @@ class LabService:
         if run is None:
             run = self.kernel.state.runs.requests[request]
             await asyncio.to_thread(expect_same_run, self.parts.store, request, run, asked)
-        return str(run), (*compiled.findings, *self._without_gap(run))
+        return str(run), (*compiled.findings, *self.without_gap(run))
 
-    def _without_gap(self, run: RunId) -> list[Finding]:
+    def without_gap(self, run: RunId) -> list[Finding]:
         """The bookings of others that leave a run no room, as warnings: it would wait for a person."""
         state = self.kernel.state
         known = state.runs.queued.get(run) if state.bookings.open else None
@@ -340,7 +331,7 @@ class LabService:
             Finding("warning", f"{said[0].upper()}{said[1:]}.", remedy=todo) for said, todo in told.items()
         ]
 
-    def _expect_own(self, experiment: str, user: str) -> None:
+    def expect_own(self, experiment: str, user: str) -> None:
         """Raises Refused for a run that would use somebody else's experiment, and with it their labware."""
         known = self.kernel.state.experiments.open.get(ExperimentId(experiment))
         if known is not None and known.user != person_of(user):
@@ -434,8 +425,8 @@ class LabService:
             raise error_of(lacks)
 
     def hear(self, experiment: str, actor: str) -> None:
-        """The application lives. Raises Forbidden for somebody else's: the program that keeps it alive goes
-        on with it."""
+        """The application is running. Raises Forbidden for somebody else's: the program that keeps it alive
+        goes on with it."""
         self.check_noting(experiment, actor)
         self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
 
@@ -467,10 +458,10 @@ class LabService:
         await self.kernel.execute(EndExperiment(name, why), actor)
         self._heard.pop(name, None)
 
-    async def miss_silent(self, every_s: float = 1.0) -> None:
+    async def miss_silent(self) -> None:
         """Ask a person about applications that have gone silent; for ever."""
         while True:
-            await asyncio.sleep(every_s)
+            await asyncio.sleep(1.0)
             now = self.parts.clock.monotonic()
             try:
                 experiments = list(self.kernel.state.experiments.open.values())
@@ -561,8 +552,37 @@ class LabService:
         raise NotFound(f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what))
 
 
-def _digests(files: Mapping[str, bytes]) -> dict[str, str]:
+def digest_files(files: Mapping[str, bytes]) -> dict[str, str]:
     return {name: digest(content) for name, content in files.items()}
+
+
+def digest_of_run(
+    workflow: WorkflowText,
+    files: Mapping[str, str],
+    payload: dict[str, Any],
+    user: str,
+    workcell: str,
+    priority: int,
+    experiment: str,
+    place: Sequence[Placing],
+    *,
+    propose: bool,
+    due: str,
+) -> str:
+    """What is asked for with a run, as one digest: it tells whether a key stands for the same run. ``files``
+    are those of the workflow, by their digests."""
+    return digest_of_request(
+        workflow.text,
+        files,
+        payload,
+        user,
+        workcell,
+        priority,
+        experiment,
+        *([place] if place else []),
+        *(["propose"] if propose else []),
+        *([f"due {due}"] if due else []),
+    )
 
 
 @cache

@@ -14,7 +14,7 @@ import structlog
 
 from labos.core.campaigns import Campaign, CampaignEvent
 from labos.core.decide import Rejection
-from labos.core.decide.campaigns import RefuseRow, SubmitRow
+from labos.core.decide.campaigns import RefuseRow, SubmitRow, SubmitRows
 from labos.core.quotas import explain_full_queue
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted
 from labos.core.shares import SharesApplied
@@ -83,14 +83,17 @@ class Feeder:
                 asyncio.get_running_loop().call_later(RETRY_S, self._bell.set)
 
     async def _propose_round(self) -> bool:
-        """Propose one row of each campaign that takes one; whether any was taken."""
+        """Propose the rows of each campaign for which there is room, in one command: all of them are known
+        before the first one starts. Returns whether any was taken."""
         taken = False
         for name in list(self._kernel.state.campaigns.open):
             state = self._kernel.state
             campaign = state.campaigns.open.get(name)
-            if campaign is None or not campaign.takes_rows or explain_full_queue(state, campaign.user):
+            if campaign is None:
                 continue
-            command = await self._rows.propose(campaign, campaign.next_row)
-            answer = self._kernel.submit(command, "labos")
+            first, rows = campaign.next_row, list[SubmitRow | RefuseRow]()
+            while len(rows) < campaign.room and not explain_full_queue(state, campaign.user, len(rows)):
+                rows.append(await self._rows.propose(campaign, first + len(rows)))
+            answer = self._kernel.submit(SubmitRows(tuple(rows)), "labos") if rows else []
             taken = taken or (not isinstance(answer, Rejection) and bool(answer))
         return taken

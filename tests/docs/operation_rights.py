@@ -12,6 +12,7 @@ from typing import Literal
 
 from labos.core.decide import Command
 from labos.core.decide.access import EndAccess, RequestAccess
+from labos.core.decide.batches import SubmitRuns
 from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
 from labos.core.decide.calibrations import CalibrateModule
 from labos.core.decide.campaigns import (
@@ -62,6 +63,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "resume": (ResumeStarts, ResumeRun),
     "cancel": (CancelRuns, CancelRun, CancelExperiment),
     "submit_run": (SubmitRun, SubmitWithLabware, LoadStation),
+    "submit_runs": (SubmitRuns, SubmitRun, LoadStation),
     "cancel_run": (CancelRun,),
     "pause_run": (PauseRun,),
     "resume_run": (ResumeRun,),

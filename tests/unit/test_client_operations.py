@@ -12,8 +12,10 @@ from pathlib import Path
 import pytest
 
 import labos.client
-from labos.client import AsyncExperiment, AsyncLabClient, Experiment, LabClient, _runs
+from labos.client import AsyncExperiment, AsyncLabClient, Experiment, LabClient, _batches, _runs
+from labos.core.decide.batches import MOST_RUNS
 from labos.core.runs import RUN_ENDS
+from labos.http.limits import MOST_FILES
 from labos.http.routes import OPERATIONS
 from tests.docs import client_code
 
@@ -83,6 +85,7 @@ def test_each_operation_has_a_method() -> None:
 
 def test_ends_of_runs_are_those_of_the_core() -> None:
     assert _runs.RUN_ENDS == RUN_ENDS
+    assert (_batches.MOST_RUNS, _batches.MOST_FILES) == (MOST_RUNS, MOST_FILES)
 
 
 @pytest.mark.parametrize(("cls", "twin"), [(LabClient, AsyncLabClient), (Experiment, AsyncExperiment)])

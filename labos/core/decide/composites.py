@@ -66,8 +66,18 @@ class ReportRound(Command, frozen=True):
 def submit_with_labware(state: LabState, command: SubmitWithLabware) -> Decision:
     if command.run.request and command.run.request in state.runs.requests:
         return []
+    loads = load_stations(state, command.loads)
+    if isinstance(loads, Rejection):
+        return loads
+    run = submit_run(state, command.run)
+    fit = run if isinstance(run, Rejection) else check_recordable(run)
+    return fit if isinstance(fit, Rejection) else chain(loads, fit)
+
+
+def load_stations(state: LabState, loads: Sequence[LoadStation]) -> Iterator[Event] | Rejection:
+    """The events of labware that was put at several stations, or why it cannot stand there."""
     filled: set[StationName] = set()
-    for load in command.loads:
+    for load in loads:
         decision = load_station(state, load)
         if isinstance(decision, Rejection):
             return decision
@@ -79,9 +89,7 @@ def submit_with_labware(state: LabState, command: SubmitWithLabware) -> Decision
                 "Put it there one after the other: labos load STATION --type TYPE",
             )
         filled |= places
-    run = submit_run(state, command.run)
-    fit = run if isinstance(run, Rejection) else check_recordable(run)
-    return fit if isinstance(fit, Rejection) else chain(_carry_out(state, command.loads, load_station), fit)
+    return carry_out_all(state, loads, load_station)
 
 
 @decides(DeclareStations)
@@ -95,10 +103,10 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
         fit = decision if isinstance(decision, Rejection) else check_recordable(decision)
         if isinstance(fit, Rejection):
             return fit
-    return _carry_out(state, command.stations, declare_station)
+    return carry_out_all(state, command.stations, declare_station)
 
 
-def _carry_out(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
+def carry_out_all(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
     """The events of parts that are known to be possible."""
     for part in parts:
         decision = decider(state, part)

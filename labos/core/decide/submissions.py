@@ -6,7 +6,7 @@ approved run waits for its turn as any other.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from typing import Any
 
@@ -21,11 +21,16 @@ from labos.core.campaigns import (
     Terms,
 )
 from labos.core.canonical import canonical, digest
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides
+from labos.core.decide.batches import SubmitRuns, list_new, name_run
 from labos.core.decide.campaigns import (
     AmendCampaign,
+    RefuseRow,
     SubmitCampaign,
     SubmitRow,
+    SubmitRows,
+    refuse_row,
+    submit_row,
 )
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import StartExperiment
@@ -43,7 +48,7 @@ from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
-from labos.core.users import ON_BEHALF, person_of
+from labos.core.users import LABOS, ON_BEHALF, person_of
 
 
 class ApplyPolicy(Command, frozen=True):
@@ -58,6 +63,27 @@ def apply_policy(state: LabState, command: ApplyPolicy) -> Decision:
     if (state.approvals.applied, state.approvals.policy) == (command.digest, command.policy):
         return []
     return [PolicyApplied(command.digest, command.policy)]
+
+
+@decides(SubmitRows)
+def submit_rows(state: LabState, command: SubmitRows) -> Decision:
+    """The first row is decided as if it were alone; of the others, as many as may be."""
+    first = _decide_next_row(state, command.rows[0]) if command.rows else []
+    return first if isinstance(first, Rejection) else _submit_rows(state, command.rows)
+
+
+def _submit_rows(state: LabState, rows: tuple[SubmitRow | RefuseRow, ...]) -> Iterator[Event]:
+    for row in rows:
+        decision = _decide_next_row(state, row)
+        if isinstance(decision, Rejection):
+            return
+        yield from decision
+
+
+def _decide_next_row(state: LabState, row: SubmitRow | RefuseRow) -> Decision:
+    decision = submit_row(state, row) if isinstance(row, SubmitRow) else refuse_row(state, row)
+    held = hold_for_approval(state, row, decision, LABOS)
+    return held if isinstance(held, Rejection) else check_recordable(held)
 
 
 def name_both_actors(command: Command, actor: str) -> Command:
@@ -83,6 +109,8 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
         return decision
     if isinstance(command, SubmitWithLabware):
         return _with_labware(state, command, decision, actor)
+    if isinstance(command, SubmitRuns):
+        return _each_of_batch(state, command, decision, actor)
     if isinstance(command, ApplyPolicy):
         return _not_by_program(state, actor) or decision
     events = list(decision)
@@ -109,6 +137,7 @@ _SUBMISSIONS = (
     ApplyPolicy,
     SubmitRun,
     SubmitWithLabware,
+    SubmitRuns,
     SubmitCampaign,
     StartExperiment,
     AmendCampaign,
@@ -125,6 +154,28 @@ def _with_labware(
     if isinstance(run, Rejection):
         return run
     return chain(decision, [event for event in run if isinstance(event, ApprovalRequested)])
+
+
+def _each_of_batch(state: LabState, command: SubmitRuns, decision: Iterable[Event], actor: str) -> Decision:
+    """Each run of several waits as any run."""
+    new = list_new(state, command)
+    for number, run in new.items():
+        high = refuse_priority(state, run, actor)
+        if high is not None:
+            return name_run(command, number, high)
+    return _hold_each(state, list(new.values()), decision, actor)
+
+
+def _hold_each(
+    state: LabState, runs: list[SubmitRun], decision: Iterable[Event], actor: str
+) -> Iterator[Event]:
+    """Each event is folded before the next one is asked for."""
+    left = iter(runs)
+    for event in decision:
+        yield event
+        if isinstance(event, RunSubmitted):
+            request = _request_for_run(state, next(left), [event], actor)
+            yield from () if request is None else (request,)
 
 
 def _not_by_program(state: LabState, actor: str) -> Rejection | None:

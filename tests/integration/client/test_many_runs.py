@@ -18,9 +18,10 @@ import pytest
 
 from labos.cli.app import main
 from labos.client import Experiment, LabClient, RunFailed
+from labos.client._batches import MOST_RUNS
 from labos.client._results import RunResult
 from labos.client._runs import MOST_STREAMS
-from labos.errors import BadInput, NotFound
+from labos.errors import BadInput, KeyReused, NotFound
 from tests.support.reading import WORKFLOW, open_reading_lab
 
 READ = {"text": WORKFLOW, "name": "read.yaml"}
@@ -50,16 +51,9 @@ def test_runs_come_in_the_order_in_which_they_end(lab: LabClient) -> None:
 
 
 def test_one_question_waits_for_all(lab: LabClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-    request = lab._request
-
-    def listen(method: str, path: str, **options: object) -> object:
-        asked.append(path)
-        return request(method, path, **options)  # type: ignore[arg-type]
-
     lab.control("pause", "lab", "ada")
     runs = lab.submit_all(READ, [{}] * (MOST_STREAMS + 2), user="ada")
-    monkeypatch.setattr(lab, "_request", listen)
+    asked = listen_to(lab, monkeypatch)
     ended = lab.as_completed(runs, timeout_s=60)
     lab.cancel(runs[7], "ada")
     assert next(ended).id == runs[7]
@@ -75,6 +69,68 @@ def test_a_request_that_is_repeated_is_the_same_runs(lab: LabClient) -> None:
     first = lab.submit_all(READ, [{}], user="ada", request="night")
     assert lab.submit_all(READ, [{}, {"assay": "late"}], user="ada", request="night")[:1] == first
     assert len(list(lab.as_completed(first))) == 1
+
+
+def test_many_runs_are_one_request_and_one_commit(lab: LabClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = listen_to(lab, monkeypatch)
+    lab.control("pause", "lab", "ada")
+    before = lab.health()["position"]
+    runs = lab.submit_all(READ, [{"assay": f"A{n}"} for n in range(MOST_RUNS + 3)], user="ada")
+    assert [path for path in asked if path.startswith("/runs")] == ["/runs/batch"] * 2
+    found = list(lab.events(before, type="run.submitted"))
+    assert [event["stream"] for event in found] == runs
+    assert [event["payload"]["payload"]["assay"] for event in found] == [f"A{n}" for n in range(len(runs))]
+    causes = {event["causation"] for event in found}
+    assert len(causes) <= 4, "each command's first event is the cause of its others"
+    for run in runs:
+        lab.cancel(run, "ada")
+    lab.control("resume", "lab", "ada")
+
+
+def test_an_error_names_the_payload_and_nothing_is_submitted(lab: LabClient) -> None:
+    before = lab.health()["position"]
+    with pytest.raises(BadInput, match=r"payloads\[1\]: .*assay"):
+        lab.submit_all(READ, [{"assay": "A"}, {"assay": [1]}, {}], user="ada")
+    with pytest.raises(BadInput, match=r"payloads\[2\]"):
+        lab.submit_all(READ, [{}, {}, {"text": "x" * 60_000}], user="ada")
+    assert list(lab.events(before, type="run.submitted")) == []
+    assert lab.submit_all(READ, [], user="ada") == []
+
+
+def test_another_payload_under_a_key_is_refused_before_any_run(lab: LabClient) -> None:
+    lab.submit_all(READ, [{}, {"assay": "B"}], user="ada", request="week")
+    before = lab.health()["position"]
+    with pytest.raises(KeyReused, match=r"payloads\[1\]: The key 'week-1'"):
+        lab.submit_all(READ, [{}, {"assay": "C"}, {}], user="ada", request="week")
+    assert [event["type"] for event in lab.events(before, type="run.submitted")] == []
+
+
+def test_each_payload_brings_the_files_that_it_names(lab: LabClient, tmp_path: Path) -> None:
+    """The same key is the same run, with whichever others it is asked for."""
+    (tmp_path / "read.yaml").write_text(WORKFLOW)
+    for name in ("a.txt", "b.txt"):
+        (tmp_path / name).write_text(name)
+    payloads = [{"assay": "a.txt"}, {"assay": "b.txt"}, {}]
+    apart = [
+        lab.submit(tmp_path / "read.yaml", payload, user="ada", request=f"files-{number}")
+        for number, payload in enumerate(payloads)
+    ]
+    assert lab.submit_all(tmp_path / "read.yaml", payloads, user="ada", request="files") == apart
+    assert lab.submit_all(tmp_path / "read.yaml", payloads[:2], user="ada", request="files") == apart[:2]
+    list(lab.as_completed(apart))
+
+
+def listen_to(lab: LabClient, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The paths that the client asks for from now on."""
+    asked: list[str] = []
+    request = lab._request
+
+    def listen(method: str, path: str, **options: object) -> object:
+        asked.append(path)
+        return request(method, path, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(lab, "_request", listen)
+    return asked
 
 
 def test_what_never_was_is_not_waited_for(lab: LabClient) -> None:

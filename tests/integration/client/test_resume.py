@@ -173,17 +173,46 @@ def test_a_key_finds_a_call_wherever_it_stands(lab: LabClient) -> None:
 
 
 def test_those_of_many_that_were_submitted_are_not_submitted_again(lab: LabClient) -> None:
-    def payloads(count: int) -> Iterator[dict[str, Any]]:
-        for number in range(count):
-            yield {"assay": f"A{number}"}
-        raise Stopped
+    """So were they left by an earlier LabOS, which submitted them one by one, if the program was killed."""
 
-    with pytest.raises(Stopped), Experiment(lab, "plates", "ada") as experiment:
-        experiment.submit_all(READ, payloads(2))  # type: ignore[arg-type]
-    with again(lab, experiment.id) as experiment:
+    def submit_two(experiment: Experiment) -> None:
+        options = {"user": "ada", "experiment": experiment.id}
+        for number in range(2):
+            request = f"{experiment.id}/runs read#1-{number}"
+            lab.submit(READ, {"assay": f"A{number}"}, request=request, **options)
+
+    name = begin_program(lab, submit_two)
+    with again(lab, name) as experiment:
         runs = experiment.submit_all(READ, [{"assay": f"A{n}"} for n in range(4)])  # type: ignore[arg-type]
         assert len(list(experiment.as_completed(runs))) == 4
-    assert [payload["run"] for payload in events(lab, experiment.id, "run.submitted")] == runs
+    assert [payload["run"] for payload in events(lab, name, "run.submitted")] == runs
+
+
+def test_many_that_were_submitted_are_known_again(lab: LabClient) -> None:
+    payloads = [{"assay": f"A{n}"} for n in range(3)]
+    first: list[str] = []
+    name = begin_program(lab, lambda experiment: first.extend(experiment.submit_all(READ, payloads)))
+    with again(lab, name) as experiment:
+        assert experiment.submit_all(READ, payloads) == first  # type: ignore[arg-type]
+        lab.wait(first[-1])
+    with pytest.raises(ReplayMismatch, match="A2"), again(lab, name) as experiment:
+        experiment.submit_all(READ, [*payloads[:2], {"assay": "other"}])  # type: ignore[arg-type]
+    assert [payload["run"] for payload in events(lab, name, "run.submitted")] == first
+
+
+def test_what_another_process_of_the_program_has_submitted_is_told(lab: LabClient) -> None:
+    """A log that has grown since it was read: the lab knows the keys, and the program learns of it."""
+
+    def submit_other(experiment: Experiment) -> None:
+        request = f"{experiment.id}/runs read#1-1"
+        lab.submit(READ, {"assay": "B"}, user="ada", experiment=experiment.id, request=request)
+        with pytest.raises(ReplayMismatch, match="runs read#1"):
+            experiment.submit_all(READ, [{"assay": "A"}, {"assay": "C"}])  # type: ignore[arg-type]
+
+    name = begin_program(lab, submit_other)
+    (left,) = events(lab, name, "run.submitted")
+    assert lab.wait(left["run"]).succeeded
+    lab.end_experiment(name, "ended", "ada")
 
 
 def test_a_computation_with_other_arguments_is_told(lab: LabClient) -> None:

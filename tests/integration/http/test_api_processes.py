@@ -92,6 +92,11 @@ def test_a_run_submitted_at_one_process_is_the_same_run_at_the_other(
         assert first.status_code == 201
         assert second.content == first.content
         is_problem(two.post("/runs", json={**body, "priority": 3}), 409, "key_reused")
+        several = {"workflow": {"text": FLOW}, "payloads": [{}, {}], "keys": [next(keys), next(keys)]}
+        together = one.post("/runs/batch", json=several, headers={"idempotency-key": next(keys)})
+        assert together.status_code == 201
+        again = two.post("/runs/batch", json=several, headers={"idempotency-key": next(keys)})
+        assert again.json()["runs"] == together.json()["runs"]
 
 
 def test_a_repeated_request_is_answered_though_it_would_be_refused_now(

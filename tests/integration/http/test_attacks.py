@@ -112,6 +112,7 @@ def test_ids_of_others_open_nothing(lab: LabThread, bob: httpx.Client, eve: http
         (f"/bookings/{booking}/cancel", {}),
         (f"/bookings/{booking}/change", {"whom": "eve"}),
         ("/runs", {"workflow": {"text": FLOW}, "experiment": experiment}),
+        ("/runs/batch", {"workflow": {"text": FLOW}, "experiment": experiment, "payloads": [{}]}),
     )
     before = lab.runtime.kernel.state.position
     for path, body in tries:

@@ -37,6 +37,12 @@ PLACED = [
     {"station": "camera_module.plate_station", "labware": "plate96"},
 ]
 RUN = {"workflow": {"text": FLOW}, "user": "ada", "workcell": "rpl", "place": PLACED}
+BATCH = {
+    "workflow": {"text": FLOW},
+    "user": "ada",
+    "workcell": "rpl",
+    "payloads": [{}] * 4,
+}
 
 
 def list_standing(state: LabState) -> list[bool]:
@@ -110,6 +116,7 @@ def test_a_kill_between_two_commits_leaves_no_half(lab: LabThread, tmp_path: Pat
 
         http.post("/control/pause", json={"target": "lab", "by": "ada"})  # nothing starts meanwhile
         ask("/runs", RUN, "run")
+        ask("/runs/batch", BATCH, "batch")
         parked.update(ask("/workcells/rpl/access", {"by": "ada", "park": True}, "access"))
         ask("/workcells", {"text": SMALL, "name": "corner.yaml", "by": "ada"}, "workcell")
         both = {"hidex.default": ["plate96"], "peeler.default": ["plate96"]}
@@ -119,7 +126,8 @@ def test_a_kill_between_two_commits_leaves_no_half(lab: LabThread, tmp_path: Pat
         assert refused.status_code == 409, refused.text
     wholes: list[Callable[[LabState], list[bool]]] = [
         list_submitted,
-        lambda state: ["rpl" in state.lab.access, state.runs.named == 1 + len(ARMS)],
+        lambda state: [f"batch-{number}" in state.runs.requests for number in range(4)],
+        lambda state: ["rpl" in state.lab.access, state.runs.named == 5 + len(ARMS)],
         lambda state: ["corner" in state.lab.workcells, is_known(state, "corner/oven.nest")],
         lambda state: [holds(state, f"rpl/{name}.default") for name in ("hidex", "peeler")],
     ]

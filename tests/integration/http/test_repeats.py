@@ -24,6 +24,7 @@ from tests.support.lab_process import until
 FLOW = "labos: 1\nname: f\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 TIMED = FLOW.replace("action: seal}", "action: seal, args: {time: payload.time}}")
 RUN = {"workflow": {"text": FLOW}, "user": "ada"}
+BATCH = {"workflow": {"text": TIMED}, "payloads": [{"time": 1}, {"time": 2}, {"time": 1}], "user": "ada"}
 CAMPAIGN = {
     "text": "labos: 1\ncampaign: c\nworkflow: f\nrows: {list: [{time: 1}, {time: 2}]}\n",
     "workflow": {"text": TIMED},
@@ -94,6 +95,7 @@ def test_requests_that_cross_are_one(raw: httpx.Client, lab: LabThread) -> None:
         ("/control/pause", {"target": "lab", "by": "bo"}),
         ("/control/resume", {"target": "lab", "by": "ada"}),
         ("/runs", RUN),
+        ("/runs/batch", BATCH),
     ],
 )
 def test_a_key_belongs_to_one_request(raw: httpx.Client, path: str, body: dict[str, Any]) -> None:
@@ -135,6 +137,7 @@ def test_runs_experiments_and_campaigns_are_known_after_a_restart(tmp_path: Path
     settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     requests: tuple[tuple[str, dict[str, Any]], ...] = (
         ("/runs", RUN),
+        ("/runs/batch", BATCH),
         ("/experiments", {"name": "e", "user": "ada"}),
         ("/campaigns", CAMPAIGN),
     )
@@ -154,11 +157,38 @@ def test_runs_experiments_and_campaigns_are_known_after_a_restart(tmp_path: Path
     with LabThread(settings, nodes="none") as lab:
         after = send(lab.url)
     assert [found.status_code for found in before] == [found.status_code for found in after]
-    assert [found.status_code for found in after] == [201] * 3 + [409] * 3
-    for first, again in zip(before[:3], after[:3], strict=True):
+    assert [found.status_code for found in after] == [201] * 4 + [409] * 4
+    for first, again in zip(before[:4], after[:4], strict=True):
         assert first.json() == again.json()
-    assert [found.json()["code"] for found in after[3:]] == ["key_reused"] * 3
+    assert [found.json()["code"] for found in after[4:]] == ["key_reused"] * 4
     assert issubclass(KeyReused, Refused)
+
+
+def test_runs_that_are_asked_for_together_are_carried_out_once(raw: httpx.Client) -> None:
+    """Under keys of their own, or that of the request; what is wrong with one is said of it."""
+    first = raw.post("/runs/batch", json=BATCH, headers=make_key_header("together"))
+    again = raw.post("/runs/batch", json=BATCH, headers=make_key_header("together"))
+    named = BATCH | {"keys": ["together-0", "together-1", "together-2"]}
+    assert (first.status_code, first.json()) == (again.status_code, again.json()) == (201, again.json())
+    assert raw.post("/runs/batch", json=named).json()["runs"] == first.json()["runs"]
+    single = RUN | {"workflow": {"text": TIMED}, "payload": {"time": 2}}
+    found = raw.post("/runs", json=single, headers=make_key_header("together-1"))
+    assert found.json()["run"] == first.json()["runs"][1], "as if it had been submitted by itself"
+    refused = (
+        ({"keys": ["a", "b"]}, "3 payloads, and 2 keys"),
+        ({"keys": ["a", "b", "a"]}, "payloads[2]: Its key 'a' is also that of payloads[0]"),
+        ({"keys": ["a", "b", "together-1"]}, "payloads[2]: The key 'together-1' belongs to"),
+        ({"payloads": [{"time": 1}, {"time": "x"}], "first": 7}, "payloads[8]: "),
+        ({"payloads": [{"time": 1}, {"time": 2**70}]}, "payloads[1]"),
+        ({"payloads": []}, "payloads"),
+        ({"payloads": [{}] * 51}, "payloads"),
+    )
+    before = position(raw)
+    for change, why in refused:
+        answer = raw.post("/runs/batch", json=BATCH | change)
+        assert answer.status_code in (400, 409, 422), change
+        assert why in answer.json()["detail"], answer.json()
+    assert position(raw) == before
 
 
 def test_the_client_raises_the_error_of_a_key_that_was_used(lab: LabThread) -> None:

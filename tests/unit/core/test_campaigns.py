@@ -18,6 +18,7 @@ from labos.core.decide.campaigns import (
     ResumeCampaign,
     SubmitCampaign,
     SubmitRow,
+    SubmitRows,
 )
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.lab import StartKernel
@@ -229,3 +230,24 @@ def test_one_that_an_earlier_version_left_undecided_is_completed_when_a_kernel_s
     assert C1 in lab.lab.state.campaigns.open
     events = lab.lab.do(StartKernel(2, "0"))
     assert [event.TYPE for event in events] == ["kernel.started", "campaign.completed"]
+
+
+def test_rows_that_are_proposed_together_are_as_if_one_by_one() -> None:
+    together, apart = Lab(), Lab()
+    rows = tuple(map(together.row, range(ROWS_QUEUED + 1)))
+    together.lab.do(SubmitRows(rows))
+    assert apart.feed() == list(together.campaign.runs) == ["R1", "R2", "R3", "R4"]
+    assert [entry.event for entry in together.lab.log] == [entry.event for entry in apart.lab.log]
+    assert together.lab.reject(SubmitRows(rows)).code == "not_next"
+    together.lab.check_log()
+
+
+def test_rows_are_taken_up_to_the_first_that_has_to_wait() -> None:
+    lab = Lab(budget=Budget(runs=3))
+    lab.lab.do(SubmitRows((lab.row(0), RefuseRow(C1, 1, "no well"), lab.row(3), lab.row(2))))
+    assert (lab.campaign.next_row, lab.campaign.refused, list(lab.campaign.runs)) == (2, 1, ["R1"])
+    lab.lab.do(SubmitRows((lab.row(2), RefuseRow(C1, 3, "no well"), lab.row(4), lab.row(5))))
+    assert lab.campaign.next_row == 5
+    lab.to_the_end()
+    assert lab.lab.types().count("run.submitted") == 3
+    lab.lab.check_log()

@@ -18,6 +18,7 @@ from labos.core.decide.campaigns import (
     ResumeCampaign,
     SubmitCampaign,
     SubmitRow,
+    SubmitRows,
 )
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import ReportRound, SubmitWithLabware
@@ -198,8 +199,8 @@ def test_dangerous_steps_wait_also_where_the_workcell_asks_for_no_second_person(
 def test_a_row_that_turns_out_dangerous_has_its_campaign_wait() -> None:
     lab = lab_with(dangerous=True)
     lab.do(screen(), "ada")
-    lab.do(SubmitRow(C1, 0, work()))
-    lab.do(SubmitRow(C1, 1, work(hazard="laser")))
+    dangerous = SubmitRow(C1, 1, work(hazard="laser"))
+    lab.do(SubmitRows((SubmitRow(C1, 0, work()), dangerous, SubmitRow(C1, 2, work()))))
     campaign = lab.state.campaigns.open[C1]
     assert (campaign.status, campaign.next_row) == (CampaignStatus.PROPOSED, 1)
     approve(lab, "C1")
