@@ -168,8 +168,7 @@ class Admission:
         if not goes_first and self._adviser.own.is_too_early(state, cell):
             until = self._adviser.own.goes_on_at(cell)
             return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
-        is_ordered = cell in state.suggestions.orders or self._adviser.own.find(cell) is not None
-        if goes_first or not stands or is_ordered:
+        if goes_first or not stands or self._adviser.has_order(state, cell):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
@@ -213,10 +212,26 @@ class Admission:
         found = [other for other in found if other.id != run.id and other.id not in state.runs.windowed]
         return sorted(found, key=lambda other: other.position)
 
+    def list_next(self, state: LabState, cell: str, most: int, now: int) -> list[RunState]:
+        """The first of the waiting runs in a workcell, so many at most, that differ in rank only by age."""
+        heads: list[RunState] = []
+        for bundle in self._room.within(cell)[: 4 * most]:
+            heads += [head for head in self._room.heads(state, bundle) if not find_holds(head)]
+        if not heads:
+            return []
+        ranks = {head.id: self._make_rank(state, head, now) for head in heads}
+        first = min(ranks.values())
+        found: list[RunState] = []
+        for head in heads:
+            if ranks[head.id] == first:
+                group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+                found += [state.runs.queued[name] for name in islice(group, most)]
+        return sorted(found, key=lambda run: run.position)[:most]
+
     def _list_heads(self, state: LabState, cell: str) -> Iterator[RunState]:
         for bundle in self._room.within(cell)[:MOST_WAITING]:
             yield from self._room.heads(state, bundle)
 
     def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
         """The rank of a waiting run without its age."""
-        return run.priority, *self._ranking.make_turn_key(state, now, run)[:-1]
+        return -run.priority, *self._ranking.make_turn_key(state, now, run)[:-1]

@@ -21,6 +21,7 @@ from labos.core.ids import ModuleName, RunId
 from labos.core.rules import examine, lab_ns
 from labos.core.runs import PENDING, UNKNOWN, RunState, StepStatus, find_holds
 from labos.core.state import LabState
+from labos.core.suggestions import OrderSuggested
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
 from labos.planning.forecast import find_earliest_start, is_pending
@@ -31,7 +32,7 @@ from labos.planning.punctual import PunctualOrders
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
-from labos.planning.suggested import find_suggested_times
+from labos.planning.suggested import find_order, find_suggested_times
 from labos.planning.touch import cell_key, window_key
 
 SEARCH_LIMIT = 24
@@ -90,8 +91,9 @@ class Trial(msgspec.Struct, frozen=True):
 class Windows:
     """Judges starts in one state after the other. ``plays`` counts rehearsals."""
 
-    def __init__(self, limit: int = SEARCH_LIMIT) -> None:
+    def __init__(self, limit: int = SEARCH_LIMIT, own: dict[str, OrderSuggested] | None = None) -> None:
         self.plays = 0
+        self._own = own if own is not None else {}
         self._limit = limit
         self._at: tuple[int, int] | None = None
         self._plans: dict[str, CellOutlook] = {}
@@ -110,11 +112,13 @@ class Windows:
         if not state.runs.windowed_in.get(cell) and not self._punctual.find_starts(state, cell, now):
             return FAR
         plan, who = self._plan(state, cell, now, safety), (str(run.id), step)
-        at = plan.outcome.starts.get(who)
-        if at is None and plan.as_suggested:
+        found = plan.outcome.starts.get(who, FAR)
+        if found == FAR and plan.as_suggested:
             suggested = plan.advice.not_before.get(who, FAR)  # it is let in later
             return suggested if suggested > now else FAR
-        return FAR if at is None else at
+        if found <= now or run.has_started:
+            return found
+        return now if self._is_as_suggested(state, plan, run, step, safety) else found
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if it may go ahead."""
@@ -164,6 +168,41 @@ class Windows:
         self._anxious.pop(who, None)
         self._tried[who] = advice, [other for other in trial.known if other[0] == who[0]]
         return None
+
+    def _is_as_suggested(
+        self, state: LabState, plan: CellOutlook, run: RunState, step: int, safety: Safety
+    ) -> bool:
+        """Whether a run is to be let in now by the suggested order, and all windows are kept with it."""
+        suggested = self._find_suggested_advice(state, plan.cell, plan.now)
+        if suggested is None or not _is_on_time(state, suggested, plan.now):
+            return False
+        who = (str(run.id), step)
+        if suggested.not_before.get(who, FAR) > plan.now:
+            return False
+        advice = suggested.let_leave(who[0])
+        known = set(plan.outcome.late) | set(self._hopeless)
+        trial = Trial(_follow(plan, advice), run, step, known)
+        _, found = self._search(state, trial, safety, forced=True, limit=1)
+        if trial.list_newly_late(found) or found.tangle is not None:
+            return False
+        self._anxious.pop(who, None)
+        self._tried[who] = advice, []
+        return True
+
+    def _find_suggested_advice(self, state: LabState, cell: str, now: int) -> Advice | None:
+        """To do as somebody has suggested: everybody inside goes on, each step at its time; with a planner's
+        order those come in, too, whose time it is. Like any other advice it counts only if a rehearsal shows
+        that it keeps the windows."""
+        times = find_suggested_times(state, find_order(state, self._own, cell), now)
+        if not times:
+            return None
+        goes_on = {run.id for run in _inside(state, cell) if not run.paused and not run.is_ending}
+        if cell in state.suggestions.orders:
+            goes_on |= {run for (run, _), at in times.items() if at <= now}
+        return Advice(
+            not_before={(str(run), step): at for (run, step), at in times.items()},
+            leaving=frozenset(str(run) for run, _ in times if run in goes_on),
+        )
 
     def _better_time(self, state: LabState, trial: Trial, safety: Safety) -> int:
         """When a step had better start that would be followed too late if it started now; ``now`` if there is
@@ -286,7 +325,7 @@ class Windows:
         before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
         plan = CellOutlook(state, cell, now, obliged, before)
         starts = self._punctual.find_starts(state, cell, now)
-        suggested = _find_suggested_advice(state, cell, now) if starts or obliged else None
+        suggested = self._find_suggested_advice(state, cell, now) if starts or obliged else None
         if starts and suggested is not None:
             plan.advice, plan.outcome, plan.as_suggested = suggested, RehearsalResult(starts), True
             return plan
@@ -331,7 +370,7 @@ class Windows:
         seen = {_key(plan.advice)}
         tried = 1
         suggested = (
-            _find_suggested_advice(state, plan.cell, plan.now) if best[0][0] and tried < limit else None
+            self._find_suggested_advice(state, plan.cell, plan.now) if best[0][0] and tried < limit else None
         )
         if suggested is not None:
             tried += 1
@@ -459,17 +498,11 @@ def _find_trap(state: LabState, plan: CellOutlook, outcome: RehearsalResult, saf
         outcome.late.update(dict.fromkeys(behind[:1], FAR))
 
 
-def _find_suggested_advice(state: LabState, cell: str, now: int) -> Advice | None:
-    """To do as a planner has suggested: everybody inside goes on, and those come in whose time it is, each
-    step at its time. Like any other advice it counts only if a rehearsal shows that it keeps the windows."""
-    times = find_suggested_times(state, cell, now)
-    if not times:
-        return None
-    goes_on = {run.id for run in _inside(state, cell)} | {run for (run, _), at in times.items() if at <= now}
-    return Advice(
-        not_before={(str(run), step): at for (run, step), at in times.items()},
-        leaving=frozenset(str(run) for run, _ in times if run in goes_on),
-    )
+def _follow(plan: CellOutlook, advice: Advice) -> CellOutlook:
+    """The same outlook, with other advice."""
+    other = CellOutlook(plan._state, plan.cell, plan.now, plan.obliged, advice)
+    other._scene = plan.scene
+    return other
 
 
 def _is_on_time(state: LabState, suggested: Advice, now: int) -> bool:

@@ -52,7 +52,7 @@ class PunctualOrders:
             known = self._known[cell] = _Rehearsed(order, runs, None if has_windows else False)
         if known.is_good is False:
             return None
-        times = find_suggested_times(state, cell, now)
+        times = find_suggested_times(state, order, now)
         if not times or not _goes_as_suggested(state, cell, known.runs, times, now):
             return None
         starts = {(str(run), step): at for (run, step), at in times.items()}

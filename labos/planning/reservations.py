@@ -27,6 +27,7 @@ from labos.core.ids import RunId
 from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, find_holds
 from labos.core.state import LabState
+from labos.core.suggestions import OrderSuggested
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
 from labos.planning.forecast import (
@@ -77,9 +78,10 @@ class Reservations:
     """The reservations of one state after the other, by workcell, worked out once for each position of the
     log."""
 
-    def __init__(self) -> None:
+    def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
         self.refusals = 0
-        self.windows = Windows()
+        self._own = own if own is not None else {}
+        self.windows = Windows(own=self._own)
         self._position: dict[str, int] = {}
         self._all: dict[str, list[Reservation]] = {}
         self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
@@ -113,7 +115,7 @@ class Reservations:
     @contextmanager
     def only_asking(self) -> Iterator[None]:
         """What is found out meanwhile is forgotten: who only asks changes nothing that is decided later."""
-        kept, self.windows = self.windows, Windows()
+        kept, self.windows = self.windows, Windows(own=self._own)
         self.windows.remember(kept)
         try:
             yield

@@ -10,6 +10,7 @@ The scheduler keeps nothing that it could not work out again from the state.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 import msgspec
 
@@ -58,7 +59,8 @@ from labos.planning.touch import (
     sort_keys,
 )
 from labos.planning.urgency import is_urgent
-from labos.planning.waiting import Kind, WaitingRoom
+from labos.planning.waiting import PATIENCE, Kind, WaitingRoom
+from labos.planning.window_order import MOST_WAITING, WindowOrders
 
 MOST_BUNDLES = 50
 """So many are asked for what they need: a decision costs no more with a longer queue."""
@@ -84,14 +86,15 @@ class Scheduler:
 
     def __init__(self, own: OwnOrders | None = None) -> None:
         self.safety = Safety()
-        self.reservations = Reservations()
+        self.window_orders = WindowOrders(PATIENCE)
+        self.reservations = Reservations(self.window_orders.orders)
         self.evaluations = 0
         self.refusals = 0
         self.deadlines = Deadlines()
         self.sleepers = Sleepers()
         self.room = WaitingRoom()
         self.patience = OvertakeCounts()
-        self.adviser = Adviser(own)
+        self.adviser = Adviser(own, self.window_orders.orders)
         self.ranking = Ranking(self.reservations, self.adviser)
         self.elders = Elders(self.room, self.safety, self.reservations)
         self.admission = Admission(self.room, self.reservations, self.ranking, self.adviser, self.check_start)
@@ -256,6 +259,7 @@ class Scheduler:
             self.safety.forget(state, cell)
             self.admission.pilot.forget(cell)
             self.adviser.own.forget(cell)
+            self.window_orders.forget(cell)
             self.room.refill(state, cell)
         for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
@@ -269,9 +273,7 @@ class Scheduler:
         names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
         names.update(dict.fromkeys(self.sleepers.due(now), True))
         for cell in named.get(EVERYTHING, ()):
-            inside = state.runs.inside(cell)
-            names.update({(run.id, step): True for run in inside for step in list_ready_steps(state, run)})
-            names.update({(bundle, 0): True for bundle in self.room.within(cell)})
+            names |= self._list_all(state, cell)
         for key in touched.keys:
             if key.startswith("run:"):
                 names.update(dict.fromkeys(self._list_run_steps(state, RunId(key[4:])), True))
@@ -284,6 +286,8 @@ class Scheduler:
         for cell in self._list_cells(state, names):
             if self.admission.find_order(state, cell, now):
                 names |= self.sleepers.find_waiting(cell_key(cell))  # others may go first now
+        for cell in self._order_windows(state, now):
+            names |= self._list_all(state, cell)
         seen: dict[Kind, list[Wait]] = {}
         return [
             spot for spot in (self._look_again(state, name, now, seen) for name in names) if spot is not None
@@ -296,6 +300,26 @@ class Scheduler:
             run = state.runs.active.get(RunId(who))
             found[state.runs.plan_of(run).workcell if run is not None else self.room.cell_of(who)] = True
         return [cell for cell in found if cell]
+
+    def _list_all(self, state: LabState, cell: str) -> dict[Name, bool]:
+        """All that may start in a workcell."""
+        inside = state.runs.inside(cell)
+        names: dict[Name, bool] = {
+            (run.id, step): True for run in inside for step in list_ready_steps(state, run)
+        }
+        return names | {(bundle, 0): True for bundle in self.room.within(cell)}
+
+    def _order_windows(self, state: LabState, now: int) -> list[str]:
+        """Make an order of one's own where clocks run; returns the workcells in which it is another one."""
+        orders = self.window_orders
+        for cell in [cell for cell in orders.orders if not state.runs.windowed_in.get(cell)]:
+            orders.drop(cell)
+        changed: list[str] = []
+        for cell in [cell for cell, runs in state.runs.windowed_in.items() if runs]:
+            waiting = self.admission.list_next(state, cell, MOST_WAITING, now)
+            if orders.update(state, cell, waiting, partial(self.room.count_passed_over, cell), now):
+                changed.append(cell)
+        return changed
 
     def _find_touched(self, state: LabState, keys: Iterable[str]) -> Touched:
         """What the keys stand for, with the workcells of all that is over: the state does not know any more

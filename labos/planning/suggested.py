@@ -10,10 +10,13 @@ it. So that bad advice does little harm, a step waits for another only
 - if its own run is not urgent, of a higher priority, or overtaken too often.
 
 A step that starts a clock waits until its own time as well: what has to follow it was given its time by the
-same plan. So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
+same plan. With the lab's own order where clocks run (``window_order``) so does a run that is to be let in.
+So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import msgspec
 
@@ -33,6 +36,7 @@ from labos.planning.own_order import OWN, OwnOrders
 from labos.planning.taken import list_taken as list_taken
 from labos.planning.touch import cell_key
 from labos.planning.urgency import is_urgent
+from labos.planning.window_order import OWN_WINDOWS
 
 GRACE_S = 60.0
 """So many lab seconds after its time a step that has not started keeps nobody waiting any more."""
@@ -57,11 +61,12 @@ class OrderLookup(msgspec.Struct):
 
 
 class Adviser:
-    """The suggestions of one state after the other, each put in order once. Without one, the lab's ``own``
-    order counts."""
+    """The suggestions of one state after the other, each put in order once. Where nobody suggests an order,
+    one counts that the lab has found by itself: ``own``, or ``windowed`` where clocks run."""
 
-    def __init__(self, own: OwnOrders | None = None) -> None:
+    def __init__(self, own: OwnOrders | None, windowed: Mapping[str, OrderSuggested]) -> None:
         self.own = own if own is not None else OwnOrders()
+        self._windowed = windowed
         self._known: dict[str, OrderLookup] = {}
         self._since: dict[tuple[RunId, int], int] = {}
 
@@ -78,10 +83,6 @@ class Adviser:
     def is_time(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step should have started by now, by what was suggested."""
         return self.has_orders(state) and self.start_of(state, run, step, now) <= now
-
-    def has_orders(self, state: LabState) -> bool:
-        """Whether any workcell has an order."""
-        return bool(state.suggestions.orders) or bool(self.own)
 
     def wake_in_time(self, state: LabState, run: RunState, step: int, wait: Wait, now: int) -> Wait:
         """The same wait, but until the time at which the step should start: no event marks that time."""
@@ -115,9 +116,14 @@ class Adviser:
         mine = advice.starts.get((run.id, step), LAST)
         urgent = is_urgent(state, run, now)
         goes_first = urgent or run.priority > advice.least
-        if now < mine < LAST and not goes_first and _starts_clock(state, run, step):
-            later = reasons.ClockLater(plan.steps[step].key, in_zone(mine, "UTC"))
-            return Wait(later, (cell_key(plan.workcell),), mine)
+        is_own = advice.order.by in (OWN, OWN_WINDOWS)
+        waits_outside = advice.order.by == OWN_WINDOWS and not run.has_started
+        if now < mine < LAST and not goes_first and (waits_outside or _starts_clock(state, run, step)):
+            if is_own and self._has_waited_enough(state, run, step, now):
+                return None
+            later = reasons.LaterHere if is_own else reasons.ClockLater
+            why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
+            return Wait(why_later, (cell_key(plan.workcell),), mine)
         for resource in _list_resources(state, plan.steps[step]):
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= mine:
@@ -132,18 +138,35 @@ class Adviser:
                     continue
                 if run.priority > other.priority or (urgent and not is_urgent(state, other, now)):
                     continue
-                enough = self._since.setdefault((run.id, step), now) + lab_ns(state, MOST_S)
-                if enough < now:
+                if self._has_waited_enough(state, run, step, now):
                     return None
-                kind = reasons.AfterOrdered if advice.order.by == OWN else reasons.AfterSuggested
-                why = kind(str(other.id), resource.partition(":")[2])
-                soon = self.own.goes_on_at(plan.workcell)
-                until = min(until, enough) + 1
-                return Wait(why, (cell_key(plan.workcell),), until if soon is None else min(until, soon))
+                enough = self._since[run.id, step] + lab_ns(state, MOST_S)
+                why = reasons.SoonerAfter if is_own else reasons.AfterSuggested
+                again, until = self.own.goes_on_at(plan.workcell), min(until, enough) + 1
+                return Wait(
+                    why(str(other.id), resource.partition(":")[2]),
+                    (cell_key(plan.workcell),),
+                    until if again is None else min(until, again),
+                )
         return None
 
+    def _has_waited_enough(self, state: LabState, run: RunState, step: int, now: int) -> bool:
+        """Whether a step has waited for so long that no order counts for it any more."""
+        return self._since.setdefault((run.id, step), now) + lab_ns(state, MOST_S) < now
+
+    def has_order(self, state: LabState, cell: str) -> bool:
+        """Whether there is an order for a workcell."""
+        return self._find_order(state, cell) is not None
+
+    def has_orders(self, state: LabState) -> bool:
+        """Whether there is an order for any workcell."""
+        return bool(state.suggestions.orders or self.own or self._windowed)
+
+    def _find_order(self, state: LabState, cell: str) -> OrderSuggested | None:
+        return find_order(state, self._windowed, cell) or self.own.find(cell)
+
     def _advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
-        order = state.suggestions.orders.get(cell) or self.own.find(cell)
+        order = self._find_order(state, cell)
         if order is None or order.until <= now:
             return None
         known = self._known.get(cell)
@@ -153,9 +176,15 @@ class Adviser:
         return known
 
 
-def find_suggested_times(state: LabState, cell: str, now: int) -> dict[tuple[RunId, int], int]:
-    """When steps that have not started should start (UTC ns), if an order is suggested that still counts."""
-    order = state.suggestions.orders.get(cell)
+def find_order(state: LabState, windowed: Mapping[str, OrderSuggested], cell: str) -> OrderSuggested | None:
+    """The order of a workcell: the one that a planner suggests, else the lab's own where clocks run."""
+    return state.suggestions.orders.get(cell) or windowed.get(cell)
+
+
+def find_suggested_times(
+    state: LabState, order: OrderSuggested | None, now: int
+) -> dict[tuple[RunId, int], int]:
+    """When steps that have not started should start (UTC ns), if this order still counts."""
     if order is None or order.until <= now:
         return {}
     found: dict[tuple[RunId, int], int] = {}

@@ -220,6 +220,10 @@ class WaitingRoom:
         counts = self._passed_over.setdefault(state.runs.plan_of(elder).workcell, {})
         counts[elder.id] = counts.get(elder.id, 0) + times
 
+    def count_passed_over(self, cell: str, run: RunId) -> float:
+        """How often a run was passed over in a workcell."""
+        return self._passed_over.get(cell, {}).get(run, 0)
+
     def list_overtaken(self, state: LabState, cell: str) -> list[RunState]:
         """The runs that were passed over too often in a workcell."""
         counts = self._passed_over.get(cell, {})

@@ -81,15 +81,22 @@ class ForOthers(Reason, frozen=True):
     until: str
 
 
-class AfterSuggested(Reason, frozen=True):
-    SENTENCE = "the planner suggests that {run} goes first, at {place}"
+class SoonerAfter(Reason, frozen=True):
+    SENTENCE = "all work ends sooner if {run} goes first, at {place}"
     WAKES = ("cell",)
     run: str
     place: str
 
 
-class AfterOrdered(Reason, frozen=True):
-    SENTENCE = "all work ends sooner if {run} goes first, at {place}"
+class LaterHere(Reason, frozen=True):
+    SENTENCE = "all work ends sooner if {step!r} starts later (at about {at})"
+    WAKES = ("cell",)
+    step: str
+    at: str
+
+
+class AfterSuggested(Reason, frozen=True):
+    SENTENCE = "the planner suggests that {run} goes first, at {place}"
     WAKES = ("cell",)
     run: str
     place: str
@@ -143,7 +150,8 @@ PlanningReason = (
     | FollowsLate
     | ForOthers
     | AfterElder
-    | AfterOrdered
+    | SoonerAfter
+    | LaterHere
     | AfterSuggested
     | ClockLater
     | WouldBlock

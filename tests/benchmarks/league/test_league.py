@@ -11,7 +11,7 @@ from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, count_missed, faults, makespan
 from tests.benchmarks.league.play import Player
 from tests.benchmarks.league.rules import Problem, problem_of
-from tests.benchmarks.league.score import Score, play_case, read_best, score, times_of
+from tests.benchmarks.league.score import MUST, Score, play_case, read_best, score, times_of
 from tests.benchmarks.league.table import Keeper, row, verdicts
 
 SMALL = (
@@ -43,6 +43,13 @@ def test_what_planning_does_could_have_happened_and_is_not_better_than_what_was_
 
 def test_one_arm_does_as_well_as_was_proven_possible() -> None:
     assert score(small("one arm, 8 plates, within 120 s")).ratio == 1.0
+
+
+@pytest.mark.slow
+def test_windows_in_chains_of_three_are_near_the_best_known() -> None:
+    found = score(small("48 windows in chains of three, seed 0"))
+    assert found.ratio <= MUST
+    assert found.missed == 0
 
 
 def test_every_case_has_a_best_known_schedule() -> None:

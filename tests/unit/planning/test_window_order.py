@@ -1,0 +1,112 @@
+"""Where clocks run, planning makes an order of its own for who comes in when."""
+
+from __future__ import annotations
+
+import re
+
+from msgspec.structs import replace
+
+from labos.core.ids import RunId
+from labos.core.model import Plan, Window
+from labos.core.suggestions import OrderSuggested, Suggested
+from labos.planning.explain import sentence
+from labos.planning.window_order import MOST_WAITING, TRIES_EACH, TRIES_NEW
+from tests.support.bench import Driver
+from tests.unit.planning.test_pilot import LONG_FIRST, lab_with, way
+
+
+def hurried(found: Plan, spare_s: float = 15.0) -> Plan:
+    """The same way, but each machine has to begin so soon after the one before."""
+    steps = list(found.steps)
+    for index in range(3, len(steps), 2):
+        steps[index] = replace(steps[index], windows=(Window(index - 2, 0.0, 10.0 + spare_s),))
+    return replace(found, steps=tuple(steps))
+
+
+TO_LATHE = hurried(way("to lathe", ("mill", 60.0), ("lathe", 300.0)))
+TO_OVEN = hurried(way("to oven", ("mill", 300.0), ("oven", 60.0)))
+FROM_LATHE = hurried(way("from lathe", ("lathe", 60.0), ("oven", 300.0)))
+
+
+def orders_of(lab: Driver) -> dict[str, OrderSuggested]:
+    return lab.scheduler.window_orders.orders
+
+
+def go_on(lab: Driver) -> None:
+    """Let everything end after the time that it should take, to the end of all."""
+    ends: dict[str, int] = {}
+    while True:
+        lab.pump()
+        for action in lab.list_flying():
+            found = lab.state.actions.open[action]
+            step = lab.state.runs.plan_of(lab.run(found.run)).steps[found.step]
+            ends.setdefault(action, found.requested_at + int(step.duration_s * 1e9))
+        wake = lab.scheduler.next_deadline(lab.state)
+        first = min((at for name, at in ends.items() if name in lab.state.actions.open), default=None)
+        if first is None:
+            return
+        lab.wait((max(lab.now, min(first, wake or first)) - lab.now) / 1e9)
+        for action in [a for a in lab.list_flying() if ends[a] <= lab.now]:
+            lab.finish(action)
+
+
+def test_a_run_waits_outside_for_its_time() -> None:
+    lab = lab_with(TO_LATHE)
+    lab.pump()
+    lab.wait(10.0)
+    lab.finish(lab.list_flying()[0])
+    assert lab.pump() == ["R1#1"]
+    lab.submit(FROM_LATHE)
+    assert lab.pump() == [], "on the lathe it would be in the way of the first one"
+    begins = min(step.start for step in orders_of(lab)["cell"].steps if step.run == "R2")
+    assert begins > lab.now
+    wait = lab.scheduler.adviser.check_start(lab.state, lab.run("R2"), 0, lab.now)
+    assert wait is not None
+    assert wait.until == begins
+    assert re.fullmatch(r"all work ends sooner if .* starts later \(at about .*\)", sentence(wait))
+
+
+def test_all_windows_are_kept_and_all_come_to_the_end() -> None:
+    lab = lab_with(*[TO_LATHE, TO_OVEN, FROM_LATHE] * 3)
+    go_on(lab)
+    assert not lab.state.runs.active
+    assert not lab.state.runs.queued
+    assert "window.breached" not in lab.types()
+    assert lab.scheduler.window_orders.tries > 0
+
+
+def test_no_order_is_made_without_windows_or_for_runs_of_one_kind() -> None:
+    lab = lab_with(LONG_FIRST, way("other", ("oven", 10.0)))
+    go_on(lab)
+    assert lab.scheduler.window_orders.tries == 0
+    lab = lab_with(TO_LATHE, TO_LATHE)
+    go_on(lab)
+    assert lab.scheduler.window_orders.tries == 0
+
+
+def test_a_planner_s_order_goes_before() -> None:
+    lab = lab_with(TO_LATHE, TO_OVEN)
+    lab.pump()
+    lab.submit(FROM_LATHE)
+    lab.pump()
+    assert "cell" in orders_of(lab)
+    steps = (Suggested(RunId("R3"), 0, lab.now),)
+    lab.write(OrderSuggested("cell", "planner", lab.now + 10**12, steps))
+    lab.pump()
+    assert "cell" not in orders_of(lab)
+
+
+def test_the_order_is_forgotten_when_no_clock_runs() -> None:
+    lab = lab_with(TO_LATHE, TO_OVEN)
+    go_on(lab)
+    assert not orders_of(lab)
+
+
+def test_a_look_costs_a_bounded_number_of_tries() -> None:
+    lab = lab_with(TO_LATHE)
+    lab.pump()
+    for number in range(2 * MOST_WAITING):
+        lab.submit(hurried(way(f"way {number}", ("mill", 30.0 + number), ("oven", 30.0))))
+    before = lab.scheduler.window_orders.tries
+    lab.pump()
+    assert 0 < lab.scheduler.window_orders.tries - before <= max(TRIES_NEW, TRIES_EACH * MOST_WAITING) + 3
