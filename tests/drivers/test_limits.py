@@ -147,7 +147,7 @@ def test_a_line_that_cannot_be_set_so_is_refused(key: str, value: Any) -> None:
 def rows() -> str:
     """The table of the page."""
     lines = [
-        "| driver | `deadlines:`, and what they are if left out (s) | its line, as shipped |",
+        "| driver | `deadlines:` with their defaults (s) | default settings of its line |",
         "| --- | --- | --- |",
     ]
     for package, driver in WIRED.items():
