@@ -110,7 +110,7 @@ class EventStore(Protocol):
 
 
 class Person(msgspec.Struct, frozen=True):
-    """Who a user is. Kept beside the log, which knows the id alone."""
+    """A user's name and address. They are stored beside the log, which contains only the id."""
 
     user: str
     name: str = ""

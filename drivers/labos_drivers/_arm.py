@@ -31,14 +31,14 @@ class Arm(Simulated):
         times as long as usual."""
         usual_s = factor * self.transfer_s
         with self.motion():
-            slip = self.slip()
+            slip = self.draw_mishap()
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * usual_s)
             self._grip(source, grips[0], slip)
             await self.take_time(0.3 * usual_s)
             if regrip:
                 self.world.enter(self.name, self.place(regrip))
-                if self.held():
+                if self.find_held_plate():
                     self.world.release(self.name, self.place(regrip), grips[0])
                     self.world.grip(self.name, self.place(regrip), grips[0])
             self.world.enter(self.name, self.place(target))
@@ -48,7 +48,7 @@ class Arm(Simulated):
     async def pick(self, source: str) -> None:
         """Take a plate into the hand, and keep it there."""
         with self.motion():
-            slip = self.slip()
+            slip = self.draw_mishap()
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * self.transfer_s)
             self._grip(source, "", slip)
@@ -57,9 +57,9 @@ class Arm(Simulated):
     async def put_down(self, target: str) -> None:
         """Put down what the hand holds."""
         with self.motion():
-            if not self.held():
+            if not self.find_held_plate():
                 raise DeviceError(f"The hand of {self.name} is empty.", effects="none")
-            slip = self.slip()
+            slip = self.draw_mishap()
             self.world.enter(self.name, self.place(target))
             await self.take_time(0.3 * self.transfer_s)
             self._let_go(target, slip=slip)
@@ -67,26 +67,27 @@ class Arm(Simulated):
 
     async def remove_lid(self, plate_at: str, nest: str, regrip: str = "") -> None:
         """Take the lid off the plate at a place and put it into a nest."""
-        await self.transfer(self._lid_at(plate_at, "unlid"), nest, regrip)
+        await self.transfer(self._find_lid(plate_at, "unlid"), nest, regrip)
 
     async def replace_lid(self, nest: str, plate_at: str, regrip: str = "") -> None:
         """Put the lid from a nest onto the plate at a place."""
-        await self.transfer(nest, self._lid_at(plate_at, "lid"), regrip)
+        await self.transfer(nest, self._find_lid(plate_at, "lid"), regrip)
 
-    def held(self) -> str:
+    def find_held_plate(self) -> str:
         """The plate in the hand, or empty."""
         return self.top(f"hand:{self.name}")
 
-    def look(self) -> dict[str, Any]:
-        return {"labware": {"gripper": bool(self.held())}}
+    def observe(self) -> dict[str, Any]:
+        return {"labware": {"gripper": bool(self.find_held_plate())}}
 
     def is_waste(self, place: str) -> bool:
         chutes = {self.place(name) for name in self.config.get("waste", ())}
         return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
 
-    def slip(self) -> str:
-        """What goes wrong unnoticed this time: somebody tripped the hand, or it is ``clumsy`` in so many
-        of its motions."""
+    def draw_mishap(self) -> str:
+        """Draw what goes wrong unnoticed in the next motion: what the bench has prepared, or one of the
+        mishaps of a hand that is ``clumsy`` (the part of its motions that go wrong). Empty if nothing
+        does."""
         often = float(self.config.get("clumsy", 0.0))
         if often and self._random.random() < often:
             return self._random.choice(MISHAPS)
@@ -110,7 +111,7 @@ class Arm(Simulated):
         else:
             self.world.release(self.name, place, how)
 
-    def _lid_at(self, place: str, verb: str) -> str:
+    def _find_lid(self, place: str, verb: str) -> str:
         here = self.place(place)
         plate = self.top(here)
         if not plate:

@@ -8,8 +8,9 @@ from typing import Any
 from labos_drivers._simulation import Simulated
 
 
-def facts_of(dispensed: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """What goes into wells (µL by liquid and well), as the bench notes it; nothing, if there is none."""
+def make_facts(dispensed: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """The volumes that go into wells (µL by liquid and well) in the form of the bench's motion log; empty if
+    there are none."""
     wells = sorted({well for doses in dispensed.values() for well in doses})
     volumes = {liquid: [doses.get(well, 0.0) for well in wells] for liquid, doses in dispensed.items()}
     return {"volumes": volumes, "wells": wells} if wells else {}
@@ -21,7 +22,7 @@ class Deck(Simulated):
     async def pipette(self, nominal_s: float, *, tips: float = 8, **facts: Any) -> None:
         """Work on every plate on the deck, with so many tips (a column, if nobody says)."""
         with self.motion(drawn_in=True):
-            slots = self._plates()
+            slots = self._find_plates()
             if tips:
                 self.world.use(self.name, "tips", tips)
             await self.take_time(0.5 * nominal_s)
@@ -29,7 +30,7 @@ class Deck(Simulated):
                 self.world.work(self.name, "pipette", slot, **facts)
             await self.take_time(0.5 * nominal_s)
 
-    def _plates(self) -> list[str]:
+    def _find_plates(self) -> list[str]:
         slots = [slot for slot in map(self.place, self.drawers) if self.world.at(slot)]
         if not slots:
             self.world.crash(self.name, self.place(self.drawers[0]), "pipettes into nothing")

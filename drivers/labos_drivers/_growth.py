@@ -31,7 +31,7 @@ Stay = tuple[float, float]
 """Hours in an incubator, and its temperature (°C)."""
 
 
-def growth_of(contents: Mapping[str, float], stays: Iterable[Stay]) -> float:
+def compute_growth(contents: Mapping[str, float], stays: Iterable[Stay]) -> float:
     """The optical density at 590 nm that cells add to a well of these contents (µL by liquid)."""
     total = sum(contents.values())
     cells = contents.get("cells", 0.0)
@@ -39,19 +39,19 @@ def growth_of(contents: Mapping[str, float], stays: Iterable[Stay]) -> float:
         return 0.0
     inoculum = CELLS_OD * cells / total
     hours = sum(hours * math.exp(-(((celsius - BEST_C) / WIDTH_C) ** 2)) for hours, celsius in stays)
-    before, now = _grown(0.0), _grown(hours)
-    return inoculum + GAIN_OD * _left(contents, total) * (now - before) / (1.0 - before)
+    before, now = _logistic(0.0), _logistic(hours)
+    return inoculum + GAIN_OD * _find_remaining_part(contents, total) * (now - before) / (1.0 - before)
 
 
-def _grown(hours: float) -> float:
+def _logistic(hours: float) -> float:
     return 1.0 / (1.0 + math.exp(-RATE_PER_H * (hours - HALFWAY_H)))
 
 
-def _left(contents: Mapping[str, float], total: float) -> float:
-    """The part of the growth that the drugs in a well leave."""
+def _find_remaining_part(contents: Mapping[str, float], total: float) -> float:
+    """The part of the growth that remains in spite of the drugs in a well (0 to 1)."""
     left = 1.0
     for liquid, ul in contents.items():
-        if (told := NAMED_DRUG.fullmatch(liquid)) and told["drug"] in IC50_MG_PER_L:
-            dose = float(told["mg_per_l"]) * ul / total
-            left /= 1.0 + (dose / IC50_MG_PER_L[told["drug"]]) ** HILL
+        if (drug := NAMED_DRUG.fullmatch(liquid)) and drug["drug"] in IC50_MG_PER_L:
+            dose = float(drug["mg_per_l"]) * ul / total
+            left /= 1.0 + (dose / IC50_MG_PER_L[drug["drug"]]) ** HILL
     return left

@@ -22,9 +22,9 @@ import msgspec
 from labos.errors import DeviceError, Garbled, NoReply
 from labos.link import Link, Terminated, Wire
 from labos.node import Setup
-from labos_drivers._limits import serial_wire
+from labos_drivers._limits import make_serial_wire
 from labos_drivers._simulation import place_of
-from labos_drivers._wired import Behind, Wired, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, off_loop
 
 BAUDRATE = 9600
 END = b"\r\n"
@@ -38,25 +38,25 @@ RESULT = re.compile(r"(\d{4})(?:\s+(.*))?")
 
 
 class Joints(msgspec.Struct, frozen=True):
-    """Where the axes are, in the device's own units."""
+    """The positions of the axes, in the device's own units."""
 
     r: float
     z: float
     p: float
     y: float
 
-    def to(self, **axes: float) -> Joints:
+    def replace(self, **axes: float) -> Joints:
         return msgspec.structs.replace(self, **axes)
 
-    def away(self, other: Joints) -> float:
-        return max(abs(a - b) for a, b in zip(self.all(), other.all(), strict=True))
+    def distance_to(self, other: Joints) -> float:
+        return max(abs(a - b) for a, b in zip(self.as_tuple(), other.as_tuple(), strict=True))
 
-    def all(self) -> tuple[float, float, float, float]:
+    def as_tuple(self) -> tuple[float, float, float, float]:
         return self.r, self.z, self.p, self.y
 
 
 class Dialect(Protocol):
-    """How one of the devices writes what it says and hears."""
+    """The commands and answers of one of the devices."""
 
     who: str
     order: str
@@ -68,14 +68,15 @@ class Dialect(Protocol):
         """The command that stores a point."""
 
     def read(self, text: str) -> Joints:
-        """Of an answer to ``GETPOS``. Raises ValueError."""
+        """Parse an answer to ``GETPOS``. Raises ValueError."""
 
     def speed(self, percent: float) -> str:
         """The command that sets the speed."""
 
 
 class Sizes(msgspec.Struct, frozen=True):
-    """Of the plates, in mm; of the arm, in its own units. Configuration, with working values."""
+    """Sizes of the plates in mm, and of the arm in its own units. They can be configured; the defaults are
+    working values."""
 
     plate_mm: float
     grip_mm: float
@@ -99,12 +100,12 @@ class HudsonDriver(Wired):
     speed_percent: ClassVar[float]
     link: Link
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         config = setup.config
         self._setup = setup
-        told = {name: float(config[name]) for name in Sizes.__struct_fields__ if name in config}
-        self._sizes = msgspec.structs.replace(self.sizes, **told)
+        configured = {name: float(config[name]) for name in Sizes.__struct_fields__ if name in config}
+        self._sizes = msgspec.structs.replace(self.sizes, **configured)
         self._speed = min(float(config.get("speed_percent", self.speed_percent)), 100.0)
         self._limits = {**self.limits, **(config.get("limits") or {})}
         self._ready_status = tuple(map(str, config.get("ready_status", READY_STATUS)))
@@ -120,37 +121,37 @@ class HudsonDriver(Wired):
         )
 
     def wire(self, address: str) -> Wire:
-        return serial_wire(self._of, address, baudrate=BAUDRATE)
+        return make_serial_wire(self._of, address, baudrate=BAUDRATE)
 
     # -- plates ------------------------------------------------------------------------------
 
     @off_loop
     def transfer(self, source: str, target: str, raised: float = 0.0) -> None:
-        """``raised``: by so many device units higher than taught."""
+        """Carry a plate; ``raised``: so many device units higher than taught."""
         self._carry((source, raised), (target, raised))
 
     @off_loop
     def remove_lid(self, plate_at: str, nest: str) -> None:
-        self._carry((plate_at, self._lid()), (nest, 0.0))
+        self._carry((plate_at, self._lid_height()), (nest, 0.0))
 
     @off_loop
     def replace_lid(self, nest: str, plate_at: str) -> None:
-        self._carry((nest, 0.0), (plate_at, self._lid()))
+        self._carry((nest, 0.0), (plate_at, self._lid_height()))
 
     @off_loop
     def put_down(self, target: str) -> None:
         with self.motion():
-            with self.at_rest():
-                pose = self._pose(target)
-                self._ready()
-                if not self._holds():
+            with self.report_no_effects():
+                pose = self._find_pose(target)
+                self._check_ready()
+                if not self._is_holding():
                     raise DeviceError(f"{self.name}: its hand is empty.")
             with self.under_way():
                 self._place(target, pose)
 
     @off_loop
     def home(self) -> None:
-        """All axes find their ends; the arm sweeps a large volume."""
+        """Home all axes; the arm sweeps a large volume."""
         with self.motion(), self.under_way():
             self._home()
 
@@ -158,31 +159,31 @@ class HudsonDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Up and in if it still can, then home; what it holds it goes on holding."""
+        """Move up and in if the arm still can, then home; the hand keeps what it holds."""
         self.resume()
         with self.under_way():
             self._home()
 
     @off_loop
     def is_idle(self) -> bool:
-        """One that moves gives no answer before it has done."""
-        return self._status() in self._ready_status
+        """An arm that moves answers only when its motion is over."""
+        return self._read_status() in self._ready_status
 
     @off_loop
-    def look(self) -> dict[str, Any]:
-        """The fingers: between open and quite shut they hold something. Nothing is said of fingers that are
-        told to be both."""
-        held = self._fingers()
+    def observe(self) -> dict[str, Any]:
+        """Whether the fingers hold something: they do between open and quite shut. Nothing is reported if the
+        sensors say both open and shut."""
+        held = self._read_fingers()
         return {} if held is None else {"labware": {"gripper": held}}
 
     # -- one transfer ------------------------------------------------------------------------
 
     def _carry(self, source: tuple[str, float], target: tuple[str, float]) -> None:
         with self.motion():
-            with self.at_rest():
-                take, put = (self._pose(place, up) for place, up in (source, target))
-                self._ready()
-                if self._holds():
+            with self.report_no_effects():
+                take, put = (self._find_pose(place, up) for place, up in (source, target))
+                self._check_ready()
+                if self._is_holding():
                     raise DeviceError(f"{self.name}: its hand is full.", remedy="Put down what it holds.")
             with self.under_way():
                 why = self._pick(source[0], take)
@@ -194,98 +195,99 @@ class HudsonDriver(Wired):
                 )
 
     def _pick(self, place: str, pose: Joints) -> str:
-        """Empty if something is between the fingers, which have come up with it; else why not."""
+        """Take a plate. Returns empty if something is between the fingers, which have come up with it; else
+        why not."""
         if place_of(self._setup, place) in self._stacks:
             return self._pick_from_stack(place, pose)
-        self._over(pose)
+        self._move_over(pose)
         self._do("OPEN")
-        self._to(self._here().to(z=pose.z))
+        self._move_to(self._read_position().replace(z=pose.z))
         return self._close_and_lift(f"nothing came between the fingers at {place}.")
 
     def _pick_from_stack(self, place: str, floor: Joints) -> str:
-        """Down with the fingers shut until they touch the topmost plate; there is no other way to know
-        how high a stack is."""
+        """Take the topmost plate of a stack: the shut fingers go down until they touch it. There is no other
+        way to find out how high a stack is."""
         unit = self.dialect.unit
-        self._over(floor)
+        self._move_over(floor)
         self._do("CLOSE")
         top = self._touch(floor.z)
         if top - floor.z < self._sizes.near + unit:
             self._lift()
             self._do("OPEN")
             return f"{place} is empty, the gripper touched the floor."
-        self._to(self._here().to(z=top + self._sizes.clear_mm * unit))
+        self._move_to(self._read_position().replace(z=top + self._sizes.clear_mm * unit))
         self._do("OPEN")
         deep = (self._sizes.plate_mm - self._sizes.grip_mm) * unit
-        self._to(self._here().to(z=max(top - deep, floor.z)))
+        self._move_to(self._read_position().replace(z=max(top - deep, floor.z)))
         return self._close_and_lift(f"nothing came between the fingers at {place}.")
 
     def _close_and_lift(self, otherwise: str) -> str:
         self._do("CLOSE")
-        held = self._holds()
+        held = self._is_holding()
         if not held:
             self._do("OPEN")
         self._lift()
         return "" if held else otherwise
 
     def _place(self, place: str, pose: Joints) -> None:
-        self._over(pose)
-        if not self._holds():
+        self._move_over(pose)
+        if not self._is_holding():
             raise DeviceError(
-                f"{self.name}: what it held it has lost on its way.",
+                f"{self.name}: it has lost what it held on its way.",
                 remedy="Look where the plate is, then reset the module.",
             )
         if place_of(self._setup, place) in self._stacks:
             # What is in the hand touches first.
             self._touch(pose.z)
         else:
-            self._to(self._here().to(z=pose.z))
-        self.unless_stopped()
+            self._move_to(self._read_position().replace(z=pose.z))
+        self.check_not_stopped()
         self._do("OPEN")
         self._lift()
 
     # -- one motion --------------------------------------------------------------------------
 
-    def _over(self, pose: Joints) -> None:
+    def _move_over(self, pose: Joints) -> None:
         self._lift()
-        self._to(self._here().to(y=self._sizes.retracted_y))
-        self._to(self._here().to(r=pose.r, p=pose.p))
-        self._to(self._here().to(y=pose.y))
+        self._move_to(self._read_position().replace(y=self._sizes.retracted_y))
+        self._move_to(self._read_position().replace(r=pose.r, p=pose.p))
+        self._move_to(self._read_position().replace(y=pose.y))
 
     def _lift(self) -> None:
-        self._to(self._here().to(z=self._sizes.travel_z))
+        self._move_to(self._read_position().replace(z=self._sizes.travel_z))
 
-    def _to(self, target: Joints) -> None:
-        """Go there; the answer comes when the arm has arrived."""
-        if target.away(self._here()) <= self._sizes.near / 10:
+    def _move_to(self, target: Joints) -> None:
+        """Move the arm; the answer comes when it has arrived."""
+        if target.distance_to(self._read_position()) <= self._sizes.near / 10:
             return
-        self.unless_stopped()
+        self.check_not_stopped()
         self._do(self.dialect.load(POINT, target))
         self._do(f"MOVE {POINT}", self.limit_s("motion", MOTION_S))
-        here = self._here()
-        if here.away(target) > self._sizes.near:
+        here = self._read_position()
+        if here.distance_to(target) > self._sizes.near:
             raise DeviceError(
-                f"{self.name}: the arm stopped short, at {_told(here)} and not at {_told(target)}.",
+                f"{self.name}: the arm stopped short, at {_describe(here)} and not at {_describe(target)}.",
                 remedy="Look at the arm and at what it holds, then reset the module.",
             )
         self._do(f"DELETEPOINT {POINT}")
 
     def _touch(self, floor: float) -> float:
-        """Down until something is touched, at most to the floor; returns the height."""
-        self.unless_stopped()
-        self._do(f"JOG Z,{_number(floor - self._here().z)}", self.limit_s("motion", MOTION_S))
-        return self._here().z
+        """Move down until something is touched, at most to the floor; returns the height."""
+        self.check_not_stopped()
+        self._do(f"JOG Z,{_format_number(floor - self._read_position().z)}", self.limit_s("motion", MOTION_S))
+        return self._read_position().z
 
     def _home(self) -> None:
         self._do(self.dialect.speed(self._speed))
-        if self._status() != NOT_HOMED:
+        if self._read_status() != NOT_HOMED:
             with suppress(_Refused):  # in an error it takes nothing but this
                 self._lift()
-                self._to(self._here().to(y=self._sizes.retracted_y))
+                self._move_to(self._read_position().replace(y=self._sizes.retracted_y))
         self._do("HOME", self.limit_s("home", HOME_S))
 
-    def _ready(self) -> None:
-        """Raises DeviceError."""
-        status = self._status()
+    def _check_ready(self) -> None:
+        """Raises DeviceError if the arm is not homed or not ready."""
+        status = self._read_status()
         if status == NOT_HOMED:
             raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
         if status not in self._ready_status:
@@ -296,13 +298,14 @@ class HudsonDriver(Wired):
             )
         self._do(self.dialect.speed(self._speed))
 
-    def _status(self) -> str:
+    def _read_status(self) -> str:
         """The first word of the answer; empty if there is none."""
         return next(iter(self._ask("STATUS", lambda text: text[:1].isdigit()).split()), "")
 
-    def _holds(self) -> bool:
-        """Whether something is between the fingers. Raises DeviceError if its sensors do not tell."""
-        held = self._fingers()
+    def _is_holding(self) -> bool:
+        """Whether something is between the fingers. Raises DeviceError if the sensors contradict each
+        other."""
+        held = self._read_fingers()
         if held is None:
             raise DeviceError(
                 f"{self.name}: its sensors say that its fingers are open and shut at once: whether it holds "
@@ -312,19 +315,19 @@ class HudsonDriver(Wired):
             )
         return held
 
-    def _fingers(self) -> bool | None:
-        """Whether they are neither open nor quite shut; None if they are told to be both."""
-        is_open, is_shut = (self._is_true(q) for q in ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED"))
+    def _read_fingers(self) -> bool | None:
+        """Whether the fingers are neither open nor quite shut; None if the sensors say both."""
+        is_open, is_shut = (self._ask_yes_or_no(q) for q in ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED"))
         return None if is_open and is_shut else not (is_open or is_shut)
 
-    def _is_true(self, question: str) -> bool:
+    def _ask_yes_or_no(self, question: str) -> bool:
         text = self._ask(question, _is_yes_or_no)
         words = re.findall("true|false", text.lower())
         if len(words) != 1:
             raise Garbled(f"{self.name}: {text!r} does not tell where the fingers are ({question}).")
         return bool(words[0] == "true")
 
-    def _here(self) -> Joints:
+    def _read_position(self) -> Joints:
         text = self._ask("GETPOS", self._is_position)
         try:
             return self.dialect.read(text)
@@ -333,8 +336,9 @@ class HudsonDriver(Wired):
 
     # -- places ------------------------------------------------------------------------------
 
-    def _pose(self, place: str, raised: float = 0.0) -> Joints:
-        """As the workcell has it, else as the device itself was taught it. Raises DeviceError."""
+    def _find_pose(self, place: str, raised: float = 0.0) -> Joints:
+        """The pose of a place as the workcell file has it, else as the device was taught it. Raises
+        DeviceError."""
         poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses.items()}
         full = place_of(self._setup, place)
         taught = poses.get(full)
@@ -348,9 +352,9 @@ class HudsonDriver(Wired):
             axes = dict(zip(self.dialect.order, map(float, taught), strict=True))
             pose = Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
         else:
-            pose = self._point(place, full.removeprefix(f"{self.name}.").replace(".", "_"))
-        pose = pose.to(z=pose.z + raised)
-        for axis, value in zip("RZPY", pose.all(), strict=True):
+            pose = self._read_point(place, full.removeprefix(f"{self.name}.").replace(".", "_"))
+        pose = pose.replace(z=pose.z + raised)
+        for axis, value in zip("RZPY", pose.as_tuple(), strict=True):
             low, high = self._limits[axis]
             if not low <= value <= high:
                 raise DeviceError(
@@ -360,7 +364,7 @@ class HudsonDriver(Wired):
                 )
         return pose
 
-    def _point(self, place: str, name: str) -> Joints:
+    def _read_point(self, place: str, name: str) -> Joints:
         try:
             return self.dialect.read(self._ask(f"GETPOINT {name}", self._is_position))
         except (_Refused, ValueError) as error:
@@ -377,49 +381,49 @@ class HudsonDriver(Wired):
             return False
         return True
 
-    def _lid(self) -> float:
+    def _lid_height(self) -> float:
         return self._sizes.lid_mm * self.dialect.unit
 
     # -- one question ------------------------------------------------------------------------
 
     def _ask(self, question: str, is_data: Callable[[str], bool]) -> str:
-        """The data of the answer, which may come behind the code or on a later line: the first text that
-        ``is_data``, else the last one. Raises DeviceError for a code that is not zero."""
-        line = self._result(question, self.limit_s("answer", ANSWER_S))
+        """Ask, and return the data of the answer. It may come behind the code or on a later line: the first
+        text that ``is_data``, else the last one. Raises DeviceError for a code that is not zero."""
+        line = self._read_result(question, self.limit_s("answer", ANSWER_S))
         while True:
             found = RESULT.fullmatch(line)
             if found is not None and int(found[1]):
-                raise self._failure(question, int(found[1]), line, "none")
+                raise self._make_error(question, int(found[1]), line, "none")
             text = line if found is None else found[2] or ""
             if is_data(text):
                 return text
             try:
-                line = self._next_line(self.limit_s("later", LATER_S))
+                line = self._read_line(self.limit_s("later", LATER_S))
             except NoReply:
                 return text
 
     def _do(self, command: str, limit_s: float = 0.0) -> None:
-        """A command that answers with a code, when it is done. Raises DeviceError."""
-        line = self._result(command, limit_s or self.limit_s("answer", ANSWER_S))
+        """Send a command whose answer is a code, when it is done. Raises DeviceError."""
+        line = self._read_result(command, limit_s or self.limit_s("answer", ANSWER_S))
         code = line.split()[0] if line.split() else ""
         if not re.fullmatch(r"\d{2}|\d{4}", code):
             raise Garbled(f"{self.name}: {line!r} is no result of {command}.")
         if int(code):
-            raise self._failure(command, int(code), line, "unknown")
+            raise self._make_error(command, int(code), line, "unknown")
 
-    def _result(self, command: str, limit_s: float) -> str:
-        """The line after the echo."""
+    def _read_result(self, command: str, limit_s: float) -> str:
+        """Send a command and return the line after its echo."""
         self.link.exchange(command.encode(), self.limit_s("echo", ECHO_S))
-        return self._next_line(limit_s)
+        return self._read_line(limit_s)
 
-    def _next_line(self, limit_s: float) -> str:
+    def _read_line(self, limit_s: float) -> str:
         deadline = time.monotonic() + limit_s
         while True:
             line = self.link.receive(max(deadline - time.monotonic(), 0.0))
             if text := line.strip().decode("ascii", "replace"):
                 return text
 
-    def _failure(self, command: str, code: int, line: str, effects: str) -> _Refused:
+    def _make_error(self, command: str, code: int, line: str, effects: str) -> _Refused:
         return _Refused(
             f"{self.name}: Hudson error {line}: {self.codes.get(code, 'an unknown error')} (to {command}).",
             effects=effects,
@@ -445,12 +449,14 @@ class _Refused(DeviceError):
     """A code that is not zero."""
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{value:.4f}".rstrip("0").rstrip(".")
 
 
-def _told(joints: Joints) -> str:
-    return ", ".join(f"{axis} {_number(value)}" for axis, value in zip("RZPY", joints.all(), strict=True))
+def _describe(joints: Joints) -> str:
+    return ", ".join(
+        f"{axis} {_format_number(value)}" for axis, value in zip("RZPY", joints.as_tuple(), strict=True)
+    )
 
 
 class SciclopsDialect:
@@ -461,14 +467,14 @@ class SciclopsDialect:
     unit = 1.0
 
     def load(self, name: str, joints: Joints) -> str:
-        r, z, p, y = map(_number, joints.all())
+        r, z, p, y = map(_format_number, joints.as_tuple())
         return f"LOADPOINT {name}, Z:{z}, P:{p}, Y:{y}, R:{r}"
 
     def read(self, text: str) -> Joints:
-        told = dict(re.findall(r"([RZPY]):\s*(-?\d+(?:\.\d+)?)", text))
-        if len(told) != 4:
+        axes = dict(re.findall(r"([RZPY]):\s*(-?\d+(?:\.\d+)?)", text))
+        if len(axes) != 4:
             raise ValueError(text)
-        return Joints(float(told["R"]), float(told["Z"]), float(told["P"]), float(told["Y"]))
+        return Joints(float(axes["R"]), float(axes["Z"]), float(axes["P"]), float(axes["Y"]))
 
     def speed(self, percent: float) -> str:
         return f"SETSPEED {percent:.0f}"
@@ -482,13 +488,13 @@ class PlateCraneDialect:
     unit = 80.5
 
     def load(self, name: str, joints: Joints) -> str:
-        return f"LOADPOINT {name}, " + ", ".join(f"{value:.0f}" for value in joints.all())
+        return f"LOADPOINT {name}, " + ", ".join(f"{value:.0f}" for value in joints.as_tuple())
 
     def read(self, text: str) -> Joints:
-        told = [int(part) for part in text.split(",")]
-        if len(told) != 4:
+        steps = [int(part) for part in text.split(",")]
+        if len(steps) != 4:
             raise ValueError(text)
-        return Joints(*map(float, told))
+        return Joints(*map(float, steps))
 
     def speed(self, percent: float) -> str:
         return f"SPEED {percent:.0f}"

@@ -22,7 +22,7 @@ HOME_S, FINGERS_S, SPOT = 28.0, 1.0, 1.5
 
 
 class HudsonOnWire(OnWire):
-    """What the device is and does. ``points`` are those that it was taught; ``homed``: since it was
+    """The simulated arm. ``points`` are those that it was taught; ``homed``: it has been homed since it was
     switched on; ``is_slippery``: what it holds falls down on its way."""
 
     dialect: ClassVar[Dialect]
@@ -48,12 +48,12 @@ class HudsonOnWire(OnWire):
         self._heard = b""
         self.furnish(20, *self.stacks)
         own = {self.place(name): joints for name, joints in self.points.items()}
-        told = {
-            place_of(setup, name): self._joints(pose)
+        taught = {
+            place_of(setup, name): self._parse_pose(pose)
             for name, pose in setup.poses.items()
             if len(pose) == 4 and any(pose)
         }
-        self._spots = own | told
+        self._spots = own | taught
         self._stacks = {self.place(name) for name in self.stacks}
 
     # -- hearing -----------------------------------------------------------------------------
@@ -72,89 +72,89 @@ class HudsonOnWire(OnWire):
             try:
                 self._obey(line)
             except (ValueError, IndexError):
-                self._result(UNKNOWN_COMMAND)
+                self._send_result(UNKNOWN_COMMAND)
 
     def _obey(self, line: str) -> None:
         name, _, rest = line.partition(" ")
         answers: dict[str, Callable[[], str]] = {
             "STATUS": lambda: f"{self.code_of_data}{int(self.homed)}",
             "VERSION": lambda: "2.07",
-            "GETPOS": lambda: self.code_of_data + self.tell(self.at),
+            "GETPOS": lambda: self.code_of_data + self.format_position(self.at),
             "GETGRIPPERISOPEN": lambda: str(self.fingers == "open").lower(),
             "GETGRIPPERISCLOSED": lambda: str(self.fingers == "shut").lower(),
         }
         moves = name in ("MOVE", "JOG", "OPEN", "CLOSE")
         if name in answers:
-            self._data(answers[name]())
+            self._send_data(answers[name]())
         elif name == "HOME":
-            self._take(HOME_S, self._home)
+            self._start_motion(HOME_S, self._home)
         elif moves and (self.error or not self.homed):
-            self._result(self.error or IN_ERROR)
+            self._send_result(self.error or IN_ERROR)
         elif name == "GETPOINT" and rest in self.stored:
-            self._data(self.code_of_data + self.tell(self.stored[rest]))
+            self._send_data(self.code_of_data + self.format_position(self.stored[rest]))
         elif name == "LOADPOINT":
-            point, _, told = rest.partition(",")
-            self.stored[point] = self.dialect.read(told)
-            self._result(0)
+            point, _, pose = rest.partition(",")
+            self.stored[point] = self.dialect.read(pose)
+            self._send_result(0)
         elif name == "DELETEPOINT" and rest in self.stored:
             del self.stored[rest]
-            self._result(0)
+            self._send_result(0)
         elif name == "MOVE" and rest in self.stored:
             self._go(self.stored[rest])
         elif name in ("MOVE", "DELETEPOINT", "GETPOINT"):
-            self._result(UNKNOWN_POINT)
+            self._send_result(UNKNOWN_POINT)
         elif name == "JOG":
             axis, _, distance = rest.partition(",")
             now = getattr(self.at, axis.lower(), 0.0)
-            self._go(self.at.to(**{axis.lower(): now + float(distance)}), jogs=True)
+            self._go(self.at.replace(**{axis.lower(): now + float(distance)}), jogs=True)
         elif name in ("SETSPEED", "SPEED"):
             self._percent = max(float(rest), 1.0)
-            self._result(0)
+            self._send_result(0)
         elif name in ("OPEN", "CLOSE"):
-            self._take(FINGERS_S, self._open if name == "OPEN" else self._close)
+            self._start_motion(FINGERS_S, self._open if name == "OPEN" else self._close)
         else:
-            self._result(UNKNOWN_COMMAND)
+            self._send_result(UNKNOWN_COMMAND)
 
     # -- doing -------------------------------------------------------------------------------
 
-    def _take(self, lab_s: float, what: Callable[[], None]) -> None:
+    def _start_motion(self, lab_s: float, what: Callable[[], None]) -> None:
         self.is_in_motion = True
         self.world.enter(self.name, self.name)
 
         def end() -> None:
             what()
-            self._rest(0)
+            self._finish(0)
 
         self.after(lab_s, end)
 
-    def _rest(self, code: int) -> None:
+    def _finish(self, code: int) -> None:
         self.is_in_motion = False
-        self._result(code)
+        self._send_result(code)
         self._obey_all()
 
     def _go(self, target: Joints, *, jogs: bool = False) -> None:
-        ways = zip(self.at.all(), target.all(), self.speeds.all(), strict=True)
+        ways = zip(self.at.as_tuple(), target.as_tuple(), self.speeds.as_tuple(), strict=True)
         lab_s = max(abs(b - a) / speed for a, b, speed in ways) * 100 / self._percent + 0.2
-        if place := self._under(target):
+        if place := self._find_place_under(target):
             self.world.enter(self.name, place)
 
         def arrive() -> None:
-            self.at = self._touching(target) if jogs else target
+            self.at = self._stop_at_contact(target) if jogs else target
             if self.is_slippery and self.world.drop(self.name):
                 self.fingers = "shut"
             if self.at.y <= self.sizes.retracted_y and self.at.z >= self.sizes.travel_z:
                 self.world.leave(self.name)
 
-        self._take(lab_s, arrive)
+        self._start_motion(lab_s, arrive)
 
     def _home(self) -> None:
         self.homed, self.error = True, 0
         self.at = Joints(0.0, self.sizes.travel_z, 0.0, self.sizes.retracted_y)
         self.world.leave(self.name)
 
-    def _touching(self, target: Joints) -> Joints:
-        """Where a descent over a stack really ends."""
-        place = self._under(target)
+    def _stop_at_contact(self, target: Joints) -> Joints:
+        """The joints at which a descent over a stack really ends."""
+        place = self._find_place_under(target)
         if place not in self._stacks or target.z > self.at.z:
             return target
         floor, unit = self._spots[place].z, self.dialect.unit
@@ -163,10 +163,10 @@ class HudsonOnWire(OnWire):
             bottom += self.sizes.grip_mm * unit
         elif self.fingers == "open":
             bottom = floor
-        return target.to(z=max(target.z, bottom))
+        return target.replace(z=max(target.z, bottom))
 
     def _close(self) -> None:
-        place = self._spot()
+        place = self._find_spot()
         if self.top(f"hand:{self.name}"):
             return
         if place and self.world.at(place):
@@ -177,7 +177,7 @@ class HudsonOnWire(OnWire):
 
     def _open(self) -> None:
         if self.top(f"hand:{self.name}"):
-            place = self._spot()
+            place = self._find_spot()
             if not place:
                 self.world.crash(self.name, self.name, "drops a plate")
             if place.rpartition(".")[2].lower() in ("trash", "waste"):
@@ -186,7 +186,7 @@ class HudsonOnWire(OnWire):
                 self.world.release(self.name, place)
         self.fingers = "open"
 
-    def _under(self, joints: Joints) -> str:
+    def _find_place_under(self, joints: Joints) -> str:
         """The place that the hand is over."""
         unit = self.dialect.unit
         for place, spot in self._spots.items():
@@ -194,9 +194,9 @@ class HudsonOnWire(OnWire):
                 return place
         return ""
 
-    def _spot(self) -> str:
-        """The place, or the lid's place on the plate there, where the fingers are."""
-        place = self._under(self.at)
+    def _find_spot(self) -> str:
+        """The place of the fingers, or the place of the lid on the plate there; empty if there is none."""
+        place = self._find_place_under(self.at)
         if not place:
             return ""
         unit = self.dialect.unit
@@ -214,23 +214,23 @@ class HudsonOnWire(OnWire):
         return ""
 
     def damage(self, crash: Crash) -> None:
-        """It stands where it is, and says so."""
+        """The arm stops where it is, and reports it."""
         self.forget_plans()
         self.error = CRASHED
-        self._rest(CRASHED)
+        self._finish(CRASHED)
 
     # -- speaking ----------------------------------------------------------------------------
 
-    def tell(self, joints: Joints) -> str:
-        """As ``GETPOS`` answers."""
+    def format_position(self, joints: Joints) -> str:
+        """A position in the form of an answer to ``GETPOS``."""
         raise NotImplementedError
 
-    def _joints(self, pose: list[float]) -> Joints:
+    def _parse_pose(self, pose: list[float]) -> Joints:
         axes = dict(zip(self.dialect.order, map(float, pose), strict=True))
         return Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
 
-    def _data(self, text: str) -> None:
+    def _send_data(self, text: str) -> None:
         self.say(text.encode() + END)
 
-    def _result(self, code: int) -> None:
+    def _send_result(self, code: int) -> None:
         self.say(f"{code:04d}".encode() + END)

@@ -17,47 +17,47 @@ WAITS = {
 Strike = Callable[[HudsonOnWire, World], None]
 
 
-def closed_on_a_plate(arm: HudsonOnWire, world: World) -> None:
-    """Somebody puts one between its fingers."""
+def close_fingers_on_plate(arm: HudsonOnWire, world: World) -> None:
+    """Somebody puts a plate between its fingers."""
     arm.fingers = "between"
 
 
-def opened(arm: HudsonOnWire, world: World) -> None:
+def open_fingers(arm: HudsonOnWire, world: World) -> None:
     """Somebody opens its fingers."""
     arm.fingers = "open"
 
 
-def on_its_way(arm: HudsonOnWire, world: World) -> bool:
-    return arm.is_in_motion and not holds(arm, world)
+def is_moving_empty(arm: HudsonOnWire, world: World) -> bool:
+    return arm.is_in_motion and not is_holding(arm, world)
 
 
-def holds(arm: HudsonOnWire, world: World) -> bool:
+def is_holding(arm: HudsonOnWire, world: World) -> bool:
     return bool(world.at(f"hand:{arm.name}"))
 
 
-def faults(source: str, target: str) -> tuple[Fault, ...]:
-    """Of a transfer from a place of the arm's own to another."""
+def make_faults(source: str, target: str) -> tuple[Fault, ...]:
+    """Faults of a transfer between two places of the arm's own."""
 
-    def no_plate(arm: HudsonOnWire, world: World) -> None:
+    def remove_plate(arm: HudsonOnWire, world: World) -> None:
         world.carry(arm.top(arm.place(source)), "")
 
-    def taken_target(arm: HudsonOnWire, world: World) -> None:
+    def occupy_target(arm: HudsonOnWire, world: World) -> None:
         world.stock(arm.place(target), "plate96")
 
     return (
-        Fault("no plate at the source", no_plate),
-        Fault("a plate at the target already", taken_target),
-        Fault("it loses the plate on its way", _slips(True), _slips(False)),
-        Fault("it does not know any more where its axes are", _lost),
+        Fault("no plate at the source", remove_plate),
+        Fault("a plate at the target already", occupy_target),
+        Fault("it loses the plate on its way", _make_slippery(True), _make_slippery(False)),
+        Fault("it does not know any more where its axes are", _lose_position),
     )
 
 
-def _slips(slips: bool) -> Strike:
-    def set_it(arm: HudsonOnWire, world: World) -> None:
+def _make_slippery(slips: bool) -> Strike:
+    def set_slippery(arm: HudsonOnWire, world: World) -> None:
         arm.is_slippery = slips
 
-    return set_it
+    return set_slippery
 
 
-def _lost(arm: HudsonOnWire, world: World) -> None:
+def _lose_position(arm: HudsonOnWire, world: World) -> None:
     arm.homed = False

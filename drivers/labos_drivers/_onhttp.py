@@ -19,13 +19,13 @@ LONGEST_ANSWER_S = 30.0
 
 
 class Reply(msgspec.Struct):
-    """``body`` is bytes, or what JSON can hold."""
+    """An HTTP response. ``body`` is bytes, or a value that JSON can hold."""
 
     status: int
     body: Any = None
     headers: dict[str, str] = {}
 
-    def raw(self) -> bytes:
+    def encode(self) -> bytes:
         body = self.body if isinstance(self.body, bytes) else json.dumps(self.body).encode()
         kind = {} if isinstance(self.body, bytes) else {"Content-Type": "application/json"}
         headers = {**kind, **self.headers, "Content-Length": str(len(body)), "Connection": "close"}
@@ -33,28 +33,28 @@ class Reply(msgspec.Struct):
         return "\r\n".join(lines).encode() + b"\r\n\r\n" + body
 
 
-class Question(msgspec.Struct):
-    """``parts`` are those of the path; names of headers are in small letters."""
+class Request(msgspec.Struct):
+    """An HTTP request. ``parts`` are those of the path; names of headers are in lower case. The answer goes
+    to ``replies``."""
 
     method: str
     parts: tuple[str, ...]
     query: dict[str, str]
     headers: dict[str, str]
     body: bytes
-    answers: Any
+    replies: Any
 
     def json(self) -> Any:
-        """Raises ValueError."""
+        """The body as JSON. Raises ValueError."""
         return json.loads(self.body or b"null")
 
 
 class HttpEnd:
-    """A port that takes questions; ``spoil`` is what happens to answers on their way (None: they are
-    lost)."""
+    """A port that takes requests; ``spoil`` changes answers on their way (None: they are lost)."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
         self.host, self.port = host, port
-        self.questions: queue.SimpleQueue[Question] = queue.SimpleQueue()
+        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self.spoil: Callable[[bytes], bytes | None] = lambda raw: raw
         self._server: ThreadingHTTPServer | None = None
         self.plug()
@@ -72,7 +72,7 @@ class HttpEnd:
             thread.start()
 
     def unplug(self) -> None:
-        """The client that asks loses the line."""
+        """The port closes; a client that waits loses its connection."""
         server, self._server = self._server, None
         if server is not None:
             server.shutdown()
@@ -84,17 +84,17 @@ class HttpEnd:
     def is_plugged(self) -> bool:
         return self._server is not None
 
-    def answer_to(self, question: Question) -> bytes | None:
-        """The bytes of an answer, when the device has given it; None if the line is lost."""
-        self.questions.put(question)
+    def exchange(self, request: Request) -> bytes | None:
+        """Give the device a request and wait for its answer, as bytes; None if the connection is lost."""
+        self.requests.put(request)
         waited = 0.0
         while self.is_plugged and waited < LONGEST_ANSWER_S:
             try:
-                reply: Reply = question.answers.get(timeout=0.05)
+                reply: Reply = request.replies.get(timeout=0.05)
             except queue.Empty:
                 waited += 0.05
             else:
-                return self.spoil(reply.raw())
+                return self.spoil(reply.encode())
         return None
 
 
@@ -103,7 +103,7 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that hangs up is none of the device's business."""
+        """A client that closes its connection is no error."""
 
 
 def _handler(end: HttpEnd) -> type[BaseHTTPRequestHandler]:
@@ -114,7 +114,7 @@ def _handler(end: HttpEnd) -> type[BaseHTTPRequestHandler]:
             if not self.raw_requestline or not self.parse_request():
                 return
             url = urlsplit(self.path)
-            question = Question(
+            request = Request(
                 self.command,
                 tuple(part for part in url.path.split("/") if part),
                 dict(parse_qsl(url.query)),
@@ -122,7 +122,7 @@ def _handler(end: HttpEnd) -> type[BaseHTTPRequestHandler]:
                 self.rfile.read(int(self.headers.get("Content-Length") or 0)),
                 queue.SimpleQueue(),
             )
-            raw = end.answer_to(question)
+            raw = end.exchange(request)
             if raw is not None:
                 self.wfile.write(raw)
 
@@ -133,7 +133,7 @@ def _handler(end: HttpEnd) -> type[BaseHTTPRequestHandler]:
 
 
 class OnHttp(Timed):
-    """A device at the far end of a network cable, which says how it answers (``answer``)."""
+    """A device at the far end of a network cable; subclasses say how it answers (``answer``)."""
 
     def __init__(self, setup: Setup, end: HttpEnd | None = None) -> None:
         super().__init__(setup)
@@ -149,15 +149,15 @@ class OnHttp(Timed):
 
     def listen(self, timeout_s: float) -> None:
         try:
-            question = self.end.questions.get(timeout=timeout_s)
+            request = self.end.requests.get(timeout=timeout_s)
         except queue.Empty:
             return
         try:
-            question.answers.put(self.answer(question))
+            request.replies.put(self.answer(request))
         except Crash:
-            question.answers.put(Reply(500, {"message": "something was hit"}))
+            request.replies.put(Reply(500, {"message": "something was hit"}))
             raise
 
-    def answer(self, question: Question) -> Reply:
-        """What is said to a question."""
+    def answer(self, request: Request) -> Reply:
+        """The response to a request."""
         raise NotImplementedError

@@ -14,7 +14,7 @@ from labos_drivers._simulation import Simulated
 
 
 class Timed(TimedDevice, Simulated):
-    """A device of the simulated bench with a thread of its own, whose motions scatter."""
+    """A simulated device with a thread of its own, whose durations scatter."""
 
     def __init__(self, setup: Setup) -> None:
         Simulated.__init__(self, setup)
@@ -25,17 +25,17 @@ class Timed(TimedDevice, Simulated):
         raise NotImplementedError
 
     def after(self, lab_s: float, what: Callable[[], None], *, exact: bool = False) -> None:
-        """Do something in so many lab seconds, which scatter unless ``exact``."""
-        super().after(lab_s if exact else self.scattered(lab_s), what)
+        """Do something in so many lab seconds; the time scatters unless ``exact``."""
+        super().after(lab_s if exact else self.scatter(lab_s), what)
 
 
 class OnWire(Timed, HearingDevice):
-    """A device at the far end of a line, which says what it does with what it hears (``hear``)."""
+    """A device at the far end of a line; subclasses say what it does with what it hears (``hear``)."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         super().__init__(setup)
-        self.end = self.far_end = end or self.own_end()
+        self.end = self.far_end = end or self.make_end()
 
-    def own_end(self) -> FarEnd:
-        """The end that it has if nobody gives it one."""
+    def make_end(self) -> FarEnd:
+        """The far end that the device has if none is given."""
         return serial_end()

@@ -32,8 +32,8 @@ class Polymer(NamedTuple):
     length: float
 
 
-def synthesised(world: World, plate: str) -> dict[str, Polymer]:
-    """The polymers on a plate by well: what a well was given last."""
+def find_polymers(world: World, plate: str) -> dict[str, Polymer]:
+    """The polymers on a plate by well: those that were made in a well last."""
     made: dict[str, Polymer] = {}
     for motion in world.motions("synthesise"):
         if not plate or motion.plate != plate:
@@ -42,8 +42,8 @@ def synthesised(world: World, plate: str) -> dict[str, Polymer]:
         volumes = [facts.get("volumes", {}).get(monomer) or () for monomer in MONOMERS]
         lengths = facts.get("lengths") or ()
         for number, well in enumerate(facts.get("wells") or ()):
-            a, b, c = (_at(doses, number, 0.0) for doses in volumes)
-            made[well] = Polymer((a, b, c), _at(lengths, number, 20.0))
+            a, b, c = (_value_at(doses, number, 0.0) for doses in volumes)
+            made[well] = Polymer((a, b, c), _value_at(lengths, number, 20.0))
     return made
 
 
@@ -66,8 +66,8 @@ def absorbance_of(polymer: Polymer, nm: float) -> float:
     return BLANK_OD + OD_BY_UL * total * (first + second)
 
 
-def bubbles_in(world: World, plate: str) -> set[str]:
-    """Wells in which a bubble is, which the motion of the reader's carrier takes out: a second reading sees
+def find_bubbles(world: World, plate: str) -> set[str]:
+    """Wells with a bubble. The motion of the reader's carrier removes bubbles: a second reading finds
     none."""
     found: set[str] = set()
     for motion in world.motions():
@@ -78,8 +78,8 @@ def bubbles_in(world: World, plate: str) -> set[str]:
     return found
 
 
-def noisy(od: float, draw: Callable[[float, float], float], most_od: float) -> float:
-    """What a reader tells of an optical density: with noise, and no more than it can measure."""
+def add_noise(od: float, draw: Callable[[float, float], float], most_od: float) -> float:
+    """The optical density that a reader reports: with noise, and no higher than it can measure."""
     return min(od + draw(0.0, 0.003 + 0.002 * od), most_od)
 
 
@@ -93,5 +93,5 @@ def _band(nm: float, middle_ev: float, width_ev: float) -> float:
     return math.exp(-(((EV_NM / nm - middle_ev) / width_ev) ** 2) / 2)
 
 
-def _at(values: Sequence[float], number: int, other: float) -> float:
+def _value_at(values: Sequence[float], number: int, other: float) -> float:
     return float(values[number]) if number < len(values) else other

@@ -50,9 +50,9 @@ class Simulated:
         return place_of(self._setup, name)
 
     async def take_time(self, nominal_s: float) -> None:
-        """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
+        """Wait for so many lab seconds. Raises DeviceError if the device is stopped meanwhile."""
         pace = self._setup.pace
-        self._pause = pause = asyncio.ensure_future(asyncio.sleep(self.scattered(nominal_s) / pace))
+        self._pause = pause = asyncio.ensure_future(asyncio.sleep(self.scatter(nominal_s) / pace))
         try:
             await asyncio.wait({pause})
         finally:
@@ -60,8 +60,8 @@ class Simulated:
         if self._halted:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
 
-    def scattered(self, nominal_s: float) -> float:
-        """How long it really takes this time."""
+    def scatter(self, nominal_s: float) -> float:
+        """A random duration (s) near the nominal one, as real devices need."""
         return nominal_s * self._random.uniform(1 - JITTER, 1 + JITTER)
 
     @contextmanager
@@ -118,8 +118,8 @@ class Simulated:
     def is_lidded(self, plate: str) -> bool:
         return bool(self.world.at(lid_of(plate)))
 
-    def needs_bare(self, place: str, what: str) -> None:
-        """The device does damage to a plate that wears its lid."""
+    def crash_if_lidded(self, place: str, what: str) -> None:
+        """Record a crash if the plate at a place has its lid on. Raises Crash."""
         plate = self.top(place)
         if plate and self.is_lidded(plate):
             self.world.crash(self.name, place, what)
@@ -128,7 +128,7 @@ class Simulated:
         return not self.moving
 
     def stop(self) -> None:
-        """All motion ends here and now; what is in the hand stays in it."""
+        """Stop all motion at once; the hand keeps what it holds."""
         self._halted = True
         if self._pause is not None:
             self._pause.cancel()
@@ -139,7 +139,7 @@ class Simulated:
         self.open(*self.drawers)
         self.world.leave(self.name)
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """What the device's own sensors see, in the form of ``Node.observe``."""
         return {}
 
@@ -148,7 +148,8 @@ class Simulated:
 
 
 def place_of(setup: Setup, name: str) -> str:
-    """A place as the bench names it: without workcell, ``module.place``, own ones in full."""
+    """The bench's name of a place: without the workcell, as ``module.place``; a device's own places get its
+    name."""
     bare = name.rpartition("/")[2].replace(".positions.", ".")
     return bare if "." in bare or ":" in bare else setup.place(bare)
 
@@ -170,7 +171,7 @@ class Gated(Simulated):
             self.shut(*self.behind)
             await self.take_time(self.gate_s)
 
-    def needs_closed(self) -> None:
+    def check_closed(self) -> None:
         """Raise DeviceError if the lid is open; nothing has moved then."""
         if not self.is_closed():
             raise DeviceError(
@@ -182,7 +183,7 @@ class Gated(Simulated):
     def is_closed(self) -> bool:
         return self.world.is_shut(self.place(self.behind[0]))
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         return {self.variable: "closed" if self.is_closed() else "open"}
 
 
@@ -195,7 +196,7 @@ class Device(Protocol):
 
     def stop(self) -> Awaitable[None] | None: ...
 
-    def look(self) -> dict[str, Any] | Awaitable[dict[str, Any]]: ...
+    def observe(self) -> dict[str, Any] | Awaitable[dict[str, Any]]: ...
 
     def close(self) -> Awaitable[None] | None: ...
 
@@ -206,22 +207,22 @@ class Instrument(Node):
     device: Device
 
     async def is_idle(self) -> bool:
-        return await told(self.device.is_idle())
+        return await await_answer(self.device.is_idle())
 
     async def reset(self) -> None:
-        await told(self.device.reset())
+        await await_answer(self.device.reset())
 
     async def stop(self) -> None:
-        await told(self.device.stop())
+        await await_answer(self.device.stop())
 
     async def observe(self) -> dict[str, Any]:
-        return await told(self.device.look())
+        return await await_answer(self.device.observe())
 
     async def close(self) -> None:
         if hasattr(self, "device"):  # it is not there if it could not be connected
-            await told(self.device.close())
+            await await_answer(self.device.close())
 
 
-async def told(answer: T | Awaitable[T]) -> T:
-    """An answer that may have to be waited for."""
+async def await_answer(answer: T | Awaitable[T]) -> T:
+    """The answer itself; one that is awaitable is awaited."""
     return await answer if isinstance(answer, Awaitable) else answer

@@ -18,7 +18,7 @@ from labos.errors import DeviceError
 from labos.link.life import Life
 from labos.node import Setup, see_unit, under_way
 from labos.node.worker import Worker
-from labos_drivers._limits import deadlines_in
+from labos_drivers._limits import read_deadlines
 from labos_drivers._simulation import Instrument, Simulated
 
 D = TypeVar("D", bound="Wired")
@@ -28,7 +28,7 @@ T = TypeVar("T")
 CLOSE_S = 1.0
 
 
-class Behind(Protocol):
+class DeviceOnWire(Protocol):
     """A simulated device behind a wire."""
 
     @property
@@ -45,7 +45,7 @@ class Behind(Protocol):
 def off_loop(
     method: Callable[Concatenate[D, P], T],
 ) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
-    """A blocking method as one that is awaited."""
+    """Make a blocking method awaitable: it runs in the driver's thread."""
 
     @functools.wraps(method)
     async def call(self: D, /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -55,10 +55,11 @@ def off_loop(
     return call
 
 
-def aside(
+def during_motion(
     method: Callable[Concatenate[D, P], T],
 ) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
-    """A blocking question that the device answers in mid-motion: it does not wait for the motion."""
+    """Make a blocking question awaitable: it runs in a thread of its own, and does not wait for the end of a
+    motion."""
 
     @functools.wraps(method)
     async def call(self: D, /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -78,10 +79,10 @@ class Wired:
     link: Life
     under_way = staticmethod(under_way)
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         self.name = setup.name
         self._of = setup
-        self._deadlines = deadlines_in(setup, self.deadlines)
+        self._deadlines = read_deadlines(setup, self.deadlines)
         self.run = Worker(f"{setup.name} driver")
         self.ask = Worker(f"{setup.name} questions")
         self.moving = False
@@ -89,16 +90,16 @@ class Wired:
         self._halted = threading.Event()
 
     def limit_s(self, deadline: str, usual_s: float) -> float:
-        """How long something may take: as ``deadlines:`` of the config says, else as usual."""
+        """How long something may take (s): as ``deadlines:`` of the config says, else as usual."""
         assert deadline in self.deadlines, deadline
         return self._deadlines.get(deadline, usual_s)
 
     def see_unit(self, serial: Any) -> None:
-        """What the device tells as its serial number, when it is recognised. Raises WrongDevice."""
+        """Report the device's serial number, when it is recognised. Raises WrongDevice."""
         see_unit(self._of, serial)
 
     def note_firmware(self, version: Any) -> None:
-        """What the device tells as its version, when it is recognised."""
+        """Note the device's version, when it is recognised."""
         self._of.firmware = str(version or "").strip()
 
     @off_loop
@@ -107,12 +108,12 @@ class Wired:
         self.link.open()
 
     def disconnect(self) -> None:
-        """Let go of the wire."""
+        """Close the connection."""
         self.link.close()
 
     async def stop(self) -> None:
-        """Nothing more is sent until a reset. What a device without a stop command has begun, it
-        ends. Raises DeviceError, for who stopped it must know that."""
+        """Send nothing more until a reset. A device without a stop command ends what it has begun. Raises
+        DeviceError then, so that whoever stopped it knows."""
         self._halted.set()
         if self.moving:
             raise DeviceError(
@@ -121,8 +122,8 @@ class Wired:
             )
 
     async def close(self) -> None:
-        """Let go of the wire. A question that is under way in the driver's thread holds on to it, and
-        must not keep the node from ending."""
+        """Close the connection. A question that is under way in the driver's thread keeps it open, and must
+        not keep the node from ending."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self.ask(self.disconnect), CLOSE_S)
         self.run.close()
@@ -138,12 +139,12 @@ class Wired:
         """Bring the device out of an error, and end a stop. Raises DeviceError."""
         raise NotImplementedError
 
-    def look(self) -> Awaitable[dict[str, Any]]:
+    def observe(self) -> Awaitable[dict[str, Any]]:
         """What the device's own sensors see, in the form of ``Node.observe``."""
         raise NotImplementedError
 
-    def unless_stopped(self, effects: str = "none") -> None:
-        """Raise DeviceError if the device was stopped; asked before each command that moves."""
+    def check_not_stopped(self, effects: str = "none") -> None:
+        """Raise DeviceError if the device was stopped; called before each command that moves."""
         if self._halted.is_set():
             raise DeviceError(f"{self.name} was stopped.", effects=effects, remedy="Reset it.")
 
@@ -152,9 +153,8 @@ class Wired:
         self._halted.clear()
 
     @contextmanager
-    def at_rest(self) -> Iterator[None]:
-        """Nothing that moves has been sent yet: whatever goes wrong with these questions, nothing has
-        moved."""
+    def report_no_effects(self) -> Iterator[None]:
+        """For questions before a motion: an error in them is reported with the effects ``none``."""
         try:
             yield
         except DeviceError as error:
@@ -164,7 +164,7 @@ class Wired:
     @contextmanager
     def motion(self) -> Iterator[None]:
         """The device is at work."""
-        self.unless_stopped()
+        self.check_not_stopped()
         self.moving = True
         try:
             yield
@@ -176,12 +176,12 @@ class OnBenchOrWire(Instrument):
     """A node whose device is simulated on the bench, simulated behind its wire, or real; ``devices``
     says as what."""
 
-    devices: ClassVar[tuple[Callable[[Setup], Simulated], Callable[[Setup], Behind], type[Wired]]]
+    devices: ClassVar[tuple[Callable[[Setup], Simulated], Callable[[Setup], DeviceOnWire], type[Wired]]]
 
     async def connect(self) -> None:
         on_bench, behind_wire, driver = self.devices
         if self.setup.world is None:
-            device = driver(self.setup, address_of(self.setup, *driver.where), None)
+            device = driver(self.setup, find_address(self.setup, *driver.where), None)
         elif not self.setup.wire:
             self.device = on_bench(self.setup)
             return
@@ -197,8 +197,8 @@ class OnBenchOrWire(Instrument):
         self.device = device
 
 
-def address_of(setup: Setup, key: str, example: str) -> str:
-    """Where the workcell says that the device of this module is. Raises DeviceError."""
+def find_address(setup: Setup, key: str, example: str) -> str:
+    """The address of the module's device, from the workcell file. Raises DeviceError."""
     address = setup.config.get(key)
     if not isinstance(address, str) or not address:
         raise DeviceError(
@@ -209,11 +209,12 @@ def address_of(setup: Setup, key: str, example: str) -> str:
     return address
 
 
-def host_and_port(address: str, port: int) -> tuple[str, int]:
-    """Of ``host``, ``host:port`` or a URL of them; ``port`` if it names none. Raises DeviceError."""
-    host, colon, told = address.rpartition("//")[2].partition(":")
-    if colon and not told.isdecimal():
+def parse_host_port(address: str, port: int) -> tuple[str, int]:
+    """Host and port of ``host``, ``host:port`` or a URL of them; ``port`` if it names none. Raises
+    DeviceError."""
+    host, colon, digits = address.rpartition("//")[2].partition(":")
+    if colon and not digits.isdecimal():
         raise DeviceError(
             f"{address!r} is no address.", effects="none", remedy="Write it as host or as host:port."
         )
-    return host, int(told) if colon else port
+    return host, int(digits) if colon else port

@@ -1,8 +1,8 @@
-"""Adapters: each makes a node that speaks another protocol a native one.
+"""Adapters: each makes a node with another protocol usable like a native node.
 
-``interface:`` in a workcell file names the adapter. It runs as a LabOS node beside the foreign one,
-keeps LabOS' journal, and says of every action that it was done, that it failed, that it still runs,
-or that nobody can know. What exactly-once means with each protocol stands in docs/adapters.md.
+``interface:`` in a workcell file names the adapter. It runs as a LabOS node beside the foreign one and has a
+LabOS journal. For every action, it reports that it was done, that it failed, that it is still running, or
+that its outcome is unknown. docs/adapters.md describes what exactly-once means with each protocol.
 """
 
 from labos.adapter._foreign import ForeignNode, adapt

@@ -1,7 +1,6 @@
-"""Values by name, however they are reached: what the adapters of EPICS and OPC UA ask of a client library.
-
-A put is sent at most once. Client libraries differ there: p4p sends a put again when the server comes
-back, so the implementation for PV Access has to keep it from doing so.
+"""Values by name: the interface to client libraries for the adapters of EPICS and OPC UA. A put is sent at
+most once. Client libraries differ here: p4p sends a put again when the server comes back, so that the
+implementation for PV Access has to prevent it.
 """
 
 from __future__ import annotations
@@ -19,14 +18,15 @@ from labos.spec.signals import Condition
 __all__ = ["ChannelReading", "Channels", "NoResponse", "fits", "leaves_open", "report_missing_package"]
 
 SETTLED = 3
-"""How often in a row a device must say that it does nothing before its silence on an action is believed."""
+"""How many times in a row a device must report that it is idle before an action without an answer counts as
+ended."""
 
 SEVERITIES = ("none", "minor", "major", "invalid")
 """By number."""
 
 
 class ChannelReading(msgspec.Struct, frozen=True):
-    """What a process variable tells: its value, the label of an enumeration's value, and the severity of
+    """The reading of a process variable: its value, the label of an enumeration's value, and the severity of
     its alarm (0 none, 1 minor, 2 major, 3 invalid)."""
 
     value: Any
@@ -35,28 +35,28 @@ class ChannelReading(msgspec.Struct, frozen=True):
 
 
 class Channels(Protocol):
-    """One protocol's process variables, by their whole names."""
+    """One protocol's process variables, by their full names."""
 
     def watch(self, name: str, changed: Callable[[ChannelReading | None], None]) -> None:
-        """Tell every change; None while nobody answers for the name."""
+        """Report every change; None while no server answers for the name."""
 
     async def get(self, name: str, timeout_s: float) -> ChannelReading:
         """The value now. Raises DeviceError (``none``)."""
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
-        """Send a value, once; with ``callback``, return when it has been processed. Only for a name that
-        is connected. ``on`` is the object on which a method of OPC UA is called. Raises DeviceError if it was
+        """Send a value once; with ``callback``, return when it has been processed. The name must be
+        connected. ``on`` is the object on which a method of OPC UA is called. Raises DeviceError if it was
         refused, Lost if it may have been carried out."""
 
     def why_silent(self) -> str:
-        """Why nobody answers, as a sentence, where the server has said so."""
+        """The reason why there is no answer, as a sentence, if the server has reported it."""
 
     async def close(self) -> None:
-        """Let go of all names."""
+        """Disconnect from all names."""
 
 
 def fits(condition: Condition, told: ChannelReading) -> bool:
-    """Whether a condition holds for a reading."""
+    """Whether a reading fulfils a condition."""
     if condition.is_ is not None:
         return _is_among(told, condition.is_)
     if not _is_number(told):
@@ -68,8 +68,8 @@ def fits(condition: Condition, told: ChannelReading) -> bool:
 
 
 def leaves_open(condition: Condition, told: ChannelReading) -> bool:
-    """Whether a reading neither fits a condition nor says the opposite: no number where one is wanted,
-    or a value that is not among those that do."""
+    """Whether a reading neither fulfils nor contradicts a condition: it is not a number where one is needed,
+    or not one of the known values."""
     if fits(condition, told):
         return False
     if condition.not_ is not None:
@@ -87,7 +87,7 @@ def _is_number(told: ChannelReading) -> bool:
 
 
 def text_of(data: bytes) -> str | None:
-    """The text in an array of characters, up to the first NUL; None if it is no text."""
+    """The text in an array of characters, up to the first NUL; None if it is not text."""
     try:
         return data.partition(b"\0")[0].decode()
     except UnicodeDecodeError:

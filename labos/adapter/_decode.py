@@ -1,7 +1,5 @@
-"""What a foreign device sends, read with a limit.
-
-A reply that is too long, nested too deep or no text at all is a ``ValueError`` like any other that cannot be
-read: the adapter says what that means for the action.
+"""Reads replies of foreign devices with limits. A reply that is too long, nested too deeply or not text
+raises ``ValueError``, like any other unreadable reply. The adapter decides what this means for the action.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ LARGEST_JSON = 16 * 1024 * 1024
 
 
 def read_json_text(text: str | bytes) -> Any:
-    """The value that a JSON text stands for. Raises ValueError."""
+    """The value of a JSON text. Raises ValueError."""
     if len(text) > LARGEST_JSON:
         raise ValueError(f"it has {len(text)} bytes; {LARGEST_JSON} are read")
     try:
@@ -24,4 +22,4 @@ def read_json_text(text: str | bytes) -> Any:
 
 
 class TooDeep(ValueError):
-    """Nested deeper than can be read: more of it would not help."""
+    """The value is nested too deeply to be read, also if more data came."""

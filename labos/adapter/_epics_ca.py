@@ -1,4 +1,4 @@
-"""Channel Access, by aioca (EPICS' own client library below it)."""
+"""Channel Access with aioca, which uses EPICS' own client library."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from labos.errors import DeviceError
 PUT_FAILED, NO_ACCESS = 160, 376
 READ_S = 5.0
 STRING_BYTES = 39
-"""Of a text in a record; its end is a NUL (``MAX_STRING_SIZE`` of epicsTypes.h is 40)."""
+"""The largest number of bytes of a text in a record; its end is a NUL (``MAX_STRING_SIZE`` of epicsTypes.h is
+40)."""
 
 REFUSED = (PUT_FAILED, NO_ACCESS)
-"""``ECA_PUTFAIL`` and ``ECA_NOWTACCESS`` of caerr.h: the IOC has answered, and says no."""
+"""``ECA_PUTFAIL`` and ``ECA_NOWTACCESS`` of caerr.h: the IOC has refused."""
 
 
 class CaChannels:
-    """``address`` is where the IOCs are, ``host`` or ``host:port`` separated by blanks; without it,
-    EPICS' own environment variables say so. They are read once in a process. Arrays of characters are texts,
-    but those in ``numbers``."""
+    """``address`` has the addresses of the IOCs, ``host`` or ``host:port`` separated by blanks; without it,
+    EPICS' own environment variables are used. They are read once in a process. Arrays of characters are
+    texts, except those in ``numbers``."""
 
     def __init__(self, address: str, numbers: frozenset[str] = frozenset()) -> None:
         self._numbers = numbers
@@ -73,8 +74,8 @@ class CaChannels:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
 
     async def _prepare(self, name: str, text: str) -> tuple[Any, Any]:
-        """A text as this record takes it, and the type to send it in. Records of texts have 39 bytes, and the
-        client library would cut off what is more. Raises DeviceError (``none``)."""
+        """A text in the form for this record, and its type. Text records have 39 bytes; the client library
+        would cut off the rest. Raises DeviceError (``none``)."""
         try:
             info = await self._ca.cainfo(name, timeout=READ_S)
             if info.datatype == self._ca.DBR_ENUM:

@@ -1,8 +1,6 @@
-"""PV Access, by p4p.
-
-p4p carries an operation over to the next connection: a put whose server died is sent again when the server
-is back, and the device moves twice. It asks for the value each time it is about to send, so a value that is
-handed out only once keeps it from that.
+"""PV Access with p4p. p4p repeats an operation on the next connection: if the server dies during a put, p4p
+sends the put again when the server is back, and the device would move twice. Because p4p asks for the value
+before each send, this module gives the value only once.
 """
 
 from __future__ import annotations
@@ -18,8 +16,8 @@ READ_S = 5.0
 
 
 class PvaChannels:
-    """``address`` is where the servers are, ``host`` or ``host:port`` separated by blanks; without it,
-    EPICS' own environment variables say so. Arrays of bytes are texts, but those in ``numbers``."""
+    """``address`` has the addresses of the servers, ``host`` or ``host:port`` separated by blanks; without
+    it, EPICS' own environment variables are used. Arrays of bytes are texts, except those in ``numbers``."""
 
     def __init__(self, address: str, numbers: frozenset[str] = frozenset()) -> None:
         self._numbers = numbers
@@ -61,8 +59,8 @@ class PvaChannels:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
 
     async def _prepare(self, name: str, value: Any) -> Any:
-        """What goes over the wire: an enumeration's label as its number, a text for an array as bytes.
-        Raises DeviceError (``none``)."""
+        """The value to send: an enumeration's label as its number, a text for an array as bytes. Raises
+        DeviceError (``none``)."""
         if not isinstance(value, str):
             return value
         try:
@@ -100,7 +98,7 @@ class _Again(Exception):
 
 
 class _Once:
-    """Fills a value in, the first time it is asked to."""
+    """Gives the value at the first request only."""
 
     def __init__(self, value: Any) -> None:
         self._value, self._given = value, False

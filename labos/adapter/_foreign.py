@@ -1,8 +1,7 @@
-"""What all adapters have in common: a LabOS node whose actions another node carries out.
-
-An adapter never starts anything twice by itself. It journals that it is about to start (the foreign
-handle, or the word ``sent`` where the protocol has none) before it does, so that after a crash it is
-known whether the foreign node can have heard of it.
+"""The common part of all adapters: a LabOS node whose actions another node carries out. An adapter never
+starts anything twice by itself. Before a start it writes the foreign handle (or ``sent``, if the protocol has
+none) into the journal, so that after a crash it is known whether the foreign node can have received the
+start.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_acti
 from labos.spec.about import resettable
 
 SENT = "sent"
-"""The handle of a start in a protocol that has no ids of its own."""
+"""The handle of a start in a protocol without ids."""
 
 PATIENCE_S = 120.0
-"""``patience_s`` where the file says nothing."""
+"""The default of ``patience_s``."""
 
 LATE_S = 5.0
-"""How long an answer may be on its way after the foreign node says that it is not busy any more."""
+"""How long an answer may take after the foreign node reports that it is no longer busy."""
 
 NEVER_SENT = "The adapter was restarted before it passed the action on."
 
@@ -34,15 +33,12 @@ T = TypeVar("T")
 
 
 class ForeignNode(Node):
-    """Base of the adapters. Subclasses say how to start an action and how to learn of its end.
-
-    Config of all: ``actions`` maps an action to ``{name, args: {ours: theirs}}`` where the foreign
-    node calls them otherwise; ``patience_s`` is how long a foreign node that does not answer is asked
-    before the outcome counts as unknown; ``poll_s`` how often it is asked.
-
-    A protocol may have no word for *busy*. Then an answer is waited for no longer than ``limit_s``, and
-    after an unknown outcome the device, which may still move, counts as busy until that time is over, or
-    until a reset.
+    """Base of the adapters. Subclasses implement how an action is started and how its end is found out.
+    Config of all: ``actions`` maps an action to ``{name, args: {ours: theirs}}`` if the foreign node uses
+    other names. ``patience_s`` is how long a foreign node without an answer is asked before the outcome
+    counts as unknown, and ``poll_s`` is the time between two requests. If a protocol cannot report *busy*,
+    the adapter waits at most ``limit_s`` for an answer. After an unknown outcome the device may still move,
+    so it counts as busy until that time is over, or until a reset.
     """
 
     described: ClassVar[Description]
@@ -64,26 +60,26 @@ class ForeignNode(Node):
     # -- what an adapter says ----------------------------------------------------------------
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
-        """Start ``name`` (the foreign name) and wait for its end; what it results in. Raises
-        DeviceError, OutcomeUnknown."""
+        """Start ``name`` (the foreign name) and wait for its end; returns the result. Raises DeviceError,
+        OutcomeUnknown."""
         raise NotImplementedError
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
-        """As ``begin``, of an action that was started before the adapter was restarted."""
+        """Like ``begin``, for an action that was started before the adapter was restarted."""
         raise OutcomeUnknown(f"{INTERRUPTED}, and this protocol keeps no record of what was done")
 
     async def learn(self) -> None:
-        """See what the foreign node offers, if that was not seen yet: called before each action."""
+        """Find out what the foreign node offers, unless it is known; called before each action."""
 
     async def foreign_description(self) -> Description:
-        """What the foreign node says of itself; without effects, which it does not know. Only of protocols
-        that have that."""
+        """The foreign node's description of itself, without effects, which it does not know. Only for
+        protocols that have a description."""
         raise NotImplementedError
 
     # -- how it is ---------------------------------------------------------------------------
 
     def note_version(self, version: Any) -> None:
-        """What the foreign node tells as its version, when it is first reached."""
+        """Record the version that the foreign node reports at the first connection."""
         self.setup.firmware = str(version or "").strip()
 
     @property
@@ -93,28 +89,28 @@ class ForeignNode(Node):
 
     @property
     def tells_busy(self) -> bool:
-        """Whether the foreign node says that it works."""
+        """Whether the foreign node reports that it is busy."""
         return True
 
     def limit_s(self, spec: ActionSpec) -> float:
-        """How long an action that shows no sign of life is believed to be under way. The nominal duration is
-        somebody's guess, so it counts five times."""
+        """How long an action without any report counts as under way: five times the nominal duration, which
+        is only an estimate."""
         return self.patience_s + 5 * spec.duration_s
 
     async def is_idle(self) -> bool:
-        """Of a foreign node that cannot say: whether all that may still be under way must be over."""
+        """For a foreign node that cannot report it: whether every action must have ended by now."""
         now = asyncio.get_running_loop().time()
         self._unseen = {action: until for action, until in self._unseen.items() if until > now}
         return not self._unseen
 
     async def observe(self) -> dict[str, Any]:
-        """Nothing, of a protocol that has no such question; see ``look``."""
+        """Nothing, for a protocol without such a query; see ``look``."""
         self.look()
         return {}
 
     def look(self) -> None:
-        """Before anything is told of what is seen: what may still move shows nothing, to nobody. Raises
-        DeviceError (``none``)."""
+        """Checks before an observation is reported: a device that may still move has no valid observation.
+        Raises DeviceError (``none``)."""
         now = asyncio.get_running_loop().time()
         if any(until > now for until in self._unseen.values()):
             raise DeviceError(
@@ -124,7 +120,7 @@ class ForeignNode(Node):
             )
 
     def believe_at_rest(self) -> None:
-        """Somebody has seen that the device stands still."""
+        """Record that a person has seen the device standing still."""
         self._unseen.clear()
 
     # -- actions -----------------------------------------------------------------------------
@@ -139,7 +135,7 @@ class ForeignNode(Node):
         return carry_out
 
     async def carry_out(self, spec: ActionSpec, kwargs: dict[str, Any]) -> Any:
-        """An action of ours, on the foreign node."""
+        """Carry out a LabOS action on the foreign node."""
         args = {arg.name: arg.default for arg in spec.args if not arg.required and arg.default is not None}
         name, names = self._find_call(spec)
         await self.learn()
@@ -175,10 +171,10 @@ class ForeignNode(Node):
         mute_s: float,
         ended: str,
     ) -> T:
-        """The answer to a start; while it is awaited, the foreign node is asked whether it is still
-        ``at_work``, since a line that was cut says nothing. ``silent_s`` is how long it may answer nothing at
-        all, ``mute_s`` how long it is believed if it never says that it works, ``ended`` what is known if it
-        works no more. Raises OutcomeUnknown, and what ``sending`` raises."""
+        """The answer to a start. During the wait, the foreign node is asked whether it is still ``at_work``,
+        because a cut line gives no sign. ``silent_s`` is how long it may give no answer at all. ``mute_s`` is
+        how long to wait if it never reports that it is busy. ``ended`` is what is known if it is no longer
+        busy. Raises OutcomeUnknown, and what ``sending`` raises."""
         silence, idle_s = Silence(silent_s, self.where), 0.0
         try:
             while True:
@@ -200,8 +196,7 @@ class ForeignNode(Node):
             sending.cancel()
 
     def place(self, spec: ActionSpec, station: str) -> Any:
-        """What the foreign node is told of a station: what the workcell file has for it, else its
-        name."""
+        """The foreign node's value for a station: from the workcell file, else its name."""
         ways = self.setup.config.get("representations") or {}
         for key in (station, station.removeprefix(f"{self.setup.name}.")):
             if key in ways:
@@ -211,7 +206,7 @@ class ForeignNode(Node):
         return local(station)
 
     def name_places(self, spec: ActionSpec, args: dict[str, Any]) -> dict[str, Any]:
-        """Arguments with what the foreign node is told of stations in their place."""
+        """The arguments, with stations replaced by the foreign node's values."""
         return {k: self.place(spec, str(v)) if self.is_station(spec, k) else v for k, v in args.items()}
 
     def is_station(self, spec: ActionSpec, foreign_arg: str) -> bool:
@@ -221,9 +216,9 @@ class ForeignNode(Node):
         return self._type_of(spec, foreign_arg) == "file"
 
     def describe_missing(self, offered: Callable[[str], bool]) -> str:
-        """Which of the described actions the foreign node does not offer, as a sentence; empty if it
-        can be worked with. A driver may know more actions than the foreign node has: those are refused
-        one by one; what was written for this very node must be there."""
+        """The described actions that the foreign node does not offer, as a sentence; empty if the node can be
+        used. A driver may have more actions than the foreign node, which are refused one by one. But actions
+        that were written for this particular node must exist."""
         ours = [spec for spec in self.described.actions if not spec.recovers]
         absent = [spec.name for spec in ours if not offered(self._find_call(spec)[0])]
         self._absent = set(absent)
@@ -243,7 +238,7 @@ class ForeignNode(Node):
         return str(told.get("name", spec.name)), told.get("args") or {}
 
     async def _unless_settled(self, spec: ActionSpec, work: Awaitable[Any]) -> Any:
-        """What the work gives, unless a person says first how it ended."""
+        """The result of the work, unless a person reports the outcome first."""
         action = current_action.get()
         # After a restart nobody knows when it began: it counts from now, which is never too short.
         until = asyncio.get_running_loop().time() + self.limit_s(spec)
@@ -266,18 +261,18 @@ class ForeignNode(Node):
 
 
 class Silence:
-    """How long a foreign node has said nothing; begins with the first thing that goes wrong."""
+    """How long a foreign node has given no answer; begins with the first failure."""
 
     def __init__(self, limit_s: float, where: str) -> None:
         self._limit_s, self._where = limit_s, where
         self._since: float | None = None
 
     def end(self) -> None:
-        """It has said something."""
+        """End the silence: the node has answered."""
         self._since = None
 
     def go_on(self, why: Exception) -> None:
-        """It has said nothing again. Raises OutcomeUnknown if that is enough."""
+        """There was again no answer. Raises OutcomeUnknown if the silence has lasted too long."""
         now = asyncio.get_running_loop().time()
         self._since = now if self._since is None else self._since
         if now - self._since > self._limit_s:

@@ -1,8 +1,7 @@
-"""HTTP to a foreign node, with one distinction that matters: sent, or perhaps sent.
-
-A request that never left is a failure without effects. One whose answer did not come may have been
-carried out: that is ``NoResponse``, and the caller has to find out. Connections are not kept between
-requests, because a stale one fails in a way that looks like a lost answer.
+"""HTTP to a foreign node. The important distinction is between not sent and perhaps carried out. A request
+that was not sent is a failure without effects. A request without an answer may have been carried out: it
+raises ``NoResponse``, and the caller has to find out. Connections are not kept between requests, because the
+failure of a stale connection looks like a lost answer.
 """
 
 from __future__ import annotations
@@ -29,16 +28,16 @@ NOT_SENT = (
 )
 _OF_THE_WIRE = ("content-encoding", "content-length", "transfer-encoding")
 GATEWAY = (502, 504)
-"""A proxy's word that it had no answer from the node."""
+"""Statuses with which a proxy reports that it got no answer from the node."""
 
 NOT_TAKEN = (401, 403, 405, 406, 407, 411, 413, 414, 415, 421, 426, 429, 431)
-"""What a server says of a request before anything is done with it (RFC 9110, RFC 6585)."""
+"""Statuses with which a server refuses a request before anything is done (RFC 9110, RFC 6585)."""
 
 LARGEST_ANSWER = 256 * 1024 * 1024
-"""Bytes of an answer: those of the largest file that a node may hand over."""
+"""The largest number of bytes of an answer: the size of the largest file of a node."""
 
 PIECE = 64 * 1024
-"""So many bytes of an answer have to come in the time for which a server may say nothing."""
+"""The least number of bytes of an answer in the time for which a server may be silent."""
 
 SHOWN = 300
 """Characters of an answer that a message quotes."""
@@ -52,8 +51,8 @@ class NoResponse(Exception):
 
 
 class HttpClient:
-    """One foreign node's address. ``authorization`` is the value of that header; a computer that is gone
-    while its answer is awaited is noticed after ``patience_s``."""
+    """One foreign node's address. ``authorization`` is the value of that header; if the computer fails during
+    the wait for an answer, this is noticed after ``patience_s``."""
 
     def __init__(self, address: str, authorization: str = "", *, patience_s: float) -> None:
         self.address = address.rstrip("/")
@@ -76,9 +75,9 @@ class HttpClient:
     async def send(
         self, method: str, path: str, *, read_s: float | None = 0.0, **options: Any
     ) -> httpx.Response:
-        """An answer, whatever its status; ``read_s`` is how long the server may say nothing (0: as long as to
-        a question; None: for ever). Raises DeviceError (``none``) if the request never left, Lost if it may
-        have."""
+        """Send a request; returns the answer with any status. ``read_s`` is how long the server may be silent
+        (0: as for a query; None: without limit). Raises DeviceError (``none``) if the request was not sent,
+        Lost if it may have been."""
         read_s = self._read_s if read_s == 0.0 else read_s
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         # Without the slash a path could go on with the address: `http://node` + `.other.site/`.
@@ -105,7 +104,7 @@ class HttpClient:
         return answer
 
     async def ask(self, path: str) -> Any:
-        """The JSON at a path. Raises DeviceError (``none``): a question moves nothing."""
+        """The JSON at a path. Raises DeviceError (``none``), because a query moves nothing."""
         try:
             return read_json(await self.send("GET", path))
         except NoResponse as lost:
@@ -113,8 +112,8 @@ class HttpClient:
 
 
 async def _whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx.Response:
-    """An answer with its content. Raises Lost if that does not end: it was sent, and says nothing. Lets the
-    limit pass if a piece takes longer than silence may."""
+    """An answer with its content. Raises Lost if the content does not end, because the request was sent. A
+    piece that takes longer than the allowed silence exceeds the limit."""
     data, clock, awaited = bytearray(), asyncio.get_running_loop().time, 0
     async for piece in streamed.aiter_bytes():
         data += piece
@@ -130,8 +129,8 @@ async def _whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx.Resp
 
 
 def read_json(answer: httpx.Response) -> Any:
-    """What an answer holds. Raises DeviceError (``none``) for what was refused unread, and for what
-    cannot be read."""
+    """The content of an answer. Raises DeviceError (``none``) for a refused request and for an unreadable
+    answer."""
     refuse(answer)
     try:
         return read_json_text(answer.content)
@@ -142,8 +141,8 @@ def read_json(answer: httpx.Response) -> Any:
 
 
 def refuse(answer: httpx.Response) -> None:
-    """Raises DeviceError for an answer that is no success: a 4xx moved nothing, of a 5xx nobody
-    knows."""
+    """Raises DeviceError for an answer that is not a success: with 4xx nothing moved, with 5xx the effects
+    are unknown."""
     if answer.status_code < 400:
         return
     effects = "none" if answer.status_code < 500 else "unknown"
@@ -152,9 +151,9 @@ def refuse(answer: httpx.Response) -> None:
 
 
 def refuse_at_end(answer: httpx.Response, refused: Collection[int] = ()) -> None:
-    """Raises DeviceError for an answer that is no success, and that comes when the action is over. A 4xx may
-    tell of a motion that went wrong: only a status that means that the request was not taken at all, or that
-    is known to (``refused``), says that nothing moved."""
+    """Raises DeviceError for an answer after the end of an action that is not a success. A 4xx may report a
+    failed motion. Nothing moved only if the status means that the request was not accepted at all, or is one
+    of ``refused``."""
     if answer.status_code < 400:
         return
     try:

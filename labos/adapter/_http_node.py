@@ -1,4 +1,4 @@
-"""The part that the adapters of nodes behind HTTP have in common: one connection, and its address."""
+"""The common part of the adapters for HTTP nodes: one connection, and its address."""
 
 from __future__ import annotations
 

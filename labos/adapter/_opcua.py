@@ -1,7 +1,5 @@
-"""One OPC UA server's nodes, by asyncua.
-
-The client is made anew after each loss of the line: nothing that was asked before is asked again. Methods are
-called on a connection that waits for them as long as they take.
+"""The nodes of one OPC UA server, with asyncua. After each lost connection a new client is made, so that no
+earlier request is repeated. Methods are called on a connection that waits for their end without a limit.
 """
 
 from __future__ import annotations
@@ -19,10 +17,10 @@ from labos.errors import DeviceError
 READ_S = 5.0
 RETRY_S = 0.5
 LONGEST_S = 7 * 24 * 3600.0
-"""How long a method may take."""
+"""The longest duration of a method."""
 
 PERIOD_MS = 100.0
-"""How often a server looks whether a watched value has changed."""
+"""The sampling interval of a server for a watched value."""
 
 UNTOUCHED = (
     "BadUserAccessDenied",
@@ -35,12 +33,12 @@ UNTOUCHED = (
     "BadNodeIdUnknown",
     "BadOutOfRange",
 )
-"""Answers to what a server does not carry out."""
+"""Statuses of requests that a server has not carried out."""
 
 
 class UaChannels:
-    """``url`` is that of the server, ``namespace`` the URI of the names that say none: ``Shaker.State`` is
-    the string identifier there, while ``ns=2;s=…`` and ``i=…`` are node ids as they are written."""
+    """``url`` is the URL of the server. ``namespace`` is the URI for names without one: ``Shaker.State`` is a
+    string identifier there, while ``ns=2;s=…`` and ``i=…`` are complete node ids."""
 
     def __init__(self, url: str, namespace: str, access: OpcuaAccess) -> None:
         try:
@@ -84,7 +82,7 @@ class UaChannels:
         await client.connect()
 
     async def _keep(self) -> None:
-        """Hold a connection, and make another one when it is lost."""
+        """Keep a connection, and make a new one when it is lost."""
         while True:
             client = self._asyncua.Client(self._url, timeout=READ_S)
             try:
@@ -124,7 +122,7 @@ class UaChannels:
                 continue  # it is not there: nobody answers for it
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
-        """What asyncua calls when a watched value has changed."""
+        """Called by asyncua when a watched value has changed."""
         name = self._names.get(node.nodeid, "")
         if changed := self._watched.get(name):
             changed(self._read_value(name, data.monitored_item.Value))
@@ -178,7 +176,7 @@ class UaChannels:
             await asyncio.shield(leaving)
 
     async def _prepare(self, client: Any, name: str, value: Any, on: str) -> Callable[[], Any]:
-        """The call of a method or the writing of a variable, its values in the types that are wanted."""
+        """The request to call a method or write a variable, with values of the required types."""
         node, types = await self._node(client, name), Types(client, self._ua, self._known)
         if await node.read_node_class() != self._ua.NodeClass.Method:
             written = self._ua.DataValue(types.variant(await types.find(node), value))
@@ -199,7 +197,7 @@ class UaChannels:
         return lambda: owner.call_method(node, *sent)
 
     async def _owner(self, method: Any) -> Any:
-        """The object that has a method. Raises ValueError if several share it."""
+        """The object of a method. Raises ValueError if several objects share it."""
         ids, inverse = self._ua.ObjectIds, self._ua.BrowseDirection.Inverse
         having = await method.get_referenced_nodes(ids.HasComponent, inverse)
         objects = [each for each in having if await each.read_node_class() == self._ua.NodeClass.Object]
@@ -220,7 +218,7 @@ class UaChannels:
 
 
 async def _let_go(client: Any) -> None:
-    """Close a connection that may be gone."""
+    """Close a connection that may be broken."""
     with contextlib.suppress(Exception):
         await asyncio.wait_for(client.disconnect(), READ_S)
 

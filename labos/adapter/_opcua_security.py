@@ -1,7 +1,5 @@
-"""How an OPC UA server is reached: with which encryption, and as which user.
-
-Secrets (the key, the password) are named by the paths of their files, the password also by a variable of the
-environment: the workcell file is kept for ever.
+"""Access to an OPC UA server: its encryption and user. Secrets (the key, the password) are given by the paths
+of their files, the password also by an environment variable, because the workcell file is stored permanently.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ FILES = ("opcua_certificate", "opcua_key", "opcua_server_certificate")
 
 
 class OpcuaAccess(msgspec.Struct, frozen=True):
-    """``uri`` is the application's, as its certificate says it; ``policy`` empty is without encryption."""
+    """``uri`` is the application's URI in its certificate. If ``policy`` is empty, there is no encryption."""
 
     policy: str = ""
     mode: str = ""
@@ -33,7 +31,7 @@ class OpcuaAccess(msgspec.Struct, frozen=True):
     password: str = ""
 
     async def prepare(self, client: Any) -> None:
-        """Tell a client of asyncua before it connects. Raises what asyncua does."""
+        """Configure a client of asyncua before it connects. Raises the errors of asyncua."""
         if self.policy:
             from asyncua import ua
             from asyncua.crypto import security_policies
@@ -52,7 +50,7 @@ class OpcuaAccess(msgspec.Struct, frozen=True):
 
 
 def access_of(config: dict[str, Any]) -> OpcuaAccess:
-    """What `config:` of a module says. Raises DeviceError (``none``) naming the key."""
+    """The access from ``config:`` of a module. Raises DeviceError (``none``) naming the key."""
     url = str(config.get("opcua_url") or "")
     if "@" in urlsplit(url).netloc:
         raise _wrong(
@@ -106,7 +104,7 @@ def _file(config: dict[str, Any], key: str) -> str:
 
 
 def _uri_in(path: str) -> str:
-    """The application's URI, which a server compares with the one that the client tells."""
+    """The application's URI in a certificate, which a server compares with the client's."""
     from cryptography import x509
 
     data = Path(path).read_bytes()

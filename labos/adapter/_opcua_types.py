@@ -1,7 +1,6 @@
-"""Values of OPC UA in the types that a server defines itself: enumerations, structures, derived types.
-
-What a number or a table means is read from the server's type definitions (OPC UA part 3, 8.14 and 8.40 ff.;
-part 5 for ``EnumStrings`` and ``EnumValues``), never assumed.
+"""Values of OPC UA in types that a server defines itself: enumerations, structures, derived types. The
+meaning of a number or a table is read from the server's type definitions (OPC UA part 3, 8.14 and 8.40 ff.;
+part 5 for ``EnumStrings`` and ``EnumValues``), and never assumed.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ INTEGERS = ("SByte", "Byte", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UIn
 
 
 class OpcuaKind(msgspec.Struct, frozen=True):
-    """What a data type is: ``variant``, the built-in type that goes over the wire (None: that of the value
-    which the variable holds now); ``labels`` of an enumeration by number, ``fields`` of a structure by name,
-    of which some are ``optional``."""
+    """A data type. ``variant`` is the built-in type on the wire (None: the type of the variable's present
+    value). ``labels`` are those of an enumeration by number. ``fields`` are those of a structure by name;
+    some are ``optional``."""
 
     data_type: Any
     variant: Any = None
@@ -33,8 +32,8 @@ class OpcuaKind(msgspec.Struct, frozen=True):
 
 
 class Types:
-    """The data types of the server at the other end of a connection; ``known`` are those already read, ``ua``
-    is asyncua's module of that name."""
+    """The data types of a server. ``known`` are those already read; ``ua`` is asyncua's module of that
+    name."""
 
     def __init__(self, client: Any, ua: Any, known: dict[Any, OpcuaKind] | None = None) -> None:
         self._client, self._ua = client, ua
@@ -69,7 +68,7 @@ class Types:
         return OpcuaKind(data_type, self._ua.VariantType(base))
 
     async def _labels(self, node: Any) -> dict[int, str]:
-        """An enumeration's labels, wherever the server keeps them."""
+        """An enumeration's labels, from any of the places where a server may have them."""
         missing = self._ua.UaStatusCodeError
         with contextlib.suppress(missing):
             told = await (await node.get_child("0:EnumValues")).read_value()
@@ -97,7 +96,7 @@ class Types:
     # -- there -------------------------------------------------------------------------------
 
     def variant(self, kind: OpcuaKind, value: Any) -> Any:
-        """A value as it is sent. Raises ValueError, TypeError."""
+        """A value in the form for sending. Raises ValueError, TypeError."""
         return self._ua.Variant(self._encode(kind, value), kind.variant)
 
     def _encode(self, kind: OpcuaKind, value: Any) -> Any:
@@ -139,7 +138,7 @@ class Types:
 
 
 def _number(labels: dict[int, str], value: Any) -> int:
-    """An enumeration's number, of itself or of its label. Raises ValueError."""
+    """An enumeration's number, from the number or its label. Raises ValueError."""
     for number, label in labels.items():
         if value == label or (not isinstance(value, bool) and value == number):
             return number
@@ -148,7 +147,7 @@ def _number(labels: dict[int, str], value: Any) -> int:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON can hold it: structures are tables, enumerations in them labels, dates ISO 8601."""
+    """A value in a form for JSON: structures are tables, enumerations in them labels, dates ISO 8601."""
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     if isinstance(value, enum.Enum):

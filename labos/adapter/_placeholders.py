@@ -1,5 +1,5 @@
-"""Place-holders in the tables of a workcell file: ``{name}`` in a text is a value; a text that is one
-place-holder and nothing else becomes the value itself."""
+"""Placeholders in the tables of a workcell file: ``{name}`` in a text is replaced by a value; a text that is
+only a placeholder becomes the value itself."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _PLACE = re.compile(r"\{(\w+)\}")
 
 
 def fill(written: Any, values: dict[str, Any], table: str) -> Any:
-    """What is written in ``table``, with its place-holders filled in. Raises DeviceError (``none``)."""
+    """The content of ``table`` with its placeholders filled in. Raises DeviceError (``none``)."""
     if isinstance(written, dict):
         return {key: fill(value, values, table) for key, value in written.items()}
     if isinstance(written, list):

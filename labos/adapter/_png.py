@@ -1,4 +1,4 @@
-"""Raw pictures as PNG, without a picture library."""
+"""Converts raw images to PNG, without an image library."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The messages of ``tcp_node.proto``, and their frames.
 
-The schema is read from ``tcp_node.binpb``, which protoc made of the .proto file, so no generated code has to
-fit the protobuf package that happens to be installed.
+The schema is read from ``tcp_node.binpb``, which protoc made from the .proto file. Therefore there is no
+generated code that would have to fit the installed protobuf package.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def schema() -> dict[str, Any]:
 
 
 def frame_message(message: Any) -> bytes:
-    """A message as it goes over the wire: its length as a varint, then its bytes."""
+    """A message in the form on the wire: its length as a varint, then its bytes."""
     data: bytes = message.SerializeToString()
     length, head = len(data), bytearray()
     while length > 0x7F:
@@ -51,8 +51,8 @@ def frame_message(message: Any) -> bytes:
 
 
 async def read_message(reader: asyncio.StreamReader, kind: Any) -> Any:
-    """The message that comes. Raises OSError or EOFError if the line ends before it does, ValueError for
-    what is no message."""
+    """Read a message. Raises OSError or EOFError if the connection ends before the message, ValueError if it
+    is not a message."""
     length = shift = 0
     while True:
         (byte,) = await reader.readexactly(1)

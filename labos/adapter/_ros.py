@@ -1,4 +1,4 @@
-"""The bridge process as the adapter sees it: questions and answers over its standard input and output."""
+"""The adapter's side of the bridge process: requests and answers over its standard input and output."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PROGRAM = Path(__file__).with_name("ros_bridge.py")
 _log = structlog.get_logger(__name__)
 START_S = 30.0
 LEAVE_S = 5.0
-"""How long the bridge may take leave of ROS."""
+"""How long the bridge may take to end its ROS node."""
 REMEDY = (
     "`ros_python` in `config:` names the Python that has rclpy, or a script that sources ROS and starts it. "
     "From the package index: pip install 'labos-sdl[ros]'"
@@ -30,8 +30,8 @@ REMEDY = (
 
 
 class BridgeProcess:
-    """One bridge process. ``python`` is the interpreter that has rclpy, ``domain`` the ROS domain, else that
-    of the environment."""
+    """One bridge process. ``python`` is the interpreter with rclpy; ``domain`` is the ROS domain, by default
+    that of the environment."""
 
     def __init__(self, python: str = "", domain: int | None = None) -> None:
         self._python = python or sys.executable
@@ -46,7 +46,7 @@ class BridgeProcess:
         return self._process is not None and self._process.returncode is None
 
     async def start(self) -> None:
-        """Start the process, and wait until it speaks. Raises DeviceError."""
+        """Start the process, and wait for its first message. Raises DeviceError."""
         pipe = asyncio.subprocess.PIPE
         try:
             self._process = await asyncio.create_subprocess_exec(
@@ -103,7 +103,7 @@ class BridgeProcess:
                 hear(None)
 
     def watch(self, topic: str, kind: str, told: Callable[[dict[str, Any]], None]) -> None:
-        """Tell every message of a topic."""
+        """Report every message of a topic."""
 
         def hear(message: dict[str, Any] | None) -> None:
             if message is not None and "told" in message:
@@ -112,18 +112,18 @@ class BridgeProcess:
         self._say(self._listen(hear), watch=topic, type=kind)
 
     async def ready(self, service: str, kind: str, limit_s: float = 5.0) -> bool:
-        """Whether somebody offers a service. Raises DeviceError."""
+        """Whether a node offers a service. Raises DeviceError."""
         async with self._ask(ready=service, type=kind) as answers:
             return bool(await asyncio.wait_for(_answer(service, answers), limit_s))
 
     async def call(self, service: str, kind: str, fields: dict[str, Any], *, wait_s: float) -> Any:
-        """Call a service, once, and wait for its answer. Raises DeviceError (``none``) if it was not sent
-        within ``wait_s``, Lost if the bridge ended meanwhile."""
+        """Call a service once, and wait for its answer. Raises DeviceError (``none``) if the call was not
+        sent within ``wait_s``, Lost if the bridge ended during the wait."""
         async with self._ask(call=service, type=kind, fields=fields, wait_s=wait_s) as answers:
             return await _answer(service, answers)
 
     async def frame(self, topic: str, file: Path, limit_s: float) -> dict[str, Any]:
-        """The next picture of a topic, as raw bytes in a file; its shape. Raises DeviceError."""
+        """Write the next image of a topic to a file as raw bytes; returns its shape. Raises DeviceError."""
         async with self._ask(frame=topic, file=str(file)) as answers:
             try:
                 found: dict[str, Any] = await asyncio.wait_for(_answer(topic, answers), limit_s)

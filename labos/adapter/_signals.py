@@ -1,9 +1,10 @@
 """Devices whose state is a set of values by name: process variables of EPICS, nodes of OPC UA.
 
-A mapping (``labos.spec.signals``) says which mean what. A put has no id, and the server keeps no history: a
-start is sent once, and one whose answer was lost is an unknown outcome. Two things let more be known. If
-what an action is ``done`` by names the action's own id, the device's word counts whatever was lost. And if
-``boot`` says that the server was not restarted, a start that was taken is waited for across a broken line.
+A mapping (``labos.spec.signals``) defines their meaning. A put has no id, and the server keeps no history.
+Therefore a start is sent once, and after a lost answer the outcome is unknown. There are two exceptions. If
+the condition ``done`` of an action contains the action's id, the device's report counts in any case. If
+``boot`` shows that the server was not restarted, the adapter continues to wait for an accepted start after a
+broken connection.
 """
 
 from __future__ import annotations
@@ -35,15 +36,15 @@ from labos.spec.flaws import flaw_in
 from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMapping
 
 CONNECT_S = 5.0
-"""How long a process variable is looked for before it counts as not there."""
+"""How long to search for a process variable before it counts as missing."""
 
 RESTARTED = "its server was restarted meanwhile, and keeps no record of what was done"
 NOT_KEPT = "its callback was lost ({why}), and nothing keeps a record of what was done"
 
 
 class Started(msgspec.Struct, omit_defaults=True):
-    """What the journal keeps of a start: whether it was ``taken``, by a server that was started at ``boot``;
-    what it ends by, with the arguments filled in."""
+    """The data of a start in the journal: whether it was ``taken``, by a server that was started at ``boot``,
+    and the conditions for its end, with the arguments filled in."""
 
     taken: bool = False
     boot: Any = None
@@ -51,7 +52,7 @@ class Started(msgspec.Struct, omit_defaults=True):
 
 
 class SignalNode(ForeignNode):
-    """Base of the adapters; ``table`` is the key of ``config`` that holds the mapping."""
+    """Base of the adapters; ``table`` is the key of ``config`` with the mapping."""
 
     table: ClassVar[str]
 
@@ -85,7 +86,7 @@ class SignalNode(ForeignNode):
             await each.close()
 
     def read_mapping(self) -> dict[str, Any]:
-        """What the file says of the device."""
+        """The mapping from the workcell file."""
         return dict(self.setup.config.get(self.table) or {})
 
     def client(self, protocol: Protocol) -> Channels:
@@ -108,7 +109,7 @@ class SignalNode(ForeignNode):
         return ", ".join(sorted(name for name, told in self._now.items() if told is None))
 
     async def _until_connected(self, limit_s: float) -> bool:
-        """Wait until all process variables answer; whether they do."""
+        """Wait until all process variables answer; returns whether they do."""
         loop = asyncio.get_running_loop()
         until = loop.time() + limit_s
         while self._silent() and loop.time() < until:
@@ -116,7 +117,7 @@ class SignalNode(ForeignNode):
         return not self._silent()
 
     async def _change(self, limit_s: float) -> None:
-        """Wait for a change of anything, not longer than that."""
+        """Wait for any change, at most this long."""
         self._changed.clear()
         try:
             await asyncio.wait_for(self._changed.wait(), max(limit_s, 0.001))
@@ -144,7 +145,7 @@ class SignalNode(ForeignNode):
         return self._error()
 
     def _error(self) -> str:
-        """What the device says is wrong, as it was last told; empty if nothing is."""
+        """The last reported error of the device; empty if none."""
         state = self.mapping.state
         limit = SEVERITIES.index(state.severity)
         for name in state.alarms:
@@ -175,7 +176,7 @@ class SignalNode(ForeignNode):
         return {what: float((await self._get(name)).value) for what, name in self.mapping.resources.items()}
 
     def _works(self) -> bool:
-        """Whether the device says that it works, as it was last told."""
+        """Whether the device has last reported that it is busy."""
         told = [(condition, self._last(condition.pv)) for condition in self.mapping.state.busy]
         return any(now is not None and fits(condition, now) for condition, now in told)
 
@@ -183,7 +184,7 @@ class SignalNode(ForeignNode):
         return self._now.get(self.mapping.find(name)[1])
 
     async def _get(self, name: str) -> ChannelReading:
-        """The value now, not as it was last told. Raises DeviceError."""
+        """The present value, not the last reported one. Raises DeviceError."""
         protocol, whole = self.mapping.find(name)
         return await self._find_client(protocol).get(whole, CONNECT_S)
 
@@ -250,8 +251,8 @@ class SignalNode(ForeignNode):
         return await self._result(told)
 
     async def _put(self, put: Put, values: dict[str, Any], limit_s: float) -> None:
-        """Send a put, once, and wait for its callback, the loss of the line, or ``limit_s`` without a word of
-        work. Raises DeviceError, Lost."""
+        """Send a put once, and wait for its callback, the loss of the connection, or ``limit_s`` without a
+        report of work. Raises DeviceError, Lost."""
         protocol, whole = self.mapping.find(put.pv)
         losses, loop = self._losses, asyncio.get_running_loop()
         working = loop.time()
@@ -280,8 +281,9 @@ class SignalNode(ForeignNode):
     async def _see_done(
         self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], boot: Any, losses: int
     ) -> None:
-        """Wait for the end of what was started. ``losses`` counts the broken lines up to the start: after
-        another one only a server that was not restarted is believed. Raises DeviceError, OutcomeUnknown."""
+        """Wait for the end of a started action. ``losses`` is the number of broken connections up to the
+        start. After another one, the end counts only if the server was not restarted. Raises DeviceError,
+        OutcomeUnknown."""
         limit_s = self._limit_s(spec, told)
         until = asyncio.get_running_loop().time() + limit_s
         while True:
@@ -300,7 +302,8 @@ class SignalNode(ForeignNode):
             await self._change(self.poll_s)
 
     async def _see_same_server(self, boot: Any) -> None:
-        """After a broken line. Raises OutcomeUnknown unless the server is the one that was asked to start."""
+        """Check after a broken connection. Raises OutcomeUnknown unless it is the same server that got the
+        start."""
         try:
             now = await self._boot()
         except DeviceError as error:
@@ -322,8 +325,8 @@ class SignalNode(ForeignNode):
         return done
 
     async def _see_proof(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], why: str) -> None:
-        """Wait until the device names this very action as done, after its callback was lost or the adapter
-        was restarted. Raises OutcomeUnknown."""
+        """Wait until the device reports this action by its id as done, after its callback was lost or the
+        adapter was restarted. Raises OutcomeUnknown."""
         if not told.is_proven:
             raise OutcomeUnknown(why)
         if not await self._until_connected(self.patience_s):
@@ -348,7 +351,8 @@ class SignalNode(ForeignNode):
         return (await self._get(self.mapping.boot)).value if self.mapping.boot else None
 
     async def _result(self, told: Actuation) -> Any:
-        """What is read at the end. An alarm then is a failure: nobody knows what was reached."""
+        """Read the result at the end. An alarm then is a failure, because it is not known how far the action
+        got."""
         try:
             if isinstance(told.result, dict):
                 result: Any = {key: _plain(await self._get(name)) for key, name in told.result.items()}
@@ -370,7 +374,7 @@ class SignalNode(ForeignNode):
 
 
 def array_file(name: str, told: ChannelReading) -> Attachment:
-    """An array as numpy writes it. Raises DeviceError for what is no array of numbers."""
+    """An array in the file format of numpy. Raises DeviceError if it is not an array of numbers."""
     try:
         import numpy
     except ImportError as error:
@@ -386,7 +390,7 @@ def array_file(name: str, told: ChannelReading) -> Attachment:
 
 
 def _names(mapping: SignalMapping) -> set[str]:
-    """All process variables of a mapping, as they are written."""
+    """All names of process variables in a mapping."""
     state = mapping.state
     names = {*state.alarms, *mapping.resources.values(), *mapping.observe.values()}
     names |= {put.pv for put in (*mapping.reset, *mapping.stop)}

@@ -1,4 +1,4 @@
-"""A TCP connection to a foreign node; what is said on it is the adapter's matter."""
+"""A TCP connection to a foreign node; the adapters define the messages on it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from labos.errors import DeviceError
 
 CONNECT_S = 5.0
 LARGEST = 16 * 1024 * 1024
-"""Bytes that may wait to be read."""
+"""The largest number of bytes that wait to be read."""
 
 Line = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 class Address:
-    """Where a foreign node listens; ``host`` and ``port`` are the first of these keys that ``config`` has."""
+    """The address of a foreign node; ``host`` and ``port`` are the first of these keys that ``config``
+    has."""
 
     def __init__(self, config: dict[str, Any], host: tuple[str, ...], port: tuple[str, ...]) -> None:
         self._keys = host[0], port[0]
@@ -27,12 +28,12 @@ class Address:
         return f"{self.host}:{self.port}"
 
     def check(self) -> None:
-        """Raises DeviceError (``none``) if nothing is said."""
+        """Raises DeviceError (``none``) if there is no address."""
         if not self.host or not self.port:
             raise DeviceError(f"`config:` does not say `{'` and `'.join(self._keys)}`.", effects="none")
 
     async def open(self, patience_s: float) -> Line:
-        """Connect; a computer that is gone is noticed after ``patience_s``. Raises DeviceError (``none``)."""
+        """Connect; a failed computer is noticed after ``patience_s``. Raises DeviceError (``none``)."""
         try:
             opening = asyncio.open_connection(self.host, self.port, limit=LARGEST)
             reader, writer = await asyncio.wait_for(opening, CONNECT_S)

@@ -1,4 +1,4 @@
-"""Foreign names of types, in LabOS' words."""
+"""Converts foreign names of types to those of LabOS."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _WRAPPED = re.compile(r"(?:typing\.)?(?:Optional|Annotated|Union)\[(.*)\]", re.I
 
 
 def type_of(written: Any) -> str:
-    """The LabOS type for a foreign one (``Optional[float]``, ``list[str]``, ``<class 'int'>`` …);
-    ``any`` where it says no more."""
+    """The LabOS type for a foreign one (``Optional[float]``, ``list[str]``, ``<class 'int'>`` …); ``any`` if
+    it is not known."""
     if isinstance(written, list):
         kinds = {type_of(item) for item in written if str(item) not in ("None", "NoneType", "null")}
         return kinds.pop() if len(kinds) == 1 else "any"

@@ -9,8 +9,8 @@ from labos.spec.signals import Protocol
 
 
 class EpicsNode(SignalNode):
-    """Config: ``epics`` (the mapping); ``ca_address`` and ``pva_address``, where the IOCs are, in place of
-    EPICS' own environment variables."""
+    """Config: ``epics`` (the mapping); ``ca_address`` and ``pva_address``, the addresses of the IOCs, instead
+    of EPICS' own environment variables."""
 
     table = "epics"
 

@@ -1,10 +1,10 @@
 """MADSci's REST nodes (``madsci-node-module`` 0.8).
 
-An action is created (``POST /action/NAME``: the node gives it an id, nothing moves), given its files,
-and started by its id. The node takes an id off its list before it starts it, so a second start of
-the same id starts nothing: while the node's process lives, a lost answer to a start can be repeated.
-Its history is in memory: a node that was restarted does not know the id any more, and how the action
-ended is unknown.
+An action is created (``POST /action/NAME``: the node gives it an id, nothing moves), gets its files, and is
+started by its id. The node removes the id from its list before it starts the action, so that a second start
+with the same id has no effect. Therefore, as long as the node's process lives, a start can be repeated after
+a lost answer. The node's history is in memory: after a restart it does not know the id any more, and the
+outcome of the action is unknown.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from labos.node.node import Setup
 T = TypeVar("T")
 
 TRIES = 5
-"""How often what moves nothing twice is sent when no answer comes."""
+"""How often a request that cannot cause a second motion is sent when no answer comes."""
 
 STARTS_WITHIN_S = 30.0
-"""A start that was not heard is not repeated later than this: the lab believes that it began."""
+"""A start without an answer is not repeated after this time, because the lab assumes that it began."""
 
 UNDER_WAY = ("not_started", "running", "paused")
 FORGOTTEN = (
@@ -41,8 +41,7 @@ FORGOTTEN = (
 
 
 class MadsciRestNode(HttpNode):
-    """Config: ``node_url``; ``node_auth`` names a file that holds the value of the Authorization
-    header."""
+    """Config: ``node_url``; ``node_auth`` is a file with the value of the Authorization header."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -86,12 +85,13 @@ class MadsciRestNode(HttpNode):
             await self.trouble()
 
     async def observe(self) -> dict[str, Any]:
-        """What the node's own state says."""
+        """The content of the node's own state."""
         state = await self.http.ask("/state")
         return state if isinstance(state, dict) else {"state": state}
 
     async def _status(self) -> dict[str, Any]:
-        """Raises DeviceError (``none``), also for an answer that does not say whether the node works."""
+        """The node's status. Raises DeviceError (``none``), also for an answer that does not show whether the
+        node is busy."""
         status = await self._table("/status")
         if not isinstance(status.get("busy"), bool):
             raise DeviceError(f"/status answered {status!r}, which does not say `busy`.", effects="none")
@@ -109,7 +109,7 @@ class MadsciRestNode(HttpNode):
     # -- recovery ----------------------------------------------------------------------------
 
     async def reset(self) -> None:
-        """The foreign node's own reset; done when it is ready again."""
+        """The foreign node's own reset; it ends when the node is ready again."""
         await self._command("reset")
         for _ in range(int(self.patience_s / 0.5)):
             status = await self._status()
@@ -154,8 +154,8 @@ class MadsciRestNode(HttpNode):
         return await self._end(name, handle)
 
     def _location(self, spec: ActionSpec, station: str) -> dict[str, Any]:
-        """A station as the foreign node knows it; ``resource_ids`` says which of the resources of its lab
-        stands for it, where there is one."""
+        """A station in the form for the foreign node; ``resource_ids`` has the resource of its lab for the
+        station, if there is one."""
         location = {"representation": self.place(spec, station), "location_name": station}
         resources = self.setup.config.get("resource_ids") or {}
         return {**location, "resource_id": resources[station]} if station in resources else location
@@ -180,7 +180,7 @@ class MadsciRestNode(HttpNode):
         refuse(answer)
 
     async def _again(self, send: Callable[[], Awaitable[T]]) -> T:
-        """What moves nothing can be sent again when its answer was lost."""
+        """Send a request that moves nothing, again if its answer was lost."""
         for number in range(TRIES):
             try:
                 return await send()
@@ -191,8 +191,8 @@ class MadsciRestNode(HttpNode):
         raise AssertionError
 
     async def _start(self, name: str, handle: str) -> None:
-        """Start it by its id; again, if no answer came and the node has not heard of it. Returns when
-        the node has it in its history, or when nothing more can be done."""
+        """Start an action by its id; again, if no answer came and the node does not know the start. Returns
+        when the node has it in its history, or when nothing more can be done."""
         loop = asyncio.get_running_loop()
         until = loop.time() + STARTS_WITHIN_S
         lost_once = False
@@ -246,7 +246,7 @@ class MadsciRestNode(HttpNode):
         return told
 
     async def _began(self, handle: str) -> bool:
-        """Whether the history of an action that failed says that it ran at all."""
+        """Whether the history of a failed action shows that it ran."""
         try:
             history = (await self._table(f"/action?action_id={handle}")).get(handle)
         except DeviceError:
@@ -255,7 +255,7 @@ class MadsciRestNode(HttpNode):
         return any(entry.get("status") == "running" for entry in entries)
 
     async def _result_with_files(self, handle: str, told: dict[str, Any]) -> Any:
-        """The result, with what stands for the files and data points that belong to it."""
+        """The result with references to its files and data points."""
         result, points = told.get("json_result"), told.get("datapoints")
         if not told.get("files") and not points:
             return result

@@ -16,7 +16,7 @@ SERVER_START = "i=2257"
 class OpcuaNode(SignalNode):
     """Config: ``opcua_url``; ``opcua`` (the mapping); for encryption ``opcua_policy``, ``opcua_mode``,
     ``opcua_certificate``, ``opcua_key``, ``opcua_server_certificate`` (files); ``opcua_user``, and
-    ``opcua_password``, a file; ``opcua_insecure`` sends that without encryption."""
+    ``opcua_password``, a file; ``opcua_insecure`` allows sending the password without encryption."""
 
     table = "opcua"
 

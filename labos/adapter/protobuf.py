@@ -1,7 +1,6 @@
-"""Nodes that speak protobuf over TCP, by the schema that is shipped (``tcp_node.proto``).
-
-An action bears LabOS' own id. A node that keeps what became of each id can be asked after a lost answer or a
-restart; one that keeps nothing says that it does not know the id, and the outcome is unknown.
+"""Nodes with protobuf over TCP, by the included schema (``tcp_node.proto``). An action has LabOS' own id. A
+node that stores the outcome of each id can be asked after a lost answer or a restart. A node that stores
+nothing answers that it does not know the id, and the outcome is unknown.
 """
 
 from __future__ import annotations
@@ -55,7 +54,8 @@ class TcpNode(ForeignNode):
         return bool((await self._question("state")).busy)
 
     async def trouble(self) -> str:
-        """A node that answers an action only at its end may answer nobody else meanwhile."""
+        """The trouble with the node. A node that answers an action only at its end may answer no other
+        request before."""
         try:
             state = await self._question("state")
         except DeviceError as error:
@@ -166,7 +166,7 @@ class TcpNode(ForeignNode):
     # -- the wire ----------------------------------------------------------------------------
 
     async def _question(self, what: str, limit_s: float = 0.0) -> Any:
-        """A request without fields, and its answer. Raises DeviceError."""
+        """Send a request without fields; returns its answer. Raises DeviceError."""
         request = schema()["Request"]()
         getattr(request, what).SetInParent()
         try:
@@ -177,7 +177,7 @@ class TcpNode(ForeignNode):
         return _pick_answer(told, "done" if what in ("reset", "stop") else what)
 
     async def _exchange(self, request: Any, limit_s: float | None) -> Any:
-        """Send a request on a connection of its own; the response. Raises DeviceError (``none``) if it was
+        """Send a request on its own connection; returns the response. Raises DeviceError (``none``) if it was
         not sent, Lost if it may have been carried out."""
         reader, writer = await self._address.open(self.patience_s)
         try:
@@ -203,7 +203,7 @@ def _pick_answer(told: Any, what: str) -> Any:
 
 
 def _result_with_files(progress: Any) -> Any:
-    """The result, with what stands for the files that came with it."""
+    """The result with references to the files that came with it."""
     result = _from_json(progress.result)
     if not progress.files:
         return result
@@ -213,7 +213,7 @@ def _result_with_files(progress: Any) -> Any:
 
 
 def _from_json(text: str) -> Any:
-    """What a text says in JSON; the text itself if it says nothing so."""
+    """The value of a JSON text; the text itself if it is not JSON."""
     try:
         return read_json_text(text) if text else None
     except ValueError:

@@ -37,7 +37,7 @@ def adapter_class(interface: str, description: Description) -> type[Node]:
 
 
 async def describe_foreign(interface: str, config: dict[str, Any]) -> Description:
-    """What a running foreign node says of itself. Raises BadInput, DeviceError."""
+    """The description of a running foreign node by itself. Raises BadInput, DeviceError."""
     if _adapter(interface).foreign_description is ForeignNode.foreign_description:
         raise DeviceError(NOT_DESCRIBED.format(interface), effects="none", remedy="Write `about:` by hand.")
     node_class = adapter_class(interface, Description(driver=interface, version="", description=""))

@@ -1,7 +1,7 @@
 """Any HTTP device, by a mapping in the workcell file (``labos.spec.rest``).
 
-A start is sent once. If its answer is lost and the device knows jobs by an id that LabOS gave, the job is
-asked about; otherwise the outcome is unknown.
+A start is sent once. If its answer is lost and the device knows jobs by an id from LabOS, the adapter asks
+for the job; otherwise the outcome is unknown.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from labos.node.node import current_action
 from labos.spec.rest import Reading, Request, RestMapping, flaw_in, request_of
 
 JOB_START_S = 30.0
-"""How long a device may take to say that it has taken a job."""
+"""How long a device may take to confirm that it has accepted a job."""
 
 _log = structlog.get_logger(__name__)
 _PLACE = re.compile(r"\{(\w+)\}")
 
 
 class RestNode(HttpNode):
-    """Config: ``rest_node_address``, ``rest`` (the mapping); ``rest_node_auth`` names a file that holds
-    the value of the Authorization header, ``rest_node_auth_env`` a variable that does."""
+    """Config: ``rest_node_address``, ``rest`` (the mapping); ``rest_node_auth`` is a file with the value of
+    the Authorization header, ``rest_node_auth_env`` an environment variable with it."""
 
     async def connect(self) -> None:
         config = self.setup.config
@@ -62,7 +62,7 @@ class RestNode(HttpNode):
         return self.mapping.state is not None and bool(self.mapping.state.busy)
 
     async def is_idle(self) -> bool:
-        """By its own word; a device that has none is asked whether it is there."""
+        """By its status; a device without a status is only asked whether it answers."""
         status, _ = await self._state()
         return status not in ("busy", "not known") if self.tells_busy else await super().is_idle()
 
@@ -82,7 +82,8 @@ class RestNode(HttpNode):
         return levels_in(found if isinstance(found, dict) else {})
 
     async def _state(self) -> tuple[str, str]:
-        """(busy, error, not known or nothing; why). Raises DeviceError (``none``) for no status."""
+        """The status (busy, error, not known or nothing) and its reason. Raises DeviceError (``none``) if
+        there is no status."""
         told = self.mapping.state
         if told is None:
             return "", ""
@@ -155,7 +156,7 @@ class RestNode(HttpNode):
         return await self._end(spec, action)
 
     async def _at_once(self, spec: ActionSpec, request: Request, values: dict[str, Any]) -> Any:
-        """The result of an action that is answered at its end. Raises DeviceError, OutcomeUnknown, Lost."""
+        """The result of an action whose answer comes at its end. Raises DeviceError, OutcomeUnknown, Lost."""
 
         async def at_work() -> bool:
             return self.tells_busy and (await self._state())[0] == "busy"
@@ -186,8 +187,8 @@ class RestNode(HttpNode):
         return await self._end(spec, handle)
 
     async def _end(self, spec: ActionSpec, handle: str) -> Any:
-        """Ask about a job until it has ended. A status that the mapping does not name is no end: the device
-        may be at it still. Raises DeviceError, OutcomeUnknown."""
+        """Ask about a job until it has ended. A status that the mapping does not name does not count as the
+        end, because the device may still be working. Raises DeviceError, OutcomeUnknown."""
         job = self.mapping.job
         if job is None:
             raise OutcomeUnknown("`rest:` names no `job:` to ask about")
@@ -221,8 +222,8 @@ class RestNode(HttpNode):
 
 
 class JobEnd(NamedTuple):
-    """What an answer says of the end of an action: it is done, or not yet, or what it ``said`` is in no list
-    of the mapping."""
+    """Whether an action has ended, by an answer: it is done, or not yet, or the answer (``said``) is in no
+    list of the mapping."""
 
     status: Literal["done", "running", "not known"]
     result: Any = None
@@ -247,8 +248,9 @@ def read_end(reading: Reading, told: Any) -> JobEnd:
 
 
 def read_given_id(reading: Reading, path: str, answer: httpx.Response) -> str:
-    """The id that a device gave to a job. It may have begun one without telling, so an answer without an id
-    is a failure only if it says that nothing was started. Raises DeviceError, OutcomeUnknown."""
+    """The id that a device gave to a job. Because the device may have started a job without an id in its
+    answer, this is a failure only if the answer says that nothing was started. Raises DeviceError,
+    OutcomeUnknown."""
     try:
         told = read_json(answer)
     except DeviceError as error:
@@ -269,7 +271,7 @@ def field(told: Any, path: str) -> Any:
 
 
 def in_path(path: str, values: dict[str, Any]) -> str:
-    """A path with its place-holders filled in."""
+    """A path with its placeholders filled in."""
     return str(fill_request(path, {key: quote(str(value), safe="") for key, value in values.items()}))
 
 
@@ -278,7 +280,7 @@ def _as_text(value: Any) -> Any:
 
 
 def fill_request(written: Any, values: dict[str, Any]) -> Any:
-    """A request's table with its place-holders filled in. Raises DeviceError (``none``)."""
+    """A request's table with its placeholders filled in. Raises DeviceError (``none``)."""
     if isinstance(written, dict):
         # An argument that was not given is left out.
         given = {k: v for k, v in written.items() if not _absent(v, values)}

@@ -1,9 +1,9 @@
 """ROS 2 nodes: services, actions and topics, by a mapping (``labos.spec.ros``).
 
-A bridge process with rclpy speaks to them. A service call has no id, and a node that dies never answers:
-while an answer is awaited, the node's state topic says whether it still works, and a lost answer is an
-unknown outcome. A goal of a ROS action bears an id that is made from LabOS' own, by which its result can be
-asked for again, as long as the node keeps it.
+A bridge process with rclpy communicates with them. A service call has no id, and a node that dies never
+answers. During the wait for an answer, the node's state topic shows whether the node is still busy; after a
+lost answer, the outcome is unknown. A goal of a ROS action has an id that is derived from LabOS' own id. With
+it, the result can be requested again, as long as the node keeps it.
 """
 
 from __future__ import annotations
@@ -33,26 +33,27 @@ from labos.spec.flaws import flaw_in
 from labos.spec.ros import Call, RosMapping, camera_mapping, wei_mapping
 
 WAIT_S = 3.0
-"""How long a service is looked for; at first ROS needs a moment to find its nodes."""
+"""How long to search for a service, because ROS needs some time to find its nodes."""
 
 ANSWER_S = WAIT_S + 10.0
-"""How long the answer to a call that ends soon may take, the search for its service included."""
+"""The longest time for the answer to a short call, including the search for its service."""
 
 STALE_S = 5.0
-"""A state older than this says nothing: a node that has one thread tells none while it works."""
+"""A state older than this is ignored, because a node with one thread publishes no state while it works."""
 
 ASK_S = 2.0
-"""How long the result of a goal is waited for before it is asked for again: the node may be a new one."""
+"""How long to wait for the result of a goal before it is requested again, because the node may have been
+restarted."""
 
 CANCELED = 5
-"""``action_msgs/msg/GoalStatus``: 4 succeeded, 5 canceled, 6 aborted, 0 a goal that nobody knows."""
+"""``action_msgs/msg/GoalStatus``: 4 succeeded, 5 canceled, 6 aborted, 0 an unknown goal."""
 
 NO_RECORD = "the node has ended it or lost it, and a ROS service keeps no record of how"
 FORGOTTEN = "the node does not know the goal: it was restarted, or has forgotten it"
 
 
 class RosNode(ForeignNode):
-    """Config: ``ros`` (the mapping); ``ros_python``, the Python that has rclpy; ``ros_domain``."""
+    """Config: ``ros`` (the mapping); ``ros_python``, the Python with rclpy; ``ros_domain``."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -61,7 +62,7 @@ class RosNode(ForeignNode):
         self._state, self._state_at = "", 0.0
 
     def read_mapping(self) -> dict[str, Any]:
-        """What the file says of the node's interface."""
+        """The mapping from the workcell file."""
         return dict(self.setup.config.get("ros") or {})
 
     @property
@@ -120,14 +121,14 @@ class RosNode(ForeignNode):
         return self.mapping.state is not None
 
     async def is_idle(self) -> bool:
-        """By its state, if it tells one and has told it."""
+        """By its state, if the node publishes one."""
         if not self.tells_busy:
             return await super().is_idle()
         return bool(self._state) and not self._is_busy and not self._is_strange
 
     @property
     def _is_strange(self) -> bool:
-        """Whether its state is in none of the lists of the mapping, if that has one of states at rest."""
+        """Whether its state is in no list of the mapping, if the mapping lists states at rest."""
         state = self.mapping.state
         return state is not None and bool(state.idle) and not self._says([*state.idle, *state.error])
 
@@ -146,7 +147,7 @@ class RosNode(ForeignNode):
         return ""
 
     async def _is_there(self) -> bool:
-        """Whether the node offers its services; a camera, whether it sends pictures, is seen when one is
+        """Whether the node offers its services. Whether a camera sends images is found out only when one is
         taken."""
         calls = [self.mapping.call(spec.name) for spec in self.described.actions if not spec.recovers]
         services = {_service_of(call) for call in calls if call is not None and not call.frame}
@@ -175,7 +176,7 @@ class RosNode(ForeignNode):
         await self._ask(self.mapping.stop)
 
     async def _ask(self, call: Call) -> Any:
-        """A call that ends soon. Raises DeviceError."""
+        """Make a short call. Raises DeviceError."""
         try:
             calling = self.bridge.call(call.service, call.type, fill(call.fields, {}, "ros"), wait_s=WAIT_S)
             return read_end(call, await asyncio.wait_for(calling, ANSWER_S))
@@ -220,7 +221,7 @@ class RosNode(ForeignNode):
         return call
 
     async def _answer(self, call: Call, calling: Awaitable[Any], idle_limit_s: float, began: float) -> Any:
-        """The answer to a call; while it is awaited, the node is looked at, since one that died never
+        """The answer to a call. During the wait, the adapter checks the node, because a node that died never
         answers. Raises DeviceError, OutcomeUnknown."""
         loop = asyncio.get_running_loop()
         silent_s = idle_s = 0.0
@@ -255,7 +256,7 @@ class RosNode(ForeignNode):
     # -- goals of ROS actions ----------------------------------------------------------------
 
     async def _pursue(self, spec: ActionSpec, call: Call, goal: dict[str, Any]) -> Any:
-        """Send a goal under an id of its own, and wait for its result."""
+        """Send a goal with its own id, and wait for its result."""
         known = goal_id(current_action.get())
         await self.note_handle(known)
         fields = {"goal_id": {"uuid": list(bytes.fromhex(known))}, "goal": goal}
@@ -327,14 +328,14 @@ class RosNode(ForeignNode):
 
 
 class WeiRosNode(RosNode):
-    """Config: ``ros_node_address``, the node's name; ``ros`` says what is called otherwise."""
+    """Config: ``ros_node_address``, the node's name; ``ros`` has names that differ from the defaults."""
 
     def read_mapping(self) -> dict[str, Any]:
         return {**wei_mapping(_node_name(self.setup.config)), **super().read_mapping()}
 
 
 class WeiRosCamera(RosNode):
-    """Config: ``ros_node_address``, the camera's name; any action takes a picture."""
+    """Config: ``ros_node_address``, the camera's name; any action takes an image."""
 
     def read_mapping(self) -> dict[str, Any]:
         return {**camera_mapping(_node_name(self.setup.config)), **super().read_mapping()}
@@ -352,12 +353,12 @@ def _service_of(call: Call) -> tuple[str, str]:
 
 
 def goal_id(action: str) -> str:
-    """The id of a goal, from LabOS' own of the action: always the same, 16 bytes."""
+    """The id of a goal (16 bytes), derived from LabOS' id of the action and always the same."""
     return hashlib.sha256(action.encode()).hexdigest()[:32]
 
 
 def read_end(call: Call, answer: Any) -> Any:
-    """The result that an answer holds. Raises DeviceError if it says that it failed."""
+    """The result in an answer. Raises DeviceError if it reports a failure."""
     result = field(answer, call.result) if call.result else answer
     if not call.status or (status := field(answer, call.status)) in call.done:
         return result
@@ -366,7 +367,7 @@ def read_end(call: Call, answer: Any) -> Any:
 
 
 def _table(told: Any) -> dict[str, Any]:
-    """A table in an answer's text: JSON, or as Python prints it, which WEI's nodes do."""
+    """A table in the text of an answer: as JSON, or in Python's notation, which WEI's nodes use."""
     found: Any = told
     for read in (read_json_text, ast.literal_eval):
         if isinstance(found, str) and len(found) <= LARGEST_JSON:

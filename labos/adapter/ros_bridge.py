@@ -1,7 +1,6 @@
-"""The process that speaks ROS 2, run by the Python that has rclpy: ``python ros_bridge.py``.
-
-It needs the standard library and rclpy, nothing of LabOS, and no Python newer than 3.8, so that it runs where
-ROS itself was installed. One JSON object a line comes in by standard input, one goes out by standard output:
+"""The process that communicates over ROS 2, run by the Python with rclpy: ``python ros_bridge.py``. It needs
+the standard library and rclpy, nothing of LabOS, and no Python newer than 3.8, so that it runs where ROS is
+installed. One JSON object a line comes in by standard input, one goes out by standard output:
 
     {"id": 1, "call": "/x/home", "type": "std_srvs/srv/Trigger", "fields": {}, "wait_s": 3}
         {"id": 1, "absent": true}, or {"id": 1, "sent": true} and later {"id": 1, "answer": {...}}
@@ -13,8 +12,8 @@ ROS itself was installed. One JSON object a line comes in by standard input, one
         {"id": 4, "answer": {"width": 640, ...}}
     {"id": 5, "forget": 4}
 
-A call is sent once, and never again. What cannot be done is answered by {"id": …, "refused": "why"}. When
-standard input ends, so does the bridge.
+A call is sent only once. A request that cannot be carried out is answered by {"id": …, "refused": "why"}.
+When standard input ends, so does the bridge.
 """
 
 from __future__ import annotations
@@ -131,7 +130,7 @@ class Bridge:
         return self.clients[name]
 
     def look(self) -> None:
-        """Send what waited for its service, now that it is there."""
+        """Send the calls whose service is now available."""
         waiting, self.waiting = self.waiting, []
         for entry in waiting:
             until, known, client, request = entry

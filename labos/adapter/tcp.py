@@ -1,9 +1,9 @@
-"""WEI's TCP nodes: one JSON object there, one back, on a connection of its own.
+"""WEI's TCP nodes: one JSON object as the request and one as the answer, on a separate connection.
 
 ``{"action_handle", "action_vars"}`` is answered by ``{"action_response", "action_msg", "action_log"}`` when
-the action is done. There is no frame: the object's end is the message's end. There are no ids, no state
-and no history, so a start is sent once, and a lost answer is an unknown outcome. So is one that does not
-come: nobody can tell a device that works from one that is stuck.
+the action is done. There is no framing: the end of the object is the end of the message. There are no ids, no
+state and no history. Therefore a start is sent once, and if the answer is lost or does not come, the outcome
+is unknown, because a busy device cannot be distinguished from a stuck one.
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ NOT_READY = ("not_ready",)
 
 
 class WeiJsonNode(ForeignNode):
-    """Base of the adapters of nodes that answer one JSON object with another at the end of the action."""
+    """Base of the adapters for nodes that answer a JSON object with another one at the end of the action."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._exchanging = False
 
     async def knock(self) -> None:
-        """See whether somebody listens there. Raises DeviceError (``none``)."""
+        """Check whether a program listens there. Raises DeviceError (``none``)."""
         raise NotImplementedError
 
     async def exchange(self, message: bytes, limit_s: float) -> dict[str, Any]:
-        """Connect, journal that the message is about to be sent, and send it; the answer, if it comes within
-        ``limit_s``. Raises DeviceError (``none``) before it is sent, then OutcomeUnknown or TimeoutError."""
+        """Connect, journal that the message will be sent, and send it; returns the answer, if it comes within
+        ``limit_s``. Raises DeviceError (``none``) before the message is sent, and afterwards OutcomeUnknown
+        or TimeoutError."""
         raise NotImplementedError
 
     @property
@@ -45,7 +46,7 @@ class WeiJsonNode(ForeignNode):
         return False
 
     async def trouble(self) -> str:
-        """Whether somebody listens there. A node that works may listen to nobody else."""
+        """Check whether a program listens there. A busy node may accept no other connection."""
         if self._exchanging:
             return ""
         try:
@@ -55,8 +56,8 @@ class WeiJsonNode(ForeignNode):
         return ""
 
     async def reset(self) -> None:
-        """The protocol has none: done when the node listens. Who asks for it has seen that the device stands
-        still."""
+        """The protocol has no reset; this ends when the node listens. The person who asks for it has seen
+        that the device stands still."""
         if trouble := await self.trouble():
             raise DeviceError(trouble, effects="none")
         self.believe_at_rest()
@@ -113,7 +114,7 @@ class WeiTcpNode(WeiJsonNode):
 
 
 async def _object(reader: asyncio.StreamReader) -> dict[str, Any]:
-    """The JSON object that comes. Raises OSError, OutcomeUnknown."""
+    """Read a JSON object. Raises OSError, OutcomeUnknown."""
     data = b""
     while len(data) <= LARGEST:
         piece = await reader.read(65536)

@@ -1,8 +1,8 @@
 """WEI's REST nodes (``ad_sdl.wei`` 0.7, and the older forms of its answers).
 
-``POST /action?action_handle=…&action_vars=…`` blocks until the action is done. There is no id and no
-history: if the answer is lost, the node can say whether it still works, never how it ended. So a
-start is sent once, and a lost answer is an unknown outcome.
+``POST /action?action_handle=…&action_vars=…`` blocks until the action is done. There is no id and no history:
+if the answer is lost, the node can report whether it is still busy, but not the outcome. Therefore a start is
+sent once, and after a lost answer the outcome is unknown.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ BUSY = {"BUSY", "RUNNING"}
 STARTING = {"INIT", "STARTING"}
 READY = {"READY", "IDLE", "OK"}
 HALTED = {"LOCKED", "PAUSED", "CANCELLED"}
-"""States of a foreign node in which it takes no actions until somebody lets it."""
+"""States of a foreign node in which it accepts no actions until a person permits it."""
 
 NO_RECORD = "the foreign node has ended it or lost it, and WEI keeps no record of how"
 
@@ -92,7 +92,7 @@ class WeiRestNode(HttpNode):
             await self.trouble()
 
     async def observe(self) -> dict[str, Any]:
-        """What the node's state says beside its status."""
+        """The content of the node's state besides its status."""
         told = await self.http.ask("/state")
         plain = told if isinstance(told, dict) else {}
         return {name: value for name, value in plain.items() if name not in ("status", "error", "State")}
@@ -116,7 +116,7 @@ class WeiRestNode(HttpNode):
     # -- recovery ----------------------------------------------------------------------------
 
     async def reset(self) -> None:
-        """The foreign node's own reset; done when it has started anew without an error."""
+        """The foreign node's own reset; it ends when the node has started again without an error."""
         await self._command("reset")
         flags, error = await self._state()
         until = asyncio.get_running_loop().time() + self.patience_s
@@ -129,7 +129,7 @@ class WeiRestNode(HttpNode):
             raise DeviceError(f"The foreign node is in error after its reset: {error}", effects="none")
 
     async def stop(self) -> None:
-        """``safety_stop``, where the node has it."""
+        """``safety_stop``, if the node has it."""
         await self._command("safety_stop")
 
     async def _command(self, name: str) -> None:
@@ -181,7 +181,7 @@ class WeiRestNode(HttpNode):
             raise OutcomeUnknown(f"its answer was lost ({lost}); {NO_RECORD}") from lost
 
     async def _until_not_busy(self) -> None:
-        """Wait while the node says that it works. Raises OutcomeUnknown if it says nothing."""
+        """Wait while the node reports that it is busy. Raises OutcomeUnknown if it does not answer."""
         silence = Silence(self.patience_s, self.where)
         while True:
             try:
@@ -216,7 +216,7 @@ class WeiRestNode(HttpNode):
         raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")
 
     def _result_with_files(self, told: dict[str, Any], answer: httpx.Response) -> Any:
-        """The data, with what stands for the files that came with it."""
+        """The data with references to the files that came with them."""
         data = told.get("data", told.get("action_msg"))
         files = told.get("files") if "x-wei-status" in answer.headers else None
         if not files:
@@ -235,7 +235,7 @@ class WeiRestNode(HttpNode):
 
 
 def _in_header(answer: httpx.Response, name: str) -> Any:
-    """The JSON in a header. Raises DeviceError; if the node says that it succeeded, all was done."""
+    """The JSON in a header. Raises DeviceError; if the node reports success, with all effects."""
     try:
         return read_json_text(answer.headers.get(name) or "null")
     except ValueError as error:
@@ -298,13 +298,13 @@ def read_state(told: Any) -> tuple[set[str], str]:
 
 
 def works(flags: set[str]) -> bool:
-    """Whether a node carries something out. One whose action raised stays busy for ever in its own
-    eyes; it is in error, and does nothing."""
+    """Whether a node is carrying out something. A node whose action raised an error reports BUSY without end;
+    it counts as in error and idle."""
     return bool(flags & (BUSY | STARTING)) and "ERROR" not in flags
 
 
 def rests(flags: set[str]) -> bool:
-    """Whether a node says that it carries nothing out. A state that is not known does not say that."""
+    """Whether a node reports that it carries out nothing. An unknown state does not count."""
     return not works(flags) and bool(flags & (READY | HALTED | {"ERROR"}))
 
 

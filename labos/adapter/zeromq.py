@@ -1,8 +1,7 @@
-"""WEI's ZeroMQ nodes: the JSON of its TCP nodes, by a request socket.
-
-ZeroMQ keeps what cannot be sent yet and sends it when somebody listens, which may be long after the lab has
-given the action up. So a message is handed to it only when a connection stands, and each has a socket of its
-own, which is closed with all that is left in it.
+"""WEI's ZeroMQ nodes: the JSON of its TCP nodes, over a request socket. ZeroMQ stores messages that cannot be
+sent yet and sends them when a program listens, which may be long after the lab has stopped waiting for the
+action. Therefore a message is sent only after a connection exists. Each message has its own socket, which is
+closed and loses unsent data.
 """
 
 from __future__ import annotations
@@ -81,7 +80,7 @@ class WeiZmqNode(WeiJsonNode):
 
     @contextlib.asynccontextmanager
     async def _connect(self) -> AsyncGenerator[tuple[Any, Any], None]:
-        """A socket with a connection, and what tells of its end. Raises DeviceError (``none``)."""
+        """A socket with a connection, and the monitor of its events. Raises DeviceError (``none``)."""
         zmq = self._zmq
         if self._context is None:
             raise DeviceError("The adapter is not connected.", effects="none")

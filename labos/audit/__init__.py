@@ -1,5 +1,4 @@
-"""Tables beside the log for people who ask in SQL, and what is answered from them.
-
-``tables`` says which there are, ``projection`` makes rows of events, ``projector`` carries the log over,
-``database`` keeps the rows in SQLite or PostgreSQL, ``query`` answers questions without changing anything.
+"""Tables beside the log for SQL queries, and everything that is answered from them. ``tables`` defines the
+tables, ``projection`` makes rows from events, ``projector`` projects the log, ``database`` stores the rows in
+SQLite or PostgreSQL, and ``query`` answers read-only queries.
 """

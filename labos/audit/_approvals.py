@@ -1,4 +1,4 @@
-"""Approvals as rows: who approved or refused what, as which digest, when, and with which comment."""
+"""Approvals as rows: the person, the submission and its digest, the time, and the comment."""
 
 from __future__ import annotations
 
@@ -20,24 +20,13 @@ def on_requested(rows: RowChanges, event: p.ApprovalRequested, head: Envelope, a
         APPROVALS,
         {
             "requested_position": head.position,
-            "subject": event.subject,
-            "kind": event.kind,
-            "name": event.name,
             "user_id": event.user,
             "asked_by": event.by,
-            "digest": event.digest,
             "why": [why.text for why in event.why],
-            "parts": event.parts,
-            "before": event.before,
             "changed": list(event.changed),
             "requested_at_s": at,
-            "answer": "",
-            "answered_by": "",
-            "comment": "",
-            "changes": None,
-            "answered_at_s": None,
-            "answered_position": None,
         },
+        event,
     )
     campaign = rows.change(CAMPAIGNS, event.subject) if event.kind == "campaign" else None
     if campaign is not None:
@@ -65,7 +54,7 @@ def on_refused(rows: RowChanges, event: p.ApprovalRefused, head: Envelope, at: f
 
 
 def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at: float) -> None:
-    """Of a run that nobody had to approve but a second person."""
+    """Handle a run that needs only the approval of a second person."""
     run = rows.get(RUNS, event.run)
     rows.put(
         APPROVALS,
@@ -75,17 +64,13 @@ def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at:
             "kind": "second person",
             "name": run["workflow"] if run is not None else "",
             "user_id": run["user_id"] if run is not None else "",
-            "asked_by": "",
             "digest": run["plan"] if run is not None else "",
             "why": ["it does what is dangerous"],
             "parts": {},
-            "before": "",
             "changed": [],
             "requested_at_s": at,
             "answer": "approved",
             "answered_by": event.by,
-            "comment": "",
-            "changes": None,
             "answered_at_s": at,
             "answered_position": head.position,
         },
@@ -95,7 +80,7 @@ def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at:
 def _answer(
     rows: RowChanges, subject: str, answer: str, by: str, comment: str, head: Envelope, at: float
 ) -> Row | None:
-    """The row of what waits, with its answer; None if nothing does."""
+    """The row of a waiting submission, with its answer; None if none waits."""
     waiting = rows.get(WAITING, subject)
     row = rows.change(APPROVALS, waiting["position"]) if waiting is not None else None
     if row is None or row["answer"]:

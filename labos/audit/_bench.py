@@ -1,4 +1,4 @@
-"""Labware as rows, where it stood and stands."""
+"""Labware as rows, with its present and earlier places."""
 
 from __future__ import annotations
 
@@ -16,23 +16,13 @@ def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: floa
     row = rows.put(
         LABWARE,
         {
-            "labware": event.labware,
-            "type": event.type,
             "station": "",
-            "lies_on": "",
-            "lid": "",
-            "maybe": None,
-            "owner": event.owner,
-            "barcode": "",
-            "lot": event.lot,
             "variables": {"lot": event.lot} if event.lot else {},
             "samples": {},
             "placed_at_s": at,
-            "gone_at_s": None,
-            "gone": "",
             "placed_position": head.position,
-            "gone_position": None,
         },
+        event,
     )
     _settle(rows, row, event.station, event.on)
     _note(rows, event, head, at, "placed", event.stack, event.station, event.on)
@@ -78,7 +68,7 @@ def on_uncertain(rows: RowChanges, event: b.LabwareUncertain, head: Envelope, at
 
 
 def on_removed(rows: RowChanges, event: b.LabwareRemoved, head: Envelope, at: float) -> None:
-    """A plate leaves with the lid on it; one that may be elsewhere stays in doubt."""
+    """A plate leaves together with its lid; a lid that may be elsewhere stays uncertain."""
     row = rows.change(LABWARE, event.labware)
     source = row["station"] if row is not None else ""
     if row is not None:

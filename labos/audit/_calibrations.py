@@ -1,4 +1,4 @@
-"""Calibrations as rows, and those that an action relied on."""
+"""Calibrations as rows, and the calibrations that were valid for an action."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ IN_FORCE = (
     "AND NOT EXISTS (SELECT 1 FROM calibrations later WHERE later.module = c.module AND later.what = c.what "
     "AND later.position > c.position AND later.position < a.requested_position)"
 )
-"""In SQL: whether a calibration ``c`` was recorded before an action ``a`` was asked for, was the last one of
-its kind then, and had not expired."""
+"""An SQL condition: a calibration ``c`` was recorded before the request of an action ``a``, was then the last
+one of its kind, and had not expired."""
 
 
 def on_calibrated(rows: RowChanges, event: ModuleCalibrated, head: Envelope, at: float) -> None:
@@ -26,16 +26,11 @@ def on_calibrated(rows: RowChanges, event: ModuleCalibrated, head: Envelope, at:
         {
             "calibration": f"{event.module}@{head.position}",
             "position": head.position,
-            "module": event.module,
-            "what": event.what,
-            "certificate": event.certificate,
             "recorded_by": event.by,
             "at_s": at,
-            "until": event.until,
             "ends_at_s": float(end_of(event.until)) if event.until else None,
-            "file": event.file,
-            "why": event.why,
         },
+        event,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 from labos.audit._rows import Row, RowChanges, seconds
 from labos.audit._work_tables import CAMPAIGNS, RUNS
@@ -15,30 +15,18 @@ def on_submitted(rows: RowChanges, event: c.CampaignSubmitted, head: Envelope, a
     row = rows.put(
         CAMPAIGNS,
         {
-            "campaign": event.campaign,
-            "name": event.name,
             "user_id": event.user,
-            "workflow": event.workflow,
-            "workcell": event.workcell,
-            "rows": event.rows,
             "status": "open",
             "submitted_at_s": at,
-            "ended_at_s": None,
             "runs": 0,
             "completed": 0,
             "failed": 0,
             "cancelled": 0,
             "refused": 0,
-            "why": "",
-            "by_run": "",
             "row_table": event.table,
-            "definition": event.definition,
-            "visibility": event.visibility,
-            "cloned_from": event.cloned_from,
-            "archived": False,
             "submitted_position": head.position,
-            "ended_position": None,
         },
+        event,
     )
     agree(row, event.terms)
 
@@ -50,7 +38,7 @@ def on_amended(rows: RowChanges, event: c.CampaignAmended, head: Envelope, at: f
 
 
 def agree(row: Row, terms: c.Terms) -> None:
-    """The campaign goes on under these terms."""
+    """The campaign continues with these terms."""
     row["priority"], row["tags"] = terms.priority, list(terms.tags)
     row["deadline_s"] = seconds(terms.deadline) if terms.deadline else None
 
@@ -109,9 +97,7 @@ def on_run_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at
         row["runs"] += 1
 
 
-def on_run_ended(
-    rows: RowChanges, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
-) -> None:
+def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
     run = rows.get(RUNS, event.run)
     row = rows.change(CAMPAIGNS, run["campaign"]) if run is not None and run["campaign"] else None
     if row is None:
@@ -137,7 +123,5 @@ HANDLERS: dict[Any, Any] = {
     c.CampaignArchived: on_archived,
     c.CampaignUnarchived: on_archived,
     r.RunSubmitted: on_run_submitted,
-    r.RunCompleted: on_run_ended,
-    r.RunFailed: on_run_ended,
-    r.RunCancelled: on_run_ended,
+    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
 }

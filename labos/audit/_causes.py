@@ -1,7 +1,6 @@
-"""On what a thing hangs: who, what, when, with which spec, driver version, arguments and lots.
-
-Each function yields the links from a thing to its causes among the first ``upto`` events, and how far the
-cause itself is to be looked at: what became of a plate after it was read did not change what was read.
+"""The causes of a thing: user, action, time, spec, driver version, arguments and lots. Each function yields
+the links from a thing to its causes among the first ``upto`` events, each with the position up to which the
+cause itself counts: later changes of a plate did not influence an earlier reading.
 """
 
 from __future__ import annotations

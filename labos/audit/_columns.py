@@ -1,4 +1,4 @@
-"""What tables are made of: columns, and those that many tables have."""
+"""Columns of tables, and columns that many tables have."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ Kind = Literal["text", "integer", "number", "flag", "json", "time"]
 
 
 class Column(msgspec.Struct, frozen=True):
-    """``time`` is kept as seconds since 1970 in a column ``…_s``; its view has both that and a moment that
-    people can read. ``flag`` is 0 or 1. ``by_people``: words that may have to be erased can stand in it."""
+    """``time`` is stored as seconds since 1970 in a column ``…_s``; its view has both this number and a
+    readable time. ``flag`` is 0 or 1. ``by_people``: it may contain words that may have to be erased."""
 
     name: str
     kind: Kind
@@ -23,18 +23,21 @@ class Column(msgspec.Struct, frozen=True):
     def stored(self) -> str:
         return f"{self.name}_s" if self.kind == "time" else self.name
 
+    @property
+    def empty(self) -> str | bool | None:
+        """What stands in it where nothing is known."""
+        return "" if self.kind == "text" else False if self.kind == "flag" else None
+
 
 class Table(msgspec.Struct, frozen=True):
-    """``view`` is what people read it as (empty: nobody does). Rows of a table that only ``grows`` are never
-    changed. ``indexes`` are lists of stored columns. ``searched`` is a column of words by which rows are
-    found (empty: there is none); the key of such a table is one whole number."""
+    """``view`` is the name of its view (empty: none). ``indexes`` are lists of stored columns. ``searched``
+    is a column of words for the search (empty: none); the key of such a table is one whole number."""
 
     name: str
     about: str
     key: tuple[str, ...]
     columns: tuple[Column, ...]
     view: str = ""
-    grows: bool = False
     indexes: tuple[tuple[str, ...], ...] = ()
     searched: str = ""
 
@@ -53,20 +56,20 @@ flag, json, time = _make_kind("flag"), _make_kind("json"), _make_kind("time")
 
 
 def by_people(name: str, about: str) -> Column:
-    """A column of text in which people's words can stand."""
+    """A text column that may contain people's words."""
     return Column(name, "text", about, by_people=True)
 
 
-POSITION = whole("position", "Where in the log it stands.")
-AT = time("at", "When it was recorded.")
-RUN = text("run", "The run in whose course it happened; empty if none.")
-ACTION = text("action", "The action that did it; empty if none.")
+POSITION = whole("position", "Its position in the log.")
+AT = time("at", "The time at which it was recorded.")
+RUN = text("run", "The run during which it happened; empty if none.")
+ACTION = text("action", "The action that caused it; empty if none.")
 LABWARE = text("labware", "The labware's id.")
 MODULE = text("module", "The module, as `workcell/module`.")
 
 
 def view_columns(table: Table) -> tuple[Column, ...]:
-    """The columns of its view: a time is there twice, for people and as a number."""
+    """The columns of its view; a time has two columns, a readable one and a number."""
     found: list[Column] = []
     for column in table.columns:
         found.append(column)

@@ -1,8 +1,7 @@
-"""An experiment in its crate: the application, what it did between its runs, and what it published.
-
-The application is the workflow that the crate is about: its steps are runs of workflows. Its program is put
-into the crate if somebody gives it; LabOS keeps no programs. What the application did stands in
-``experiments/E1/course.json`` in any case: its runs, computations and decisions in their order.
+"""An experiment in its crate: the application, its actions between runs, and its publications. The
+application is the workflow of the crate, and its steps are runs of workflows. LabOS does not store programs;
+the program is in the crate only if the user gives it. ``experiments/E1/course.json`` always has the course of
+the application: its runs, computations and decisions in their order.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ COMPUTATIONS = ("local_compute", "compute")
 
 
 class Program(msgspec.Struct, frozen=True):
-    """The application's source, as the caller gives it."""
+    """The application's source from the caller."""
 
     name: str
     content: bytes
@@ -48,8 +47,8 @@ class CrateExperiment(msgspec.Struct, frozen=True):
 
 
 class CrateRun(msgspec.Struct, frozen=True):
-    """A run of the experiment: its id, that of its workflow, the LabOS that carried it out, and when it was
-    submitted."""
+    """A run of the experiment: its id, the id of its workflow, the LabOS that carried it out, and the time of
+    its submission."""
 
     run: str
     workflow: str
@@ -67,7 +66,7 @@ def experiment_of(asker: ReadConnection, name: str) -> CrateExperiment | None:
 def add_experiment(
     crate: Crate, log: Log, experiment: CrateExperiment, runs: list[CrateRun], program: Program | None
 ) -> str:
-    """The application and what it did; returns the id of the application, the crate's main entity."""
+    """Add the application and its course; returns the id of the application, the crate's main entity."""
     name = experiment.experiment
     records = list(log.select(LogQuery(streams=(name,))))
     notes = [
@@ -112,7 +111,7 @@ def add_experiment(
 def _course(
     experiment: CrateExperiment, runs: list[CrateRun], notes: list[tuple[Any, Any]]
 ) -> dict[str, Any]:
-    """What the application did, in order."""
+    """The course of the application."""
     steps = [(run.position, {"run": run.run, "workflow": run.workflow}) for run in runs]
     for head, note in notes:
         facts = note.get("facts", {})
@@ -131,7 +130,7 @@ def _course(
 def _add_application(
     crate: Crate, experiment: CrateExperiment, program: Program | None, course: bytes, folder: str
 ) -> str:
-    """The program, or else what it did, as the workflow that was followed."""
+    """Add the program, or without it the course, as the workflow."""
     told = {"name": f"What {experiment.name} did, in order", "encodingFormat": "application/json"}
     path = f"{folder}/course.json"
     if program is None:
@@ -157,7 +156,7 @@ def _add_application(
 def _add_steps(
     crate: Crate, experiment: CrateExperiment, runs: list[CrateRun], main: str, action: str, user: str
 ) -> None:
-    """Each run as a step of the application."""
+    """Add each run as a step of the application."""
     controls = []
     for number, run in enumerate(runs, 1):
         step = crate.add("HowToStep", f"{main}#{run.run}", name=f"Run {run.run}", position=str(number))
@@ -191,7 +190,7 @@ def _add_steps(
 def _add_note(
     crate: Crate, experiment: CrateExperiment, head: Any, note: dict[str, Any], main: str, user: str
 ) -> list[str]:
-    """A computation or a publication; returns its files."""
+    """Add a computation or a publication; returns its files."""
     facts = note.get("facts", {})
     if note["kind"] in COMPUTATIONS:
         return _add_computation(crate, head, note["name"], facts, main, user)
@@ -224,7 +223,7 @@ def _add_note(
 def _add_computation(
     crate: Crate, head: Any, function: str, facts: dict[str, Any], main: str, user: str
 ) -> list[str]:
-    """A function that was computed: its code by digest, where, and what it returned."""
+    """Add a computation: the digest of its code, its place, and its result."""
     code = str(facts.get("code", ""))
     tool = crate.add(
         "SoftwareApplication",

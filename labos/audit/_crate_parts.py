@@ -1,4 +1,4 @@
-"""What a crate is put together of: entities of its metadata, and the files that they describe."""
+"""The parts of a crate: entities of its metadata, and the files that they describe."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labos.ports import BlobReader
 METADATA = "ro-crate-metadata.json"
 VERSION = "https://w3id.org/ro/crate/1.1"
 CONTEXT = [f"{VERSION}/context", {"sha256": "https://w3id.org/ro/terms/workflow-run#sha256"}]
-"""``sha256`` is a term of the run crates that the context of RO-Crate 1.1 does not have yet."""
+"""``sha256`` is a term of the run crates that is missing in the context of RO-Crate 1.1."""
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -24,8 +24,8 @@ Entity = dict[str, Any]
 
 
 class Crate:
-    """Entities by their id, and the content of files: bytes, or the digest of a blob that is fetched when
-    it is written."""
+    """Entities by id, and the content of files: bytes, or the digest of a blob that is read when the crate is
+    written."""
 
     def __init__(self) -> None:
         self._entities: dict[str, Entity] = {}
@@ -33,30 +33,31 @@ class Crate:
         self._paths: dict[str, str] = {}
 
     def add(self, kind: str | list[str], id_: str, **properties: Any) -> str:
-        """Describe a thing, unless that is done; returns its id. What is empty is left out."""
+        """Add the description of a thing, unless it exists; returns its id. Empty properties are left out."""
         if id_ not in self._entities:
             self._entities[id_] = {"@id": id_, "@type": kind}
             self.tell(id_, **properties)
         return id_
 
     def tell(self, id_: str, **properties: Any) -> None:
-        """Say more of a thing that is described."""
+        """Add properties to a described thing."""
         told = {name: value for name, value in properties.items() if value not in (None, "", [], {})}
         self._entities[id_].update(told)
 
     def extend(self, id_: str, name: str, *ids: str) -> None:
-        """Add references to a property of a thing that is described."""
+        """Add references to a property of a described thing."""
         known = self._entities[id_].get(name, [])
         before = [each["@id"] for each in (known if isinstance(known, list) else [known])]
         self._entities[id_][name] = link(*before, *ids)
 
     def put(self, path: str, content: bytes, **properties: Any) -> str:
-        """A file with this content; returns its id."""
+        """Add a file with this content; returns its id."""
         digest = hashlib.sha256(content).hexdigest()
         return self._file(path, digest, content, {"contentSize": str(len(content)), **properties})
 
     def put_blob(self, path: str, digest: str, size: int | None, **properties: Any) -> str:
-        """A file whose content is a blob; returns its id. A blob is there once, whatever it is called."""
+        """Add a file whose content is a blob; returns its id. A blob is added only once, also with different
+        names."""
         told = {"contentSize": None if size is None else str(size), **properties}
         return self._file(path, digest, digest, told)
 
@@ -70,14 +71,14 @@ class Crate:
         return self.add(kind, known, sha256=digest, **properties)
 
     def metadata(self) -> bytes:
-        """``ro-crate-metadata.json``; the root names all files that there are by now."""
+        """``ro-crate-metadata.json``; the root lists all present files."""
         self.tell("./", hasPart=link(*self._files))
         graph = {"@context": CONTEXT, "@graph": list(self._entities.values())}
         return msgspec.json.format(msgspec.json.encode(graph), indent=2) + b"\n"
 
     def contents(self, blobs: BlobReader) -> Iterator[tuple[str, bytes]]:
-        """Path and content of each file, one at a time, the metadata last: what is half written is no
-        crate. Raises NotFound, LogDamaged for a blob that is not there or is another one."""
+        """Path and content of each file, one at a time. The metadata are last, so that an incomplete file is
+        not a crate. Raises NotFound, LogDamaged for a missing or wrong blob."""
         for path, content in self._files.items():
             yield path, content if isinstance(content, bytes) else blobs.get(content)
         yield METADATA, self.metadata()
@@ -90,15 +91,15 @@ def link(*ids: str) -> Any:
 
 
 def local_id(kind: str, name: str) -> str:
-    """The id of what is no file: ``#user-ada``."""
+    """The id of a thing that is not a file: ``#user-ada``."""
     return f"#{kind}-{quote(name, safe='')}"
 
 
 def safe_name(name: str) -> str:
-    """The last part of a file's name, of characters that every disk and every URL takes as they are."""
+    """The last part of a file's name, with characters that are safe on every disk and in every URL."""
     return _UNSAFE.sub("_", re.split(r"[/\\]", name)[-1]).lstrip(".") or "file"
 
 
 def with_offset(at: str | None) -> str | None:
-    """A time of a view as the profiles want it: with ``+00:00`` for ``Z``, which means the same."""
+    """A time of a view in the form for the profiles: with ``+00:00`` instead of ``Z``."""
     return at.removesuffix("Z") + "+00:00" if at else None

@@ -18,7 +18,7 @@ STATUS = {
     "cancelled": "Failed",
     "unknown": "Failed",
 }
-"""How schema.org calls the end of a run or an action; what has not ended is active."""
+"""The terms of schema.org for the end of a run or an action; without an end it is active."""
 
 _ACTION = (
     "SELECT step, key, module, name, driver, driver_version, about, simulated, args, labware, status, "
@@ -27,7 +27,7 @@ _ACTION = (
 
 
 class Doer(msgspec.Struct, frozen=True):
-    """Whose actions they are: the run, the digest of its plan, and the ids of its user and its workflow."""
+    """The owner of the actions: the run, the digest of its plan, and the ids of its user and its workflow."""
 
     run: str
     plan: str
@@ -36,7 +36,8 @@ class Doer(msgspec.Struct, frozen=True):
 
 
 class Told(msgspec.Struct, frozen=True):
-    """Ids: of an action, of the control action of its step, of what it used and of the files that it made."""
+    """Ids of an action, of the control action of its step, of the things that it used, and of the files that
+    it made."""
 
     id: str
     control: str
@@ -63,12 +64,12 @@ class _Action(msgspec.Struct, frozen=True):
 
 
 def json_of(value: Any) -> Any:
-    """A column of a view that is JSON, which comes as text; an empty object for none."""
+    """The value of a JSON column of a view, which is text; an empty object for none."""
     return msgspec.json.decode(value) if value else {}
 
 
 def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> Told:
-    """An action of a module, with all that hangs on it."""
+    """Add an action of a module, with everything that belongs to it."""
     found = _Action(*asker.fetch(_ACTION, action)[0])
     id_ = local_id("action", action)
     tool = _add_driver(crate, found)
@@ -107,7 +108,8 @@ def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> 
 
 
 def _add_step(crate: Crate, doer: Doer, found: _Action, action: str, tool: str) -> str:
-    """The step of the workflow, what carried it out, and that this action did; returns the id of the last."""
+    """Add the step of the workflow, its tool, and the control action that links this action to it; returns
+    the id of the last."""
     step = crate.add(
         "HowToStep",
         f"{doer.workflow}#{doer.plan[:12]}-{found.step}",
@@ -127,7 +129,7 @@ def _add_step(crate: Crate, doer: Doer, found: _Action, action: str, tool: str) 
 
 
 def _add_driver(crate: Crate, found: _Action) -> str:
-    """The driver as the tool, and the module that it drives, as it described itself then."""
+    """Add the driver as the tool, and its module, with the description of that time."""
     local = found.module.rpartition("/")[2]
     words = f"The module {local} of the lab."
     if found.about:
@@ -183,7 +185,7 @@ def _add_lot(crate: Crate, lot: str, resource: str) -> str:
 
 
 def _add_files(crate: Crate, asker: ReadConnection, action: str, kind: str) -> list[str]:
-    """Files that an action was given, or returned."""
+    """Add the input and result files of an action."""
     rows = asker.fetch(
         "SELECT digest, file, bytes FROM files WHERE action = ? AND kind = ? ORDER BY position, number",
         action,

@@ -10,13 +10,14 @@ from labos.audit.tables import TABLES, VIEWS, Table
 Dialect = Literal["sqlite", "postgresql"]
 
 TABLE_SCHEMA = "labos_audit"
-"""Where PostgreSQL keeps the tables, which nobody but the projector needs."""
+"""The schema of the tables in PostgreSQL, which only the projector needs."""
 
 VIEW_SCHEMA = "labos"
-"""Where PostgreSQL keeps the views, which people may be allowed to read."""
+"""The schema of the views in PostgreSQL, which people may be allowed to read."""
 
 STATE = "projection"
-"""One row: the version of the tables, and up to where the log is in them. Its view bears the same name."""
+"""A table with one row: the version of the tables, and the position up to which they contain the log. Its
+view has the same name."""
 
 _TYPES: dict[Dialect, dict[str, str]] = {
     "sqlite": {
@@ -44,7 +45,7 @@ _MOMENTS: dict[Dialect, str] = {
 
 
 def table_name(name: str, dialect: Dialect) -> str:
-    """Where a table is. SQLite knows no schemas: there the names of tables begin with ``labos_``."""
+    """The full name of a table. SQLite has no schemas: there the names of tables begin with ``labos_``."""
     return f'{TABLE_SCHEMA}."{name}"' if dialect == "postgresql" else f'"labos_{name}"'
 
 
@@ -53,7 +54,7 @@ def view_name(name: str, dialect: Dialect) -> str:
 
 
 def make_all(dialect: Dialect) -> Iterator[str]:
-    """Statements that make everything in an empty database; those for the state come first."""
+    """Statements that create everything in an empty database; those for the state come first."""
     if dialect == "postgresql":
         yield f"CREATE SCHEMA IF NOT EXISTS {TABLE_SCHEMA}"
         yield f"CREATE SCHEMA IF NOT EXISTS {VIEW_SCHEMA}"
@@ -83,7 +84,7 @@ def make_all(dialect: Dialect) -> Iterator[str]:
 
 
 def drop_all(dialect: Dialect) -> Iterator[str]:
-    """Statements that take everything of ours away; what is not there is passed over."""
+    """Statements that remove all our tables and views; missing ones are ignored."""
     if dialect == "postgresql":
         yield f"DROP SCHEMA IF EXISTS {TABLE_SCHEMA} CASCADE"
         return
@@ -106,7 +107,8 @@ def _table(table: Table, dialect: Dialect) -> str:
 
 
 def _forbid_samples(table: Table) -> Iterator[str]:
-    """PostgreSQL takes no samples of what people wrote: those would outlive the table in its catalogue."""
+    """Forbid PostgreSQL to take samples of people's words, which would remain in its catalogue after an
+    erasure."""
     for column in table.columns:
         if column.by_people:
             name = table_name(table.name, "postgresql")
@@ -114,17 +116,17 @@ def _forbid_samples(table: Table) -> Iterator[str]:
 
 
 def words_name(table: Table) -> str:
-    """SQLite's index of the words of a table, a table by itself."""
+    """The name of SQLite's word index of a table, which is a separate table."""
     return table_name(f"{table.name}_words", "sqlite")
 
 
 def vector(table: Table) -> str:
-    """PostgreSQL's search vector of a row of a table, as its index has it."""
+    """PostgreSQL's search vector of a row, as in its index."""
     return f"array_to_tsvector(string_to_array(\"{table.searched}\", ' '))"
 
 
 def _words(table: Table, dialect: Dialect) -> Iterator[str]:
-    """An index by words. In SQLite triggers keep it, as a row that takes the place of another is deleted."""
+    """Statements for a word index. In SQLite triggers update it, because a replaced row is deleted."""
     if dialect == "postgresql":
         yield (
             f'CREATE INDEX "labos_{table.name}_words" ON {table_name(table.name, dialect)} '

@@ -1,8 +1,7 @@
-"""What hangs on a thing: the same links, followed the other way.
-
-Each function yields the links from effects to a thing among the events from ``since`` to ``upto``, and from
-where on the effect itself counts. A recall must not miss anything: what an action has used up concerns all
-labware that it worked on.
+"""The effects of a thing: the same links in the other direction. Each function yields the links from effects
+to a thing among the events from ``since`` to ``upto``, each with the position from which the effect itself
+counts. A recall must not miss anything: a resource that an action has used up concerns all labware that it
+processed.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ Rule = Callable[[ReadConnection, Entity, int, int], Found]
 
 
 _POURED = "SELECT 1 FROM lot_uses WHERE action = ? AND lot = ? AND kind = 'liquid'"
-"""Whether an action put a lot into wells: then it is known into which."""
+"""An SQL condition: an action put a lot into wells, so that the wells are known."""
 
 
 def find_lot_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
@@ -103,7 +102,7 @@ def find_action_effects(asker: ReadConnection, entity: Entity, since: int, upto:
 
 
 def _find_rows(kind: EntityKind, relation: str, table: str, position: str, column: str) -> Rule:
-    """The rows of a table that name the thing in a column, each a thing of its own kind."""
+    """The rows of a table that name the thing in a column, each as a thing of its own kind."""
     query = (
         f"SELECT {kind}, {position} FROM {table} WHERE {column} = ? AND {position} <= ? ORDER BY {position}"
     )

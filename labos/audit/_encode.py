@@ -1,4 +1,4 @@
-"""Values as databases keep them."""
+"""Conversion of values for databases."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _IN_ORDER: dict[str, Callable[[Row], tuple[Any, ...]]] = {
 
 
 def encode_rows(table: Table, rows: Iterable[Row], *, nul: bool) -> list[Sequence[Any]]:
-    """Rows as the database takes them; see ``encode_values``."""
+    """Rows in the form for the database; see ``encode_values``."""
     in_order = _IN_ORDER[table.name]
     return encode_values(table, [in_order(row) for row in rows], nul=nul)
 
 
 def encode_values(table: Table, rows: list[Key], *, nul: bool) -> list[Sequence[Any]]:
-    """The same of rows whose values are in the order of their columns. PostgreSQL keeps no NUL character:
-    where there may be one, its picture is put in its place."""
+    """The same for rows with values in the order of their columns. PostgreSQL cannot store a NUL character:
+    it is replaced by the symbol for NUL."""
     at = _JSON[table.name]
     made: list[Sequence[Any]] = list(rows)
     if at:
@@ -39,7 +39,7 @@ def encode_values(table: Table, rows: list[Key], *, nul: bool) -> list[Sequence[
 
 
 def decode_row(table: Table, values: Any) -> Row:
-    """A row as the database gives it."""
+    """A row from the database."""
     found = list(values)
     for at in _JSON[table.name]:
         found[at] = None if found[at] is None else msgspec.json.decode(found[at])

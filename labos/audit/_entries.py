@@ -1,14 +1,13 @@
-"""What can be found by words, as rows of the search index.
-
-The number of an entry is that of the event with which it began and its place in that, so that the entry is
-found again when more becomes known of it, and later ones stand behind earlier ones.
+"""Entries of the search index. The number of an entry consists of its first event and its place in that
+event. So the entry is found again when there is more information about it, and later entries have higher
+numbers.
 """
 
 from __future__ import annotations
 
 import mimetypes
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._entry_tables import ENTRIES
@@ -25,17 +24,18 @@ from labos.services.files import files_in
 from labos.services.results import tables
 
 PLACES = 1 << 20
-"""So many entries one event may begin."""
+"""The largest number of entries that one event may create."""
 SAMPLES_FROM = 1 << 16
-"""The samples of labware stand behind what else its first event begins."""
+"""The places of samples of labware come after other entries of its first event."""
 COLUMNS = 1000
-"""More than the name of a well can say."""
+"""More than the largest number of wells."""
 LONGEST_TEXT = 2000
 MOST_LISTED = 200
 
 
 def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: float, **told: Any) -> Row:
-    """An entry; what is not told is empty. ``told['also']`` are more words by which it is found."""
+    """Write an entry; missing fields are empty. ``told['also']`` are further words by which it can be
+    found."""
     also = told.pop("also", ())
     row: Row = {
         "number": position * PLACES + place,
@@ -114,7 +114,7 @@ def _entry_of(rows: RowChanges, row: Row | None, position: str) -> Row | None:
 def on_result(
     rows: RowChanges, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, at: float
 ) -> None:
-    """What was measured, and each file."""
+    """Add the measured values, and each file."""
     action = rows.get(ACTIONS, event.action)
     if action is None or event.result is None:
         return
@@ -169,7 +169,7 @@ def _list_readings(files: Iterable[tuple[str, str, int]]) -> list[dict[str, Any]
 
 
 def samples_of(rows: RowChanges, labware: str) -> Mapping[str, str]:
-    """The samples that labware was said to hold until now, by well."""
+    """The samples of labware so far, by well."""
     row = rows.get(LABWARE, labware)
     return row["samples"] if row is not None else {}
 
@@ -177,7 +177,7 @@ def samples_of(rows: RowChanges, labware: str) -> Mapping[str, str]:
 def on_samples_registered(
     rows: RowChanges, event: SamplesRegistered, head: Envelope, at: float, before: Mapping[str, str]
 ) -> None:
-    """A sheet of samples, which takes the place of the one ``before``."""
+    """Add a sample sheet, which replaces the one ``before``."""
     labware = rows.get(LABWARE, event.labware)
     if labware is None:
         return
@@ -206,7 +206,7 @@ def on_samples_registered(
 
 
 def _place(well: str) -> int | None:
-    """Where the entry of a well stands among those of its labware; None for what is no well."""
+    """The place of a well's entry among those of its labware; None if it is not a well."""
     try:
         row, column = well_index(well)
     except ValueError:
@@ -242,7 +242,7 @@ def on_noted(rows: RowChanges, event: x.ExperimentNoted, head: Envelope, at: flo
 
 
 def _text(value: Any) -> str:
-    """An application may note what it likes: here is what is a text."""
+    """The text in a fact of an application, which may note anything."""
     return value[:LONGEST_TEXT] if isinstance(value, str) else ""
 
 
@@ -263,10 +263,8 @@ HANDLERS: dict[Any, Any] = {
     r.RunResumed: on_run_changed,
     r.RunCancelling: on_run_changed,
     r.RunLeaving: on_run_changed,
-    r.RunCompleted: on_run_changed,
-    r.RunFailed: on_run_changed,
-    r.RunCancelled: on_run_changed,
+    **dict.fromkeys(get_args(r.RunEnd), on_run_changed),
     a.ActionSucceeded: on_result,
     a.ActionReconciled: on_result,
 }
-"""They come after those of the other tables, whose rows they read."""
+"""They run after those of the other tables, because they read their rows."""

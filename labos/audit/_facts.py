@@ -1,4 +1,4 @@
-"""What is told of a entity wherever it is named: who, when, with which arguments and versions."""
+"""The facts of an entity that are shown wherever it is named: user, time, arguments and versions."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ _RELIED_ON = {
 
 _JSON = ("args", "result", "pins", "payload")
 _OF_THE_END = ("ended_at", "ended_position", "effects", "error", "result")
-"""What is not known before the end."""
+"""Facts that are known only at the end."""
 
 
 def facts_of(asker: ReadConnection, entity: Entity, upto: int) -> dict[str, Any]:
-    """What was known of a entity at a position; what is empty is left out, but for the ``calibrations`` that
-    a run or an action relied on."""
+    """The facts of an entity at a position, without empty ones, except the ``calibrations`` of a run or an
+    action."""
     match entity.kind:
         case "action" | "result":
             facts = _facts_from(_ACTION_NAMES, asker.fetch(_ACTION, entity.name))
@@ -84,7 +84,7 @@ def facts_of(asker: ReadConnection, entity: Entity, upto: int) -> dict[str, Any]
 
 
 def label(entity: Entity, facts: dict[str, Any]) -> str:
-    """A entity in a few words."""
+    """A short description of an entity."""
     match entity.kind:
         case "action" | "result":
             where = f"{facts.get('run', '')} #{facts.get('step')}" if facts.get("run") else entity.name
@@ -127,7 +127,7 @@ def _facts_from(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:
 
 
 def _as_of(facts: dict[str, Any], upto: int) -> dict[str, Any]:
-    """Without what the log did not know yet."""
+    """Remove the facts that the log did not have yet."""
     ended = facts.get("ended_position")
     if ended is None or ended <= upto:
         return facts

@@ -40,7 +40,8 @@ def on_drawn(rows: RowChanges, event: b.LiquidDrawn, head: Envelope, at: float) 
 def on_samples_registered(
     rows: RowChanges, event: Any, head: Envelope, at: float, blobs: BlobStore | None
 ) -> None:
-    """A sheet of samples. One too long for the log is a blob; if that is lost, so are its rows."""
+    """Add a sample sheet. A sheet that is too long for the log is a blob; if the blob is lost, its rows are
+    missing."""
     row = rows.change(LABWARE, event.labware)
     samples = event.wells or _unpack(blobs, event.blob)
     if row is not None:
@@ -83,7 +84,7 @@ def on_consumed(rows: RowChanges, event: s.ResourceConsumed, head: Envelope, at:
 def _change(
     rows: RowChanges, event: Any, head: Envelope, at: float, fold: Any, what: tuple[str, float, str, str]
 ) -> None:
-    """The level is folded as the lab itself does it."""
+    """Change a level, with the same fold as the lab itself."""
     row = rows.change(RESOURCES, event.module, event.resource)
     held = s.Resources()
     key = f"{event.module}:{event.resource}"
@@ -94,10 +95,7 @@ def _change(
         fold(held, event, 0)
     level = held.find(ModuleName(event.module), event.resource)
     if row is None:
-        row = rows.put(
-            RESOURCES,
-            {"module": event.module, "resource": event.resource, "level": None, "capacity": None, "lots": []},
-        )
+        row = rows.put(RESOURCES, {"level": None, "capacity": None, "lots": []}, event)
     if level is not None:
         row["level"], row["capacity"] = level.level, level.capacity
         row["lots"] = msgspec.to_builtins(level.lots)

@@ -1,4 +1,4 @@
-"""Users, their experiments, and what the lab asked them, as rows."""
+"""Users, their experiments, and the lab's questions to them, as rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labos.core.users import UserErased
 
 
 def note_actor(rows: RowChanges, head: Envelope, at: float) -> None:
-    """Somebody caused an event; modules and LabOS itself are nobody."""
+    """Record that a user caused an event; modules and LabOS itself are not users."""
     if head.actor != "labos" and "/" not in head.actor:
         _person(rows, head.actor, at)["events"] += 1
 
@@ -27,7 +27,7 @@ def _person(rows: RowChanges, user: str, at: float) -> Row:
     person = rows.change(USERS, user)
     if person is None:
         counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
-        person = rows.put(USERS, {"user_id": user, "first_at_s": at, "erased_at_s": None, **counts})
+        person = rows.put(USERS, {"user_id": user, "first_at_s": at, **counts})
     person["last_at_s"] = at
     return person
 
@@ -41,23 +41,13 @@ def on_asked(rows: RowChanges, event: i.InterventionRequested, head: Envelope, a
     rows.put(
         INTERVENTIONS,
         {
-            "intervention": event.intervention,
-            "kind": event.kind,
-            "subject": event.subject,
-            "text": event.text,
-            "run": event.run,
-            "module": event.module,
             "labware": list(event.labware),
             "choices": [choice.name for choice in event.choices],
             "asked_at_s": at,
             "due_at_s": seconds(event.due_at) if event.due_at else None,
-            "resolved_at_s": None,
-            "choice": "",
-            "resolved_by": "",
-            "note": "",
             "asked_position": head.position,
-            "resolved_position": None,
         },
+        event,
     )
 
 
@@ -74,18 +64,13 @@ def on_started(rows: RowChanges, event: x.ExperimentStarted, head: Envelope, at:
     rows.put(
         EXPERIMENTS,
         {
-            "experiment": event.experiment,
-            "name": event.name,
             "user_id": event.user,
-            "priority": event.priority,
             "status": "open",
-            "why": "",
             "runs": 0,
             "started_at_s": at,
-            "ended_at_s": None,
             "started_position": head.position,
-            "ended_position": None,
         },
+        event,
     )
     _person(rows, event.user, at)["experiments"] += 1
 

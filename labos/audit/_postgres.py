@@ -21,7 +21,7 @@ CONNECT_TIMEOUT_S = 5
 
 _STATE = table_name(STATE, "postgresql")
 _MAKING = 0x4C614175
-"""An advisory lock ("LaAu"): one process at a time makes the tables."""
+"""An advisory lock ("LaAu"), so that only one process at a time creates the tables."""
 
 
 def connect(url: URL) -> psycopg.Connection[Any]:
@@ -58,7 +58,7 @@ class PostgresAudit(AuditDatabase):
         self._connection.close()
 
     def allow_reading(self, role: str) -> None:
-        """Let a role that exists read the views, and find them without their schema's name. Raises
+        """Allow an existing role to read the views, and to find them without the schema's name. Raises
         NotFound, StoreUnavailable."""
         with self._write_transaction():
             if not self._execute("SELECT 1 FROM pg_roles WHERE rolname = %s", (role,)).fetchone():
@@ -125,7 +125,7 @@ class PostgresAudit(AuditDatabase):
                 copy.write_row(row)
 
     def _replace(self, table: Table, rows: list[Sequence[Any]]) -> None:
-        """By way of a table of this session."""
+        """Replace rows by means of a temporary table."""
         stage, into = f'"stage_{table.name}"', table_name(table.name, "postgresql")
         self._execute(f"CREATE TEMP TABLE IF NOT EXISTS {stage} (LIKE {into}) ON COMMIT DROP")
         self._copy(stage, rows)

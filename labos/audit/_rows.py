@@ -1,29 +1,42 @@
-"""Rows in memory, between the events that change them and the database that keeps them."""
+"""Rows in memory, between the events that change them and the database that stores them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 from labos.audit.tables import TABLES, Table
+from labos.core.registry import TYPES, Event
 
 Key = tuple[Any, ...]
 Row = dict[str, Any]
-"""By column. What is JSON in the database is the value itself here."""
+"""A row by column. A JSON column has the value itself here."""
 
 Load = Callable[[Table, Key], "Row | None"]
 
 MOST_KEPT = 200_000
-"""So many rows are remembered between batches; then all are forgotten, and loaded when they are needed."""
+"""The largest number of rows in memory between batches; above it all are dropped, and loaded again when they
+are needed."""
+
+
+_EMPTY: dict[str, Row] = {table.name: {c.stored: c.empty for c in table.columns} for table in TABLES}
+
+
+@cache
+def _list_said(table: str, event: str) -> tuple[str, ...]:
+    """The columns of a table that are fields of a type of event, too."""
+    fields = TYPES[event].__struct_fields__ if event else ()
+    return tuple(name for name in _EMPTY[table] if name in fields)
 
 
 def seconds(ns: int) -> float:
-    """A moment in seconds since 1970, to the millisecond: every database writes that out the same."""
+    """A time in seconds since 1970, to the millisecond, which every database writes in the same way."""
     return ns // 1_000_000 / 1000
 
 
 class RowChanges:
-    """What a batch of events does to rows: those that are new or changed are written at its end."""
+    """The changes of rows by a batch of events. New and changed rows are written at its end."""
 
     def __init__(self, load: Load) -> None:
         self._load = load
@@ -31,20 +44,26 @@ class RowChanges:
         self._changed: dict[str, dict[Key, Row]] = {table.name: {} for table in TABLES}
         self._added: dict[str, list[Key]] = {table.name: [] for table in TABLES}
         self.may_have_nul = False
-        """Whether some text of the batch may have a NUL character."""
+        """Whether a text of the batch may contain a NUL character."""
 
     def add(self, table: Table, *values: Any) -> None:
-        """A row, in the order of its columns, of a table that only grows."""
+        """Add a row, in the order of its columns, to a table that only grows."""
         self._added[table.name].append(values)
 
-    def put(self, table: Table, row: Row) -> Row:
-        """A row that is new, or takes the place of another one."""
+    def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
+        """Add a new row, or replace one. A column of which ``row`` says nothing has what the ``event`` says
+        under its name; it is empty if that says nothing, either."""
+        said = {
+            name: getattr(event, name)
+            for name in _list_said(table.name, event.TYPE if event is not None else "")
+        }
+        row = {**_EMPTY[table.name], **said, **row}
         key = tuple(row[name] for name in table.key)
         self._known[table.name][key] = self._changed[table.name][key] = row
         return row
 
     def get(self, table: Table, *key: Any) -> Row | None:
-        """A row to look at; None if there is none."""
+        """A row for reading; None if there is none."""
         known = self._known[table.name]
         row = known.get(key)
         if row is None:
@@ -54,7 +73,7 @@ class RowChanges:
         return row
 
     def change(self, table: Table, *key: Any) -> Row | None:
-        """A row to be changed; None if there is none."""
+        """A row for changing; None if there is none."""
         row = self.get(table, *key)
         if row is not None:
             self._changed[table.name][key] = row
@@ -71,7 +90,7 @@ class RowChanges:
                 yield table, list(self._changed[table.name].values())
 
     def mark_written(self) -> None:
-        """All of it is in the database now."""
+        """Record that everything is in the database."""
         self.may_have_nul = False
         for name in self._known:
             self._changed[name].clear()
@@ -80,7 +99,7 @@ class RowChanges:
             self.forget()
 
     def forget(self) -> None:
-        """Somebody else may have changed the database, or nothing of it was written."""
+        """Drop all rows, because another process may have changed the database, or nothing was written."""
         for name in self._known:
             self._known[name].clear()
             self._changed[name].clear()

@@ -34,14 +34,11 @@ def _add(
             "subject": subject,
             "kind": kind,
             "signed_by": event.by,
-            "meaning": event.meaning,
             "comment": event.why,
-            "method": event.method,
             "at_s": at,
             "runs": runs,
-            "records": event.records,
-            "digest": event.digest,
         },
+        event,
     )
 
 

@@ -1,4 +1,4 @@
-"""The tables in a SQLite file of their own."""
+"""The tables in a separate SQLite file."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ BUSY_TIMEOUT_S = 30.0
 CACHE_KB = 64_000
 
 PAGES_LOGGED = 20_000
-"""So many pages the write-ahead log takes before it is moved into the file: the same pages are written again
-and again in between."""
+"""The number of pages in the write-ahead log before it is moved into the file; in between, the same pages are
+written repeatedly."""
 
 _STATE = table_name(STATE, "sqlite")
 

@@ -1,4 +1,4 @@
-"""Which labware an event concerns."""
+"""The labware that an event concerns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from labos.core.registry import Event
 
 
 def list_touched(rows: RowChanges, event: Event) -> Iterable[str]:
-    """Ids of labware, each once. What became of an action concerns the labware of its request."""
+    """The ids of the labware of an event, each once. Later events of an action concern the labware of its
+    request."""
     if isinstance(event, LabwareEvent):
         on = getattr(event, "on", "")
         return {event.labware, on} if on else (event.labware,)
@@ -31,7 +32,7 @@ def list_touched(rows: RowChanges, event: Event) -> Iterable[str]:
 
 
 def labware_of(effects: Iterable[Any]) -> list[str]:
-    """The labware that effects name, lids and their plates too, in order and each once."""
+    """The labware in effects, including lids and their plates, in order and each once."""
     found: dict[str, bool] = {}
     for effect in effects:
         for field in ("labware", "plate"):

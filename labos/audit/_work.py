@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, seconds
@@ -19,16 +19,13 @@ from labos.services.files import files_in
 from labos.services.results import labware_of_action, tables
 
 NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
-"""How a table of whole numbers names the parts of a plan that are there for no step."""
+"""The numbers in a table for the parts of a plan that do not belong to a step."""
 
 # -- plans and runs ----------------------------------------------------------------------------
 
 
 def on_plan_recorded(rows: RowChanges, event: p.PlanRecorded, head: Envelope, at: float) -> None:
-    rows.put(
-        PLANS,
-        {"plan": event.plan, "workflow": event.workflow, "workcell": event.workcell, "steps": []},
-    )
+    rows.put(PLANS, {"steps": []}, event)
 
 
 def on_plan_steps_recorded(rows: RowChanges, event: p.PlanStepsRecorded, head: Envelope, at: float) -> None:
@@ -44,31 +41,17 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
     rows.put(
         RUNS,
         {
-            "run": event.run,
-            "workflow": event.workflow,
             "workcell": plan["workcell"] if plan is not None else "",
             "user_id": event.user,
-            "experiment": event.experiment,
-            "campaign": event.campaign,
             "row": event.row if event.campaign else None,
-            "priority": event.priority,
             "status": "queued",
             "submitted_at_s": at,
-            "started_at_s": None,
-            "ended_at_s": None,
             "due_at_s": seconds(event.due_at) if event.due_at else None,
             "steps": len(steps),
             "steps_done": 0,
-            "why": "",
-            "failure": "",
-            "closing": event.closing,
-            "plan": event.plan,
-            "pins": event.pins,
-            "payload": event.payload,
             "submitted_position": head.position,
-            "started_position": None,
-            "ended_position": None,
         },
+        event,
     )
     for number, (key, module, name, part, after) in enumerate(steps):
         rows.put(
@@ -83,10 +66,6 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
                 "part": part,
                 "after": after,
                 "attempts": 0,
-                "requested_at_s": None,
-                "ended_at_s": None,
-                "error": "",
-                "breached": False,
             },
         )
     experiment = rows.change(EXPERIMENTS, event.experiment) if event.experiment else None
@@ -144,9 +123,7 @@ def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float)
             _into(rows, event.run, number, "skipped")
 
 
-def on_run_ended(
-    rows: RowChanges, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
-) -> None:
+def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is None:
         return
@@ -191,7 +168,7 @@ def on_recovering(rows: RowChanges, event: st.StepRecovering, head: Envelope, at
 
 
 def _into(rows: RowChanges, run: str, number: int, state: str, error: str | None = None) -> Row | None:
-    """A step is in another state now; its run counts how many are done."""
+    """Change the state of a step, and the number of done steps of its run."""
     step = rows.change(STEPS, run, number) if run else None
     if step is None:
         return None
@@ -222,33 +199,20 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
     rows.put(
         ACTIONS,
         {
-            "action": event.action,
-            "run": event.run,
-            "step": event.step,
             "key": step["key"] if step is not None else "",
-            "module": event.module,
             "driver": node["driver"] if node is not None else "",
             "driver_version": node["driver_version"] if node is not None else "",
             "about": node["about"] if node is not None else "",
             "simulated": node["simulated"] if node is not None else False,
-            "name": event.name,
-            "args": event.args,
             "labware": labware_of(event.effects),
-            "files": event.files,
             "status": "requested",
             "effects": "",
-            "error": "",
-            "result": None,
-            "settled_by": "",
             "attempts": event.attempt,
             "requested_at_s": at,
-            "accepted_at_s": None,
-            "ended_at_s": None,
-            "device_ended_at_s": None,
             "requested_position": head.position,
-            "ended_position": None,
             "plate": labware_of_action(event),
         },
+        event,
     )
     for number, (name, digest) in enumerate(event.files.items()):
         rows.add(FILES, head.position, number, at, "given", digest, name, None, event.run, event.action)
@@ -320,7 +284,7 @@ def _end(
 def _add_results(
     rows: RowChanges, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, ended: float
 ) -> None:
-    """What the device returned: files, and values by well."""
+    """Add the results of the device: files, and values by well."""
     action = rows.change(ACTIONS, event.action)
     if action is None or event.result is None:
         return
@@ -341,7 +305,7 @@ def _add_results(
 
 
 def _value(value: Any) -> tuple[float | None, str]:
-    """A measured value as a number, if it is one, and as text."""
+    """A measured value as a number, if possible, and as text."""
     if isinstance(value, bool):
         return None, "true" if value else "false"
     return (None, value) if isinstance(value, str) else (float(value), str(value))
@@ -357,15 +321,10 @@ def on_joined(rows: RowChanges, event: m.NodeJoined, head: Envelope, at: float) 
         NODES,
         {
             "position": head.position,
-            "module": event.module,
-            "driver": event.driver,
             "driver_version": event.version,
-            "about": event.about,
-            "journal": event.journal,
-            "simulated": event.simulated,
             "joined_at_s": at,
-            "left_at_s": None,
         },
+        event,
     )
 
 
@@ -390,9 +349,7 @@ HANDLERS: dict[Any, Any] = {
     r.RunResumed: on_resumed,
     r.RunCancelling: on_cancelling,
     r.RunLeaving: on_leaving,
-    r.RunCompleted: on_run_ended,
-    r.RunFailed: on_run_ended,
-    r.RunCancelled: on_run_ended,
+    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
     st.WindowBreached: on_breached,
     st.StepRetried: on_retried,
     st.StepSkipped: on_skipped,

@@ -1,7 +1,8 @@
-"""Events of the log in the envelope of CloudEvents 1.0, for programs that know it: JSON, structured mode.
+"""Events of the log in the envelope of CloudEvents 1.0, for programs that support it: JSON, structured mode.
 
 Attributes are those of the specification (https://github.com/cloudevents/spec, version 1.0.2); its extensions
-have names of small letters and digits. ``position`` is text, as whole numbers of CloudEvents end at 2³¹ − 1.
+have names with lower-case letters and digits. ``position`` is text, because whole numbers of CloudEvents end
+at 2³¹ − 1.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from labos.core.envelope import Record
 from labos.services.times import iso_time
 
 PREFIX = "labos."
-"""Before every type, so that it is not taken for one of another program."""
+"""The prefix of every type, which distinguishes it from types of other programs."""
 
 
 def source_of(lab: str) -> str:
@@ -25,8 +26,8 @@ def source_of(lab: str) -> str:
 
 
 def cloudevent(record: Record) -> bytes:
-    """A record as one line of JSON. ``data`` is the payload as it is stored, in the schema of its time
-    (``eventschema``); ``hash`` is the record's place in the chain."""
+    """A record as one line of JSON. ``data`` is the stored payload, in the schema of its time
+    (``eventschema``); ``hash`` is the record's hash in the chain."""
     head = record.head
     told: dict[str, Any] = {
         "specversion": "1.0",

@@ -1,11 +1,11 @@
-"""A run, or the runs of an experiment, as an RO-Crate: what was done by whom, with which drivers, on what.
+"""A run, or the runs of an experiment, as an RO-Crate: the actions, users, drivers and labware.
 
 A crate conforms to Process Run Crate 0.5 (https://w3id.org/ro/wfrun/process/0.5): each action of a module is
-a ``CreateAction``, its instrument the driver with its version, its agent the user who asked for the run. If
-all runs follow one workflow and each has carried out something, it conforms to Workflow Run Crate and
-Provenance Run Crate 0.5 as well: the workflow is the main entity, a run is an action of its own, and each
-step of it is told by a ``ControlAction``. Steps that were not carried out stand in the plan only. Of an
-experiment the application is that workflow, and runs are its steps.
+a ``CreateAction``, its instrument is the driver with its version, and its agent the user who submitted the
+run. If all runs follow one workflow and each has carried out something, it also conforms to Workflow Run
+Crate and Provenance Run Crate 0.5: the workflow is the main entity, a run is an action, and each of its steps
+has a ``ControlAction``. Steps that were not carried out are only in the plan. For an experiment, the
+application is this workflow, and runs are its steps.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ OF_ONE_WORKFLOW = (
 NO_LICENSE = "No licence was given. Ask the lab before you use its data."
 
 NOT_CARRIED_OUT = ["File", "SoftwareSourceCode", "HowTo"]
-"""A workflow without any step that was carried out: the profiles want tools of one that computes."""
+"""The type of a workflow of which no step was carried out, because the profiles require tools for a
+computational workflow."""
 
 _RUNS = (
     "SELECT run, workflow, workcell, user_id, experiment, status, why, plan, pins, payload, submitted_at, "
@@ -105,7 +106,7 @@ class Run(msgspec.Struct, frozen=True):
 
 
 def runs_of(asker: ReadConnection, name: str) -> list[Run]:
-    """The run of that name, or the runs of the experiment, which may have none. Raises NotFound."""
+    """The run of that name, or the runs of the experiment (perhaps none). Raises NotFound."""
     rows = asker.fetch(_RUNS.format("run = ?"), name) or asker.fetch(_RUNS.format("experiment = ?"), name)
     if not rows and experiment_of(asker, name) is None:
         raise NotFound(
@@ -123,7 +124,7 @@ def make_crate(
     license_: str = "",
     program: Program | None = None,
 ) -> Crate:
-    """The crate of a run or an experiment, as far as it has come. ``license_`` is the URL of a licence,
+    """The crate of a run or an experiment in its present state. ``license_`` is the URL of a licence,
     ``program`` the source of the experiment's application. Raises NotFound, LogDamaged, and BadInput for the
     program of a run."""
     runs = runs_of(asker, name)
@@ -181,8 +182,8 @@ def _add_license(crate: Crate, url: str) -> str:
 
 
 def _add_workflow(crate: Crate, log: Log, run: Run) -> str:
-    """The workflow's file as it was submitted, and its plan (the workflow with its payload filled in); the
-    plan alone for a run whose workflow came as no file. Returns the id of what the run followed."""
+    """Add the submitted workflow file and its plan (the workflow with its payload filled in), or only the
+    plan if the workflow was not a file. Returns the id of the one that the run followed."""
     kinds = ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"]
     source = json_of(run.pins).get("workflow")
     plan = _plan_of(log, run.plan)
@@ -214,7 +215,7 @@ def _add_workflow(crate: Crate, log: Log, run: Run) -> str:
 
 
 def _plan_of(log: Log, digest: str) -> bytes:
-    """The plan as JSON, put together from what the log has of it. Raises NotFound."""
+    """The plan as JSON, from its parts in the log. Raises NotFound."""
     plan: dict[str, Any] = {}
     by: str | None = None
     query = LogQuery(types=(PlanRecorded.TYPE, PlanStepsRecorded.TYPE), mentions=digest)
@@ -234,7 +235,7 @@ def _plan_of(log: Log, digest: str) -> bytes:
 
 
 def _add_run(crate: Crate, asker: ReadConnection, log: Log, run: Run, workflow: str) -> bool:
-    """The run and each of its actions; returns whether something was carried out."""
+    """Add the run and each of its actions; returns whether something was carried out."""
     user = crate.add("Person", local_id("user", run.user), name=run.user, identifier=run.user)
     id_ = local_id("run", run.run)
     payload = crate.put(
@@ -283,7 +284,7 @@ def _add_run(crate: Crate, asker: ReadConnection, log: Log, run: Run, workflow: 
 
 
 def _add_kernels(crate: Crate, log: Log, run: Run) -> list[str]:
-    """LabOS in each of its versions whose kernels carried the run out."""
+    """Add each version of LabOS whose kernels carried out the run."""
     kind = (KernelStarted.TYPE,)
     before = log.select(LogQuery(types=kind, upto=run.submitted_position, last=1))
     later = log.select(LogQuery(types=kind, after=run.submitted_position, upto=run.ended_position))
@@ -303,7 +304,7 @@ def _add_table(
     columns: tuple[str, ...],
     query: str,
 ) -> None:
-    """Rows of a view as CSV, if there are any."""
+    """Add the rows of a view as CSV, if there are any."""
     rows = [row for run in runs for row in asker.fetch(query.format(", ".join(columns)), run.run)]
     if not rows:
         return

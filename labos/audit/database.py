@@ -1,8 +1,6 @@
-"""Where the rows are kept: beside a log in SQLite in a file of their own, of one in PostgreSQL in schemas of
-their own.
-
-So the projector never takes the lock with which the kernel writes to a SQLite file, and on PostgreSQL a role
-may be allowed to read the views and nothing else.
+"""The storage of the rows: for a log in SQLite in a separate file, for a log in PostgreSQL in separate
+schemas. So the projector never needs the lock with which the kernel writes to a SQLite file, and on
+PostgreSQL a role can be allowed to read only the views.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from labos.store import TranslatedErrors, display_name, parse_url, sqlite_path
 
 
 class Mark(msgspec.Struct, frozen=True):
-    """Up to where a log is in the tables: position and hash of its last record there."""
+    """The progress of the projection: position and hash of the last record in the tables."""
 
     lab: str = ""
     position: int = 0
@@ -34,7 +32,8 @@ class Mark(msgspec.Struct, frozen=True):
 
 
 class AuditDatabase(ABC):
-    """Calls block. All raise StoreUnavailable. What is abstract is where SQLite and PostgreSQL differ."""
+    """Calls block. All raise StoreUnavailable. The abstract methods are the differences between SQLite and
+    PostgreSQL."""
 
     dialect: ClassVar[Dialect]
 
@@ -42,8 +41,8 @@ class AuditDatabase(ABC):
         self.name, self._url, self._door = display_name(url), url, TranslatedErrors(url)
 
     def prepare(self) -> Mark:
-        """Make the tables if there are none; those of an older version are thrown away first. Raises
-        LogTooNew for those of a newer one."""
+        """Create the tables if there are none; tables of an older version are deleted first. Raises LogTooNew
+        for tables of a newer version."""
         with self._write_transaction():
             if not is_current(self._version(), self._url):
                 self._make_anew()
@@ -51,37 +50,37 @@ class AuditDatabase(ABC):
 
     @property
     def is_made(self) -> bool:
-        """Whether there are tables."""
+        """Whether the tables exist."""
         with self._door:
             return self._version() > 0
 
     def mark(self) -> Mark:
-        """Up to where the log is in the tables."""
+        """The progress of the projection."""
         with self._door:
             return self._mark()
 
     def reset(self) -> None:
-        """Throw everything away and make empty tables."""
+        """Delete everything and create empty tables."""
         with self._write_transaction():
             self._make_anew()
 
     def forget(self) -> str:
-        """Throw everything away, so that nothing of it stands in the database's files, and make empty tables.
-        Returns why something still may stand there; empty if it does not."""
+        """Delete everything, also from the database's files, and create empty tables. Returns the reason if
+        data may remain in the files; empty if not."""
         self.reset()
         with self._door:
             return self._scrub()
 
     @abstractmethod
     def _scrub(self) -> str:
-        """Nothing of rows that were thrown away stands in the files any more, or why it may."""
+        """Remove deleted rows from the files; returns the reason if data may remain."""
 
     @abstractmethod
     def load(self, table: Table, key: Key) -> Row | None:
         """A row, or None."""
 
     def write(self, before: Mark, after: Mark, rows: RowChanges) -> bool:
-        """Write what is new and changed, all or nothing; False if the tables are not at ``before``."""
+        """Write new and changed rows, all or none; False if the tables are not at ``before``."""
         with self._write_transaction():
             if self._lock_mark() != before:
                 return False
@@ -104,7 +103,7 @@ class AuditDatabase(ABC):
         self._note(Mark())
 
     def _lock_mark(self) -> Mark:
-        """The mark, which nobody else changes before this transaction ends."""
+        """The mark, locked against changes until this transaction ends."""
         return self._mark()
 
     @abstractmethod
@@ -116,7 +115,7 @@ class AuditDatabase(ABC):
 
     @abstractmethod
     def _version(self) -> int:
-        """Of the tables; 0 if there are none."""
+        """The version of the tables; 0 if there are none."""
 
     @abstractmethod
     def _mark(self) -> Mark: ...
@@ -126,15 +125,15 @@ class AuditDatabase(ABC):
 
     @abstractmethod
     def _insert(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
-        """Rows whose keys are new."""
+        """Insert rows with new keys."""
 
     @abstractmethod
     def _replace(self, table: Table, rows: list[Sequence[Any]]) -> None:
-        """Rows that are new or take the place of others."""
+        """Insert or replace rows."""
 
 
 def audit_file(log: Path) -> Path:
-    """The file that stands beside a log's file: ``labos-audit.db`` beside ``labos.db``."""
+    """The file beside a log's file: ``labos-audit.db`` beside ``labos.db``."""
     return log.with_name(f"{log.stem}-audit.db")
 
 
@@ -147,7 +146,7 @@ def audit_url(url: str) -> URL:
 
 
 def open_audit(url: str) -> AuditDatabase:
-    """The tables that stand beside a log, for writing. Raises BadInput, StoreUnavailable."""
+    """Open the tables of a log for writing. Raises BadInput, StoreUnavailable."""
     parsed = audit_url(url)
     if parsed.get_backend_name() == "sqlite":
         from labos.audit._sqlite import SqliteAudit
@@ -159,7 +158,8 @@ def open_audit(url: str) -> AuditDatabase:
 
 
 def is_current(found: int, url: URL) -> bool:
-    """Whether tables of a version are ours. Raises LogTooNew if they are of a newer LabOS."""
+    """Whether tables of a version are of the present version. Raises LogTooNew if they are of a newer
+    LabOS."""
     if found > VERSION:
         raise LogTooNew(
             f"The audit tables of the {display_name(url)} were made by a newer LabOS.",

@@ -1,4 +1,4 @@
-"""What is different between two positions of a log: places, runs, resources, questions, drivers."""
+"""The differences between two positions of a log: places, runs, resources, questions, drivers."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _QUESTIONS = (
 
 
 class LabDifference(msgspec.Struct, frozen=True):
-    """``what`` was ``before`` and is ``after``; empty where there was or is none. ``about`` says which part
-    of the lab: labware, run, resource, question or driver."""
+    """The value of ``what`` was ``before`` and is ``after``; empty for none. ``about`` is the part of the
+    lab: labware, run, resource, question or driver."""
 
     about: str
     what: str
@@ -44,7 +44,7 @@ class LabDifference(msgspec.Struct, frozen=True):
 
 
 def differences(asker: ReadConnection, first: int, last: int) -> list[LabDifference]:
-    """What is different at position ``last`` from what was at position ``first``."""
+    """The differences between position ``first`` and position ``last``."""
     changes = _compare("labware", _places(asker, first), _places(asker, last))
     for run, workflow, user, status, *positions in asker.fetch(_RUNS, last, first):
         before, after = (_run_at(status, positions, at) for at in (first, last))
@@ -67,7 +67,7 @@ def _compare(about: str, before: dict[str, str], after: dict[str, str]) -> list[
 
 
 def _natural(name: str) -> tuple[str, int, str]:
-    """P9 before P10."""
+    """A sort key that puts P9 before P10."""
     letters = name.rstrip("0123456789")
     digits = name[len(letters) :]
     return letters, int(digits) if digits else 0, name

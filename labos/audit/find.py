@@ -1,8 +1,8 @@
 """Finds experiments, runs, samples, images, files, results and publications by words, with facets.
 
-All words of a question must be there; ``colo*`` stands for all words that begin so. Entries with the words in
-their name come first, then the newest. SQLite finds by its FTS5, PostgreSQL by its full text search; as
-words are cut by LabOS (``labos.audit.words``), both find the same.
+An entry must contain all words of a query; ``colo*`` matches all words with this beginning. Entries with the
+words in their name come first, then the newest. SQLite uses FTS5, PostgreSQL its full text search. Because
+LabOS divides texts into words (``labos.audit.words``), both find the same.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from labos.errors import BadInput
 
 FACETS = ("kind", "user", "workcell", "workflow", "experiment", "status", "keyword", "month")
 MOST_VALUES = 20
-"""So many values of a facet are counted, the most frequent ones."""
+"""The number of values of a facet that are counted, the most frequent ones."""
 MOST_FOUND = 200
 MOST_ASKED = 30
-"""Words of one question."""
+"""The largest number of words in a query."""
 
 _REMEDY = "Give words of letters and digits, as: labos find color plate*"
 _WORD_AND_STAR = re.compile(r"\S+")
 
 
 class SearchQuery(msgspec.Struct, frozen=True):
-    """What is asked for: all ``words`` (none: everything) and every filter that is not empty, one of each
-    list. ``since`` and ``until`` are UTC nanoseconds, 0: no limit. The first ``offset`` are left out, and no
-    more than ``limit`` are told. ``facets``: how many there are of each user, workcell and so on. Nothing of
-    the campaigns ``hidden`` is found."""
+    """A query: all ``words`` (none: everything) and every filter that is not empty, with one value of each
+    list. ``since`` and ``until`` are UTC nanoseconds; 0: no limit. The first ``offset`` entries are skipped,
+    and at most ``limit`` are returned. ``facets``: count the entries by user, workcell and so on. Entries of
+    the campaigns ``hidden`` are not found."""
 
     words: str = ""
     kinds: tuple[str, ...] = ()
@@ -53,7 +53,7 @@ class SearchQuery(msgspec.Struct, frozen=True):
 
 
 class FoundFile(msgspec.Struct, frozen=True):
-    """A file, which ``GET /files/{sha256}`` gives."""
+    """A file, which ``GET /files/{sha256}`` returns."""
 
     file: str
     sha256: str
@@ -61,9 +61,9 @@ class FoundFile(msgspec.Struct, frozen=True):
 
 
 class SearchEntry(msgspec.Struct, frozen=True):
-    """What was found. ``name`` is what other commands call it: E1, R1, a sample's well ``P7/B7``, the result
-    of a step ``R1#3``, the SHA-256 of a file or image, ``E1@2041`` for what E1 published at that position of
-    the log. ``at`` is when it began, was registered, returned or published (UTC, ISO 8601)."""
+    """An entry. ``name`` is its name in other commands: E1, R1, a sample's well ``P7/B7``, the result of a
+    step ``R1#3``, the SHA-256 of a file or image, ``E1@2041`` for a publication of E1 at that position of the
+    log. ``at`` is the time at which it started, was registered, returned or published (UTC, ISO 8601)."""
 
     kind: str
     name: str
@@ -88,9 +88,9 @@ class FacetValue(msgspec.Struct, frozen=True):
 
 
 class SearchResult(msgspec.Struct, frozen=True):
-    """``total`` is how many fit the question, ``entries`` are those that were asked for. ``facets`` say how
-    often each value is there, the most frequent ones first. The search index knows the log up to
-    ``position``; ``behind`` is how many later events it does not know yet."""
+    """``total`` is the number of matching entries; ``entries`` is the requested part of them. ``facets``
+    count the entries for each value, the most frequent first. The search index covers the log up to
+    ``position``; ``behind`` is the number of later events."""
 
     entries: list[SearchEntry]
     total: int
@@ -107,7 +107,7 @@ _JSON = ("keywords", "creators", "files")
 
 
 def find(asker: ReadConnection, question: SearchQuery, log_position: int = 0) -> SearchResult:
-    """Answer a question from the search index as it is. Raises BadInput for one that cannot be answered."""
+    """Answer a query from the present search index. Raises BadInput for an invalid query."""
     where, values = _conditions(asker, question)
     position = asker.fetch("SELECT position FROM projection")[0][0]
     total = asker.fetch(f"SELECT count(*) FROM entries WHERE {where}", *values)[0][0]
@@ -130,7 +130,7 @@ def _entry(row: Any) -> SearchEntry:
 
 
 def _conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list[Any]]:
-    """What stands after WHERE, and the values of its marks."""
+    """The conditions after WHERE, and their values."""
     for kind in question.kinds:
         if kind not in KINDS:
             raise BadInput(f"There is no kind {kind!r}.", remedy=f"Name one of {', '.join(KINDS)}.")
@@ -175,7 +175,7 @@ def _conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list
 
 
 def _terms(text: str) -> list[tuple[str, bool]]:
-    """The words of a question, and whether each is only how a word begins. Raises BadInput."""
+    """The words of a query, and whether each is only the beginning of a word. Raises BadInput."""
     found: dict[tuple[str, bool], bool] = {}
     for piece in _WORD_AND_STAR.findall(text):
         words = words_of(piece)
@@ -192,14 +192,14 @@ _KEYWORD = "one.value"
 
 
 def _keywords(asker: ReadConnection) -> str:
-    """The keywords of an entry, one a row, as ``one.value``."""
+    """The keywords of an entry, one in each row, as ``one.value``."""
     if asker.dialect == "postgresql":
         return "json_array_elements_text(keywords) AS one(value)"
     return "json_each(keywords) AS one"
 
 
 def _facets(asker: ReadConnection, where: str, values: list[Any]) -> dict[str, list[FacetValue]]:
-    """How often each value is there among all that fits."""
+    """The count of each value among all matching entries."""
     month = (
         "to_char(at, 'YYYY-MM')" if asker.dialect == "postgresql" else "strftime('%Y-%m', at_s, 'unixepoch')"
     )
@@ -221,7 +221,8 @@ def _facets(asker: ReadConnection, where: str, values: list[Any]) -> dict[str, l
 
 
 class LogPlace(msgspec.Struct, frozen=True):
-    """Where the log and its blobs are. A URL may hold a password, so it stands in no command line."""
+    """The address of the log and its blobs. It is not given on a command line, because a URL may contain a
+    password."""
 
     database: str
     blobs: str
@@ -229,7 +230,7 @@ class LogPlace(msgspec.Struct, frozen=True):
 
 
 class Refusal(msgspec.Struct, frozen=True):
-    """What an error says, and whether it is the question that was wrong."""
+    """The text of an error, and whether the query was invalid."""
 
     message: str
     remedy: str

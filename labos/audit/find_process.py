@@ -1,7 +1,6 @@
-"""A process that keeps the search index up to date while it is asked, and answers from it: so that the
-kernel's process has nothing to do with either. It reads a line of JSON for each question and writes one.
-
-It ends when nobody can ask any more. It may be killed at any moment, as every projector.
+"""A process that updates the search index and answers queries, so that the kernel's process does neither. It
+reads a line of JSON for each query and writes one. It ends when its input ends. Like every projector, it may
+be killed at any time.
 """
 
 from __future__ import annotations
@@ -22,18 +21,17 @@ from labos.errors import BadInput, LabosError, StoreUnavailable
 from labos.store import open_blobs, open_store
 
 ENOUGH_S = 4.0
-"""So long the index is brought up to date before an answer is given from it as it is; the next question goes
-on there."""
+"""The longest time for updating the index before an answer; the next query continues the update."""
 
 NICE = 10
 
 
 class _Enough(Exception):
-    """The index is not up to date yet, and somebody waits."""
+    """The update is interrupted, because a query waits."""
 
 
 class Index:
-    """The search index beside a log, opened."""
+    """The opened search index of a log."""
 
     def __init__(self, begin: LogPlace) -> None:
         """Raises LabosError."""
@@ -42,7 +40,7 @@ class Index:
         self._projector = Projector(self._store, open_audit(begin.database), open_blobs(begin.blobs))
 
     def answer(self, question: SearchQuery) -> SearchResult:
-        """What is found, by an index that is as new as can be waited for. Raises LabosError."""
+        """Update the index for a limited time, and answer the query. Raises LabosError."""
         clock = SystemClock()
         began = clock.monotonic()
 

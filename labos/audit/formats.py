@@ -9,7 +9,7 @@ from labos.audit.graph import ACTIVITIES, AGENTS, Entity, Graph
 from labos.errors import BadInput
 
 NAMESPACE = "https://labos.invalid/log/"
-"""Ids of this lab's entities; nothing is to be fetched there."""
+"""The namespace for ids of this lab's entities; it is not a web address."""
 
 _SHAPES = {**dict.fromkeys(ACTIVITIES, "box"), **dict.fromkeys(AGENTS, "house")}
 
@@ -59,7 +59,7 @@ def _declare(document: Any, entity: Entity, facts: dict[str, Any]) -> None:
 
 
 def _relate(document: Any, effect: Entity, cause: Entity, relation: str) -> None:
-    """The relation of PROV for the kinds of both ends; our own word for it is kept as the role."""
+    """The relation of PROV for the kinds of both ends; LabOS' own relation becomes the role."""
     ends = (_id(effect), _id(cause))
     role = {"prov:role": relation}
     if effect.kind in ACTIVITIES:
@@ -85,7 +85,7 @@ def _things(graph: Graph) -> list[Entity]:
 
 
 def _id(entity: Entity) -> str:
-    """A local name: what it may not hold is written as %XX."""
+    """A local name; forbidden characters are written as %XX."""
     from urllib.parse import quote
 
     return f"{entity.kind}.{quote(entity.name, safe='')}"

@@ -1,4 +1,4 @@
-"""What can be asked about, and how it hangs together: entities, and links from an effect to its cause."""
+"""The entities of provenance, and links from an effect to its cause."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ AGENTS = ("driver", "user")
 
 
 class Entity(msgspec.Struct, frozen=True):
-    """``name`` is an id of its kind: of a well ``P7/B7``, of a driver ``module driver version``, of a file
-    and a workflow its digest, of a result the action that returned it."""
+    """``name`` is an id of its kind: for a well ``P7/B7``, for a driver ``module driver version``, for a file
+    and a workflow its digest, for a result the action that returned it."""
 
     kind: EntityKind
     name: str
@@ -38,7 +38,7 @@ class Entity(msgspec.Struct, frozen=True):
 
 
 class ProvenanceLink(msgspec.Struct, frozen=True):
-    """The effect hangs on the cause; ``position`` is the event that says so (0: none in particular)."""
+    """The effect depends on the cause; ``position`` is the event that shows this (0: no particular event)."""
 
     effect: Entity
     relation: str
@@ -47,7 +47,8 @@ class ProvenanceLink(msgspec.Struct, frozen=True):
 
 
 class ProvenancePart(msgspec.Struct, frozen=True):
-    """What a well holds of one origin. ``volume_ul`` and ``share`` are null where nobody said how much."""
+    """The part of a well's content from one origin. ``volume_ul`` and ``share`` are null if the volume is not
+    known."""
 
     origin: Entity
     what: str
@@ -57,8 +58,8 @@ class ProvenancePart(msgspec.Struct, frozen=True):
 
 
 class Graph(msgspec.Struct):
-    """What was found of a subject, as it was known at a position of the log. ``whole`` is false if there was
-    more than was asked for."""
+    """The result for a subject, at a position of the log. ``whole`` is false if there was more than the
+    limit."""
 
     subject: Entity
     position: int

@@ -1,9 +1,8 @@
-"""Events that are carried out of the lab into a topic of Kafka: in order, each at least once.
-
-A message is a CloudEvent in structured mode, as the protocol binding of CloudEvents for Kafka has it. All go
-to partition 0 of the topic, so that they stay in order. Where to go on is read from the end of the topic: a
-broker that lost its end gets it again. The position beside the log counts where the topic's messages have
-expired. Readers recognise repeated events by their `position`.
+"""Exports events to a topic of Kafka: in order, each at least once. A message is a CloudEvent in structured
+mode, as in the protocol binding of CloudEvents for Kafka. All messages go to partition 0 of the topic, so
+that they stay in order. The export continues after the last event in the topic, so that a broker which lost
+events gets them again. The position beside the log is used if the topic's messages have expired. Readers
+recognise repeated events by their `position`.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ SCHEME = "kafka://"
 HEADERS = [("content-type", b"application/cloudevents+json; charset=UTF-8")]
 PARTITION = 0
 LOOKED_BACK = 1000
-"""So many last messages of the topic are looked at for one of this lab."""
+"""The number of last messages of the topic in which an event of this lab is searched."""
 WAIT_S = 1.0
-"""Between two looks at whether messages have arrived."""
+"""The time between two checks whether messages have arrived."""
 
 OURS = {
     "acks": "all",
@@ -41,7 +40,7 @@ OURS = {
     "enable.gapless.guarantee": True,  # rather a failure than a message left out
     "message.timeout.ms": 0,  # a broker that is away is waited for, as long as we want
 }
-"""What keeps order and completeness is not left to a file of settings."""
+"""Settings for order and completeness, which a file of settings cannot change."""
 
 _URL = re.compile(r"kafka://([^/?#]+)/([A-Za-z0-9._-]{1,249})")
 _SETTING = re.compile(r"\s*([a-z][a-z0-9._-]*)\s*=\s*(.*?)\s*")
@@ -50,7 +49,7 @@ Tell = Callable[[str], None]
 
 
 class Stored(msgspec.Struct, frozen=True):
-    """What is kept beside the log: up to where this topic has the events of this lab."""
+    """The data stored beside the log: the position up to which this topic has the events of this lab."""
 
     topic: str
     source: str
@@ -74,7 +73,7 @@ class KafkaTopic(msgspec.Struct, frozen=True):
 
 
 def read_settings(path: Path) -> dict[str, str]:
-    """A file of settings of librdkafka, ``name=value`` a line. Raises BadInput."""
+    """Read a file of settings of librdkafka, with ``name=value`` on each line. Raises BadInput."""
     settings: dict[str, str] = {}
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -98,12 +97,13 @@ def read_settings(path: Path) -> dict[str, str]:
 
 
 class _BeginAnew(Exception):
-    """The producer cannot go on without a gap."""
+    """The producer cannot continue without a gap."""
 
 
 class KafkaSink:
     """The topic, at the position up to which it has the lab's events. ``patience_s`` is how long a broker may
-    be away (None: for ever); ``tell`` hears once that it is away and once that it is back."""
+    be unreachable (None: without limit); ``tell`` is called once when it is unreachable and once when it is
+    back."""
 
     def __init__(
         self,
@@ -152,7 +152,7 @@ class KafkaSink:
             raise
 
     def write(self, records: Iterable[Record]) -> None:
-        """Send records. On return all are in the topic, or fewer if the broker made us begin anew: see
+        """Send records. On return all are in the topic, or fewer if the producer had to start again: see
         ``position``. Raises SystemFailed."""
         written = self.position
         producer = self._connect()
@@ -168,7 +168,7 @@ class KafkaSink:
         self._store()
 
     def close(self) -> None:
-        """What was not delivered is sent again next time."""
+        """Close the producer; undelivered events are sent again next time."""
         self._drop_producer()
         self._lock.release()
 
@@ -191,8 +191,8 @@ class KafkaSink:
                 self._wait(lambda: bool(producer.poll(WAIT_S)))
 
     def _begin_anew(self, why: str) -> None:
-        """With another producer, where the topic ends now. Raises SystemFailed if that helped nothing last
-        time."""
+        """Start again with another producer, at the present end of the topic. Raises SystemFailed if there
+        was no progress since the last time."""
         self._drop_producer()
         self._failure = ""
         self.position = self._find_position()
@@ -226,7 +226,7 @@ class KafkaSink:
             ) from None
 
     def _on_error(self, error: KafkaError) -> None:
-        """The library goes on by itself, unless it says that it cannot."""
+        """Handle an error: the library continues by itself, unless it reports that it cannot."""
         if error.fatal():
             self._failure = error.str()
         elif not self._is_away:
@@ -241,8 +241,8 @@ class KafkaSink:
             self._tell(f"Kafka at {self._topic.brokers} takes events again.")
 
     def _wait(self, is_done: Callable[[], bool]) -> None:
-        """Until it is done. Raises SystemFailed after ``patience_s`` without it, and _BeginAnew for a
-        producer that cannot go on."""
+        """Wait until it is done. Raises SystemFailed after ``patience_s``, and _BeginAnew for a producer that
+        cannot continue."""
         began = time.monotonic()
         while not is_done() and not self._failure:
             if self._patience_s is not None and time.monotonic() - began > self._patience_s:
@@ -259,8 +259,8 @@ class KafkaSink:
     # -- where to go on ----------------------------------------------------------------------
 
     def _find_position(self) -> int:
-        """The last event of this lab in the topic; what is kept beside the log, if the topic has none any
-        more; 0 for a topic in which nothing was ever."""
+        """The position of the last event of this lab in the topic; the stored position if the topic has none
+        any more; 0 for a topic that was always empty."""
         from confluent_kafka import Consumer, KafkaError, KafkaException, TopicPartition
         from confluent_kafka.admin import AdminClient
 
@@ -304,7 +304,7 @@ class KafkaSink:
             consumer.close()
 
     def _make_topic(self, admin: Any) -> None:
-        """With one partition, unless it is there. Raises KafkaException."""
+        """Create the topic with one partition, unless it exists. Raises KafkaException."""
         from confluent_kafka import KafkaError, KafkaException
         from confluent_kafka.admin import NewTopic  # type: ignore[attr-defined]
 

@@ -1,4 +1,4 @@
-"""What is in a well and where that came from, after any number of transfers."""
+"""The content of a well and its origins, after any number of transfers."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _STEPS = (
     "WHERE labware = ? AND well = ? AND position <= ? ORDER BY position, number"
 )
 _TRACE_UL = 1e-9
-"""Less is nothing."""
+"""A smaller volume counts as zero."""
 
 Origin = tuple[Entity, str]
-"""Where liquid came from, and what it is called."""
+"""The origin of liquid, and its name."""
 
 
 class Mixture(msgspec.Struct):
     """Volumes (µL) by origin. ``unmeasured`` are origins with an unknown volume; for ``doubtful`` ones it is
-    not known whether they came in. ``drawn`` is what it held before it was emptied: an action says what it
-    drew in any order with what it put elsewhere."""
+    not known whether their liquid came in. ``drawn`` is the content before it was emptied, because an action
+    lists taken and dispensed liquids in any order."""
 
     volumes: dict[Origin, float] = {}
     unmeasured: set[Origin] = set()
@@ -45,7 +45,7 @@ class Mixture(msgspec.Struct):
             self.doubtful.add(origin)
 
     def draw(self, volume: float) -> None:
-        """Of everything in proportion."""
+        """Take a volume, of all parts in proportion."""
         total = self.total_ul
         if total > 0:
             left = max(0.0, 1.0 - volume / total)
@@ -53,7 +53,7 @@ class Mixture(msgspec.Struct):
             self.volumes = {origin: part * left for origin, part in self.volumes.items()}
 
     def parts(self) -> list[ProvenancePart]:
-        """The largest part first. Shares are told only where all volumes are known."""
+        """The parts, the largest first. Shares are given only if all volumes are known."""
         total = self.total_ul
         exact = total > 0 and not self.unmeasured
         found = []
@@ -67,14 +67,14 @@ class Mixture(msgspec.Struct):
 
 
 def source_well(labware: str, liquid: str) -> str:
-    """The well that a liquid names: ``A1`` of the same labware, or ``P3/A1``; empty if it names none."""
+    """The well in the name of a liquid: ``A1`` of the same labware, or ``P3/A1``; empty if none."""
     found = _WELL.fullmatch(liquid)
     return f"{found[1] or labware}/{found[2]}" if found else ""
 
 
 def contents(asker: ReadConnection, labware: str, well: str, upto: int) -> list[ProvenancePart]:
-    """What a well holds after the event at a position. A sheet of samples says anew what is there; what is
-    taken out of a well has the shares that the well has at that moment."""
+    """The content of a well after the event at a position. A sample sheet replaces the content; liquid that
+    is taken out of a well has the shares of the well at that time."""
     steps = _steps_before(asker, f"{labware}/{well}", upto)
     wells: dict[str, Mixture] = {name: Mixture() for name in steps}
     for _, _, name, step in sorted(
@@ -85,7 +85,7 @@ def contents(asker: ReadConnection, labware: str, well: str, upto: int) -> list[
 
 
 def _steps_before(asker: ReadConnection, wanted: str, upto: int) -> dict[str, list[Any]]:
-    """All that happened to a well, and to those that it was ever filled from."""
+    """All events of a well, and of the wells from which it was filled."""
     found: dict[str, list[Any]] = {}
     waiting = [wanted]
     while waiting:
@@ -130,7 +130,7 @@ def _take(
 
 
 def _pour(origin: Mixture, held: Mixture, source: str, volume: float, *, certain: bool) -> None:
-    """From a well into another one."""
+    """Move liquid from one well into another."""
     parts = dict(origin.volumes if origin.total_ul > 0 else origin.drawn)
     total = sum(parts.values())
     for part, amount in parts.items():

@@ -1,4 +1,4 @@
-"""From events to rows: a plain function of the log, with nothing remembered but the rows themselves."""
+"""Converts events to rows: a plain function of the log, with no memory except the rows."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _KNOWN: dict[type[Event], list[tuple[int, str]]] = {
     kind: [(at, name) for at, name in enumerate(_NAMED) if name in kind.__struct_fields__]
     for kind in TYPES.values()
 }
-"""Which of these columns of ``events`` each type of event names."""
+"""The columns of ``events`` that each type of event fills."""
 
 _SLICES = (*(_work, _bench, _calibrations, _liquids, _people, _campaigns, _approvals, _signatures, _entries),)
 
@@ -47,13 +47,13 @@ _HANDLERS: dict[type[Event], tuple[Handler, ...]] = {
 
 
 class Projection:
-    """Takes events of a log in their order; ``blobs`` hold long sheets of samples."""
+    """Processes events of a log in their order; ``blobs`` contain long sample sheets."""
 
     def __init__(self, rows: RowChanges, blobs: BlobStore | None = None) -> None:
         self.rows, self.blobs = rows, blobs
 
     def take(self, record: Record) -> None:
-        """Take in one record. Raises LogTooNew, LogDamaged."""
+        """Process one record. Raises LogTooNew, LogDamaged."""
         event, head, rows = event_of(record), record.head, self.rows
         kind = type(event)
         at = seconds(head.recorded_at)

@@ -1,7 +1,6 @@
-"""Carries a log over into the tables beside it, from where they are.
-
-Rows and position are written in one transaction, so whenever the projector dies, nothing of the log is left
-out and nothing comes twice. Nothing of it writes to the log, or is waited for by the kernel.
+"""Projects a log to its tables, from their present position. Rows and position are written in one
+transaction, so that nothing is left out or repeated if the projector dies at any time. It does not write to
+the log, and the kernel does not wait for it.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from labos.ports import BlobStore, Head
 from labos.services.log import Log
 
 BATCH = 10_000
-"""Events that are written at once."""
+"""The number of events in a batch."""
 
 _log = structlog.get_logger(__name__)
 
 Tell = Callable[[int, int], None]
-"""Is told how far the tables are, and how far the log."""
+"""Called with the position of the tables and of the log."""
 
 
 class _WordsErased(Exception):
@@ -33,20 +32,20 @@ class _WordsErased(Exception):
 
 
 class Projector:
-    """Several may work on the same tables: the second one continues where the first one is. With a
-    log that is shown (``ShownLog``) the tables hold people's words, until these are erased."""
+    """Several projectors may work on the same tables: the second continues at the position of the first. With
+    a ``ShownLog``, the tables contain people's words until these are erased."""
 
     def __init__(self, log: Log, database: AuditDatabase, blobs: BlobStore | None = None) -> None:
         self._log, self._database = log, database
         self._rows = RowChanges(database.load)
         self._projection = Projection(self._rows, blobs)
         self._remembered = Mark()
-        """What the rows in memory are of."""
+        """The mark to which the rows in memory belong."""
 
     def catch_up(self, tell: Tell | None = None) -> int:
-        """Carry over all that is in the log now; returns its position. Tables that are of another log, or
-        know more than this one, are made anew; so are those that may hold words which were erased since.
-        Raises StoreUnavailable, LogTooNew, LogDamaged."""
+        """Project all events in the log; returns its position. Tables of another log, or with more events
+        than this one, are made again; so are tables that may contain words which were erased since. Raises
+        StoreUnavailable, LogTooNew, LogDamaged."""
         head = self._log.head()
         mark = self._database.prepare()
         if not self._is_of(mark, head):
@@ -67,8 +66,8 @@ class Projector:
         return mark.position
 
     def _carry(self, mark: Mark, upto: int, begun: int) -> Mark:
-        """One batch; returns where the tables are then. Raises _WordsErased where words were erased that the
-        tables may hold, which were made up to ``begun`` before."""
+        """Project one batch; returns the mark of the tables. Raises _WordsErased if words were erased that
+        the tables, which were at ``begun`` before, may contain."""
         after = mark
         try:
             for record in self._log.read(mark.position, upto):
@@ -89,7 +88,7 @@ class Projector:
         return self._database.mark()
 
     def _forget_erased(self) -> Mark:
-        """Where erased words stand in the tables nobody knows: they are made anew, without them."""
+        """Make the tables again without erased words, because it is not known which rows contain them."""
         self._rows.forget()
         if left := self._database.forget():
             _log.warning("erased_words_may_be_left", why=left)
@@ -107,7 +106,8 @@ class Projector:
 
 @contextmanager
 def _no_search_for_cycles() -> Iterator[None]:
-    """Rows hold no cycles, and there are many: to look for some again and again takes a third of the time."""
+    """Switch off the search for reference cycles: there are many rows without cycles, and the search would
+    take a third of the time."""
     was_on = gc.isenabled()
     gc.disable()
     try:

@@ -1,4 +1,4 @@
-"""Where something comes from, and what came of it, as of any past position of the log."""
+"""The origin of something, and its effects, at any past position of the log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labos.errors import NotFound
 Direction = Literal["up", "down"]
 
 MOST_LINKS = 2000
-"""An answer ends here, and says so; more is asked for with ``most``."""
+"""The default limit of an answer, which reports that there is more; ``most`` sets another limit."""
 
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _STEP = re.compile(r"([^#\s]+)\s*#(\d+)")
@@ -35,7 +35,7 @@ _PREFIXES = {
     "calibration": "SELECT 1 FROM calibrations WHERE calibration = ? AND position <= ?",
     "user": "SELECT 1 FROM events WHERE actor = ? AND position <= ?",
 }
-"""Kinds of entities in the order in which a bare name is looked up, and how."""
+"""Kinds of entities in the order in which a name without a kind is looked up, with the look-ups."""
 
 _BARE: tuple[EntityKind, ...] = (
     *("run", "labware", "experiment", "sample", "lot", "file", "workflow", "action", "calibration", "user"),
@@ -43,8 +43,9 @@ _BARE: tuple[EntityKind, ...] = (
 
 
 def subject_of(asker: ReadConnection, text: str, upto: int) -> Entity:
-    """What a person means: ``P7``, ``P7/B7``, ``R1``, ``R1#3`` (the result of its step 3), the digest of a
-    file, a sample, a lot. ``lot:``, ``sample:`` and so on in front say the kind. Raises NotFound."""
+    """Find the entity that a user names: ``P7``, ``P7/B7``, ``R1``, ``R1#3`` (the result of its step 3), the
+    digest of a file, a sample, a lot. A prefix such as ``lot:`` or ``sample:`` sets the kind. Raises
+    NotFound."""
     kind, _, name = text.partition(":")
     if name and kind == "driver" and name.count(" ") == 2:
         return Entity("driver", name)
@@ -75,8 +76,8 @@ def subject_of(asker: ReadConnection, text: str, upto: int) -> Entity:
 def trace(
     asker: ReadConnection, subject: Entity, upto: int, direction: Direction, most: int = MOST_LINKS
 ) -> Graph:
-    """What a entity hangs on (up), or what hangs on it (down), with the contents of a well. Only what was so
-    when it mattered counts: what was done to a plate after it was read is no cause of the reading."""
+    """The causes of an entity (up), or its effects (down), with the contents of a well. Only earlier events
+    count as causes: an action on a plate after a reading is not a cause of the reading."""
     graph = Graph(subject, upto)
     seen = {subject: 0 if direction == "down" else upto}
     links: dict[ProvenanceLink, bool] = {}

@@ -1,4 +1,4 @@
-"""Questions in SQL to the views: answered, and nothing is changed, whatever is asked."""
+"""SQL queries on the views. A query can never change anything."""
 
 from __future__ import annotations
 
@@ -18,38 +18,38 @@ from labos.store import TranslatedErrors, display_name, sqlite_path
 
 TIME_LIMIT_S = 30.0
 FETCHED = 1000
-"""Rows that are fetched at once."""
+"""The number of rows that are fetched at once."""
 
 _STEPS = 10_000
-"""SQLite looks at the clock after so many of its steps."""
+"""The number of SQLite's steps after which it checks the time limit."""
 
 _SEE = "What there is to ask: labos sql --views"
 
 
 class QueryResult(msgspec.Struct, frozen=True):
-    """Rows come as they are found; times are text in ISO 8601, UTC."""
+    """Rows come in the order in which they are found; times are text in ISO 8601, UTC."""
 
     columns: tuple[str, ...]
     rows: Iterator[Sequence[Any]]
 
 
 class ReadConnection(Protocol):
-    """A connection that only reads. ``values`` stand for ``?`` in the query, one after the other."""
+    """A read-only connection. ``values`` replace each ``?`` in the query, in order."""
 
     @property
     def dialect(self) -> Dialect: ...
 
     def fetch(self, query: str, *values: Any) -> list[Any]:
-        """All rows of a question of our own, as tuples, without a limit of time."""
+        """All rows of an internal query, as tuples, without a time limit."""
 
     def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:
-        """One statement. Raises BadInput for what is no question, or takes longer than its limit."""
+        """Run one query. Raises BadInput if it is not a query, or if it exceeds its time limit."""
 
 
 @contextmanager
 def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnection]:
-    """Ask the views beside a log; each question may take ``limit_s`` seconds. Raises StoreUnavailable if
-    there are none."""
+    """Open the views of a log for queries; each query may take ``limit_s`` seconds. Raises StoreUnavailable
+    if there are none."""
     parsed = audit_url(url)
     if parsed.get_backend_name() == "sqlite":
         path = sqlite_path(parsed)
@@ -88,7 +88,8 @@ _READS = {
 
 
 def _open_sqlite(uri: str) -> sqlite3.Connection:
-    """A database in memory, to which the file is attached by the name of PostgreSQL's schema of the views."""
+    """A database in memory, to which the file is attached with the name of PostgreSQL's schema of the
+    views."""
     connection = sqlite3.connect(":memory:", isolation_level=None, uri=True)
     try:
         connection.execute(f"ATTACH ? AS {VIEW_SCHEMA}", (f"{uri}?mode=ro",))
@@ -101,7 +102,7 @@ def _open_sqlite(uri: str) -> sqlite3.Connection:
 
 
 def _allow(action: int, first: str | None, second: str | None, *others: str | None) -> int:
-    """Only reading: no PRAGMA, no ATTACH, no transaction, nothing that writes."""
+    """Allow only reading: no PRAGMA, no ATTACH, no transaction, no writing."""
     if action == sqlite3.SQLITE_FUNCTION and second in ("load_extension", "readfile", "writefile", "edit"):
         return sqlite3.SQLITE_DENY
     return sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY
@@ -145,8 +146,8 @@ class _SqliteAsker:
 
 
 class _PostgresAsker:
-    """The query is declared as a cursor in a transaction that only reads: both take nothing but a question,
-    and the protocol of prepared statements takes no more than one."""
+    """The query is declared as a cursor in a transaction that only reads: both accept only queries, and the
+    protocol of prepared statements accepts only one statement."""
 
     dialect: Dialect = "postgresql"
 
@@ -201,7 +202,7 @@ def _for_postgres(query: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A moment as SQLite's views write it."""
+    """A time in the form of SQLite's views."""
     if isinstance(value, datetime):
         return f"{value.astimezone(UTC).replace(tzinfo=None).isoformat(timespec='milliseconds')}Z"
     return value

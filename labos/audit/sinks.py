@@ -1,7 +1,6 @@
-"""Events that are carried out of the lab into a file of JSON lines, which itself says how far it is.
-
-Each line is a CloudEvent with its position. The last whole line is where to go on, so position and events
-cannot come apart; a line that a crash has cut is written anew.
+"""Exports events to a file of JSON lines, which itself contains the position. Each line is a CloudEvent with
+its position. The export continues after the last complete line, so that position and events always agree; an
+incomplete line after a crash is written again.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ REMEDY = "Name a file that is not there yet."
 
 
 class Sink(Protocol):
-    """Where events are carried to, in order. ``position`` is that of the last one that is there."""
+    """A target for events, in order. ``position`` is the position of the last event in it."""
 
     position: int
 
@@ -35,17 +34,18 @@ class Sink(Protocol):
 
 
 class _Line(msgspec.Struct):
-    """What is read of a line that was written earlier."""
+    """The fields that are read of an existing line."""
 
     source: str
     position: str
 
 
 class JsonLines:
-    """A file that gains one line for each event, in order. One process at a time may write it."""
+    """A file with one line for each event, in order. Only one process at a time may write it."""
 
     def __init__(self, path: Path) -> None:
-        """Raises BadInput for a file that holds something else, or is being written; SystemFailed."""
+        """Raises BadInput for a file with other content, or one that another process is writing;
+        SystemFailed."""
         self._path = path
         try:
             handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), FILE)
@@ -60,8 +60,8 @@ class JsonLines:
             raise
 
     def write(self, records: Iterable[Record]) -> None:
-        """Append records; on return they are synced. Raises SystemFailed, and BadInput for those of another
-        log than the file's."""
+        """Append records; on return they are synced. Raises SystemFailed, and BadInput for records of another
+        log."""
         try:
             for record in records:
                 line = cloudevent(record)
@@ -89,7 +89,7 @@ class JsonLines:
             raise BadInput(f"Another process is writing {self._path}.", remedy="End that one.") from None
 
     def _find_end(self) -> tuple[int, str]:
-        """Position and source of the last whole line; what follows it is cut off."""
+        """Position and source of the last complete line; the rest after it is cut off."""
         end = self._after_last_newline(self._file.seek(0, os.SEEK_END))
         begin = self._after_last_newline(end - 1) if end else 0
         self._file.seek(begin)

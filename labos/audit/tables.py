@@ -1,7 +1,6 @@
-"""The tables that stand beside the log, and the views on them that people read.
-
-One definition makes the tables, the views, ``labos sql --views`` and the page of the reference. Names and
-columns of the views are the same on SQLite and PostgreSQL and do not change but by addition.
+"""The tables beside the log, and their views for people. One definition is the source of the tables, the
+views, ``labos sql --views`` and the reference page. Names and columns of the views are the same on SQLite and
+PostgreSQL, and later versions only add to them.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from labos.audit._work_tables import WORK_TABLES
 __all__ = ["TABLES", "VERSION", "VIEWS", "Column", "Table", "view_columns"]
 
 VERSION = 9
-"""Raise it whenever a table changes, or what stands in it: older ones are then made anew from the log."""
+"""Increase it whenever a table or its content changes: older tables are then made again from the log."""
 
 TABLES = (*WORK_TABLES, *BENCH_TABLES, *ENTRY_TABLES)
 VIEWS = tuple(table for table in TABLES if table.view)

@@ -1,4 +1,4 @@
-"""Words of a text, as the search index keeps them: both databases then find the same."""
+"""Divides texts into words for the search index, so that both databases find the same."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 LONGEST_WORD = 100
 MOST_WORDS = 500
-"""So many different words of one entry are kept."""
+"""The largest number of different words of one entry."""
 
 _WORD = re.compile(r"[^\W_]+")
 
 
 def words_of(text: str) -> list[str]:
-    """The words of a text in their order: letters and digits, in small letters, without accents.
-    ``Café cp_mixcolor R1#3`` has the words cafe, cp, mixcolor, r1, 3."""
+    """The words of a text in their order: letters and digits, in lower case, without accents. ``Café
+    cp_mixcolor R1#3`` has the words cafe, cp, mixcolor, r1, 3."""
     plain = unicodedata.normalize("NFKD", text[: 100 * MOST_WORDS])
     plain = "".join(char for char in plain if not unicodedata.combining(char)).casefold()
     return [word[:LONGEST_WORD] for word in _WORD.findall(plain)]

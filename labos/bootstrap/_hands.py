@@ -157,7 +157,7 @@ class SimulatedHands:
 
     def _supply(self, event: ResourceReplenished) -> None:
         world, device = self._world(workcell_of(event.module)), local(event.module)
-        had = world.left(device, event.resource) or 0.0 if event.instead else 0.0
+        had = world.find_level(device, event.resource) or 0.0 if event.instead else 0.0
         world.supply(device, event.resource, event.amount - had)
 
     # -- reaching in -------------------------------------------------------------------------
@@ -232,7 +232,7 @@ class SimulatedHands:
             level = self._state.resources.find(module, effect.resource)
             if level is not None:
                 world, device = self._world(workcell_of(module)), local(module)
-                left = world.left(device, effect.resource) or 0.0
+                left = world.find_level(device, effect.resource) or 0.0
                 world.supply(device, effect.resource, level.capacity - left)
 
 
@@ -271,7 +271,7 @@ def _furnish(world: World, state: LabState, cell: str) -> None:
     for device, module in state.modules.within(cell):
         zones[local(device)] = module.spec.zone
         for resource, capacity in module.spec.levels.items():
-            if world.left(local(device), resource) is None:
+            if world.find_level(local(device), resource) is None:
                 world.supply(local(device), resource, capacity)
     for place, zone in zones.items():
         if zone:

@@ -21,6 +21,7 @@ from labos.bootstrap._node_class import foreign_class, own_class
 from labos.bootstrap._node_security import check_lab, keep_certificate, node_security
 from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
+from labos.core.structs import make_from
 from labos.errors import BadInput, BusError, NoAnswer, Unreadable
 from labos.node.files import Files
 from labos.node.journal import Journal
@@ -74,7 +75,6 @@ async def run_node(
     metrics: Address | None = None,
     with_parent: bool = False,
     finish_s: float | None = None,
-    stop: asyncio.Event | None = None,
 ) -> None:
     """Answer for ``workcell/name`` until asked to stop; with an empty ``driver``, with the one that the
     workcell names.
@@ -90,7 +90,7 @@ async def run_node(
     the most; asked twice, the node ends at once.
     Raises NotFound, BadInput, JournalError, JournalDamaged, NameTaken.
     """
-    ends = _Ends(stop)
+    ends = _Ends()
     ends.listen(with_parent)
     module = f"{workcell}/{name}"
     if trace:
@@ -191,16 +191,12 @@ def _setup(
         path = settings.world(workcell)
         make_folder(path.parent)
         world = World(str(path))
-    return Setup(
+    return make_from(
+        Setup,
+        told,
         name=name,
         workcell=workcell,
-        config=told.config,
-        poses=told.poses,
-        poses_of=told.poses_of,
-        regrip=told.regrip,
         world=world,
-        pace=told.pace,
-        seed=told.seed,
         wire=wire,
         unit_file=str(settings.unit(f"{workcell}/{name}")),
     )
@@ -305,9 +301,8 @@ async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> 
 class _Ends:
     """A request that the node end: by a signal, or by closing its standard input."""
 
-    def __init__(self, stop: asyncio.Event | None) -> None:
-        self._first = stop or asyncio.Event()
-        self._second = asyncio.Event()
+    def __init__(self) -> None:
+        self._first, self._second = asyncio.Event(), asyncio.Event()
         self._loop = asyncio.get_running_loop()
 
     def listen(self, with_parent: bool) -> None:

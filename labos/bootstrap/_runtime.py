@@ -100,7 +100,7 @@ class LabRuntime:
         on a real one."""
         await self.service.apply(cell, actor, declare=self.simulated if declare is None else declare)
 
-    def start_nodes(self, *, detach: bool = False, only: Sequence[str] = ()) -> None:
+    def start_nodes(self, *, detach: bool = False) -> None:
         """Start a process for each module of the applied workcells (``only``: for these)."""
         self._detach = detach
         if self.supervised is None:
@@ -111,8 +111,7 @@ class LabRuntime:
             spawner = best_spawner(self.settings.logs / "fork-server.log", is_alive)
             self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach, spawner=spawner)
         modules = self.kernel.state.modules.by_name
-        wanted = [name for name in modules if not only or name in only or local(name) in only]
-        self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])
+        self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in modules])
 
     async def leave_to_standby(self) -> bool:
         """Whether this lab can be left to a standby: somebody has to stand by, and nodes that end with this

@@ -141,6 +141,16 @@ def asker_options(command: F) -> F:
     return user_option(home_option(json_option(wrap)))  # type: ignore[return-value]
 
 
+def lab_and_json(command: F) -> F:
+    """``--home`` and ``--json``; the command gets ``asker: Asker``, of whom it is not said who it is."""
+
+    @wraps(command)
+    def wrap(*args: Any, home: str | None, as_json: bool, **options: Any) -> Any:
+        return command(*args, asker=Asker(None, home, as_json), **options)
+
+    return home_option(json_option(wrap))  # type: ignore[return-value]
+
+
 def lab_options(command: F) -> F:
     """Options of commands that may run a kernel themselves."""
     seed = "The seed of the simulated instruments' random durations."
@@ -157,19 +167,23 @@ def lab_options(command: F) -> F:
 
 
 def web_options(about: str) -> Callable[[F], F]:
-    """Options of commands that serve HTTP: TLS, a proxy, and names of what they serve (``about``)."""
+    """Options of commands that serve HTTP: TLS, a proxy, and names of what they serve (``about``). They are
+    called as the settings are."""
 
     def add(command: F) -> F:
         for option in reversed(
             (
                 click.option(
                     "--tls-cert",
+                    "tls_certificate",
                     type=click.Path(dir_okay=False),
+                    default="",
                     help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
                 ),
                 click.option(
                     "--tls-key",
                     type=click.Path(dir_okay=False),
+                    default="",
                     help="The private key of --tls-cert, a PEM file.",
                 ),
                 click.option(

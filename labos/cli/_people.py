@@ -42,13 +42,6 @@ def lab_or_its_folder(home: str | None) -> Iterator[LabClient]:
         yield client
 
 
-def lab_at(home: str | None) -> LabClient:
-    """The running lab. Raises NotFound if none runs."""
-    from labos.cli._lab import need_lab
-
-    return need_lab(home)
-
-
 def scope_of(workcell: str | None) -> str:
     return workcell or WHOLE_LAB
 

@@ -14,6 +14,7 @@ import msgspec
 from labos.cli._out import show_json
 from labos.cli._query import Where, now_ns, open_database, own_database
 from labos.core.ids import LabId
+from labos.core.structs import make_from
 from labos.errors import LabosError, LogDamaged
 from labos.private import replace_file
 from labos.services.doctor import REHEARSAL
@@ -55,13 +56,10 @@ def rehearse(
         home.mkdir(0o700)
         done = put_back(Where(home, own_database(home)))
     behind, compared = _compare(where, done)
-    found = RestoreRehearsal(
-        lab=done.lab,
+    found = make_from(
+        RestoreRehearsal,
+        done,
         folder=str(folder.absolute()),
-        position=done.position,
-        hash=done.hash,
-        state=done.state,
-        blobs=done.blobs,
         took_s=round(time.monotonic() - began, 3),
         at=now_ns(),
         behind=behind,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -55,15 +55,9 @@ def command(
     database: str | None,
     accounts: str | None,
     name: str,
-    http_port: int | None,
-    host: str,
-    tls_cert: str | None,
-    tls_key: str | None,
-    behind_proxy: bool,
-    names: tuple[str, ...],
-    bus: tuple[str, ...],
     cert: Path | None,
     pki: Path | None,
+    **as_set: Any,
 ) -> None:
     """Serve the HTTP interface of a running lab until Ctrl-C, beside the kernel's own.
 
@@ -89,16 +83,10 @@ def command(
     settings = Settings.make(
         home,
         database,
-        http_port=http_port,
-        host=host,
-        names=names,
-        tls_certificate=tls_cert or "",
-        tls_key=tls_key or "",
-        behind_proxy=behind_proxy,
-        bus=bus,
         secure=True if cert is not None else None,
         certificate=cert.absolute() if cert is not None else None,
         authority=pki,
+        **as_set,
     )
     with orderly():
         try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import Asker, asker_options, home_option, json_option, why_option
+from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 from labos.cli._out import show_json, show_table
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
@@ -24,9 +24,8 @@ _subject = click.argument("subject", metavar="ID")
 @click.command("approvals", short_help="List requests that wait for an approval, and why.")
 @click.argument("subject", metavar="ID", required=False)
 @click.option("--no-forecast", is_flag=True, help="Do not forecast the effects of an approval.")
-@home_option
-@json_option
-def approvals(subject: str | None, no_forecast: bool, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
     """List runs, campaigns, experiments and changes of campaigns that wait for an approval by the lab's
     policy. With an ID, show what it requests, a forecast for an approval now (start, end, delayed runs,
     consumption), and the differences from the last approved request with the same name.
@@ -37,14 +36,12 @@ def approvals(subject: str | None, no_forecast: bool, home: str | None, as_json:
     labos approve C3 --runs 20 --why "twenty are enough"
     labos refuse C3 --why "the reader is booked"
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         told: Any = client.approval_of(subject) if subject else client.approvals()
         forecast = _forecast(client, subject, told) if subject and not no_forecast else None
     if forecast is not None:
         told["forecast"] = forecast
-    if as_json:
+    if asker.as_json:
         show_json(told)
     elif subject:
         _show(told)

@@ -10,8 +10,8 @@ import click
 from labos.cli._bookings import in_words, show_bookings
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import Asker, asker_options, find_user, home_option, json_option, user_option
-from labos.cli._out import show_json, tell
+from labos.cli._options import Asker, asker_options, lab_and_json
+from labos.cli._out import show_json
 from labos.errors import BadInput
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -36,7 +36,7 @@ _why = click.option("--why", metavar="TEXT", help="The reason.")
 def _booking_options(function: F) -> F:
     """For whom and when, as ``add`` and ``change`` take it."""
     times = (_from, _to, _for, _maintenance, _every, _rule, _last, _zone, _why, _force)
-    for option in reversed((*times, user_option, home_option, json_option)):
+    for option in reversed((*times, asker_options)):
         function = option(function)
     return function
 
@@ -83,9 +83,7 @@ def add(
     zone: str | None,
     why: str | None,
     force: bool,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
 ) -> None:
     """Book TARGET, a module or a workcell. The word `add` may be left out.
 
@@ -95,7 +93,6 @@ def add(
     labos book ot2_pcr_alpha --from "2026-11-26 09:00" --to 17:00 --for chemistry
     labos book hidex --from "tue 14:00" --to +2h --every week --until 2027-03-31
     """
-    from labos.cli._lab import need_lab
     from labos.cli._query import now_ns
     from labos.cli._when import expect_zone, parse_when, rule_of
 
@@ -106,12 +103,12 @@ def add(
         )
     where, now = expect_zone(zone), now_ns()
     begin = parse_when(begins, now, where)
-    with need_lab(home) as client:
+    with asker.lab() as client:
         found = client.book(
             target,
             begin,
             parse_when(ends, now, where, after=begin),
-            find_user(user),
+            asker.user,
             whom=whom or "",
             maintenance=maintenance,
             why=why or "",
@@ -120,7 +117,7 @@ def add(
             last_at=parse_when(last, now, where) if last else 0,
             force=force,
         )
-    _tell(found, as_json)
+    _tell(found, asker)
 
 
 @command.command("change", short_help="Change the times or the holder of a booking.")
@@ -138,9 +135,7 @@ def change(
     zone: str | None,
     why: str | None,
     force: bool,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
 ) -> None:
     """Change BOOKING. Values without an option stay as they are. With a new start alone, the booking moves
     and keeps its duration.
@@ -149,12 +144,11 @@ def change(
     labos book change B3 --from "fri 09:00"
     labos book change B3 --to now
     """
-    from labos.cli._lab import need_lab
     from labos.cli._query import now_ns
     from labos.cli._when import expect_zone, parse_when, rule_of
 
     now = now_ns()
-    with need_lab(home) as client:
+    with asker.lab() as client:
         known = client.booking(booking)
         where = expect_zone(zone) if zone is not None else known["zone"]
         changes: dict[str, Any] = {"force": force, "whom": whom, "why": why, "zone": zone}
@@ -170,8 +164,8 @@ def change(
         if last is not None:
             changes["last_at"] = parse_when(last, now, where)
         told = {name: value for name, value in changes.items() if value is not None}
-        found = client.change_booking(booking, find_user(user), **told)
-    _tell(found, as_json)
+        found = client.change_booking(booking, asker.user, **told)
+    _tell(found, asker)
 
 
 @command.command("cancel", short_help="Cancel a booking, or one time of it.")
@@ -196,19 +190,16 @@ def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
 
 @command.command("show")
 @_booking
-@home_option
-@json_option
-def show(booking: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def show(booking: str, asker: Asker) -> None:
     """Show the times of BOOKING and for whom it is.
 
     \b
     labos book show B3
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         found = client.booking(booking)
-    if as_json:
+    if asker.as_json:
         show_json(found)
     else:
         show_bookings([found])
@@ -232,6 +223,6 @@ def _time_on(client: Any, booking: str, on: str) -> int:
     return int(times[0])
 
 
-def _tell(found: dict[str, Any], as_json: bool) -> None:
+def _tell(found: dict[str, Any], asker: Asker) -> None:
     over = f" It was made over {', '.join(found['over'])}." if found["over"] else ""
-    tell(f"{found['id']}: {in_words(found)}.{over}", found, as_json=as_json)
+    asker.tell(f"{found['id']}: {in_words(found)}.{over}", found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option
+from labos.cli._options import Asker, lab_and_json
 from labos.cli._out import show_json
 
 DAYS = 7
@@ -21,11 +21,8 @@ DAYS = 7
 )
 @click.option("--zone", metavar="NAME", help="The time zone; this computer's if not given.")
 @click.option("--ical", is_flag=True, help="Print all bookings as iCalendar, for calendar programs.")
-@home_option
-@json_option
-def command(
-    target: str, day: str | None, days: int, zone: str | None, ical: bool, home: str | None, as_json: bool
-) -> None:
+@lab_and_json
+def command(target: str, day: str | None, days: int, zone: str | None, ical: bool, asker: Asker) -> None:
     """Show the bookings of a week from Monday on: one bar of 24 hours for each (# booked, m maintenance).
 
     \b
@@ -36,13 +33,12 @@ def command(
     from datetime import datetime, timedelta
 
     from labos.cli._bookings import week
-    from labos.cli._lab import need_lab
     from labos.cli._query import now_ns
     from labos.cli._when import expect_zone, parse_when
     from labos.core.recurrence import SECOND_NS, zone_of
 
     where, now = expect_zone(zone), now_ns()
-    with need_lab(home) as client:
+    with asker.lab() as client:
         if ical:
             click.echo(client.calendar_file(target).decode(), nl=False)
             return
@@ -53,7 +49,7 @@ def command(
         end = monday + timedelta(days=days)
         since, until = (int(at.timestamp()) * SECOND_NS for at in (monday, end))
         found = client.calendar(since, until, target)
-    if as_json:
+    if asker.as_json:
         show_json(found)
         return
     for line in week(found["times"], monday, days, where):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -30,9 +31,7 @@ from labos.errors import BadInput
 @click.option("--until", default="", metavar="DATE", help="The last day on which it is valid: 2027-01-01.")
 @why_option()
 @asker_options
-def command(
-    module: str, what: str, certificate: str, report: Path | None, until: str, why: str, asker: Asker
-) -> None:
+def command(module: str, report: Path | None, asker: Asker, **told: Any) -> None:
     """Record that MODULE was calibrated. `labos provenance` shows this calibration for all later actions. It
     replaces the earlier calibration with the same `--what`.
 
@@ -47,19 +46,11 @@ def command(
 
     content = b"" if report is None else _read(report)
     with asker.lab() as client:
-        told = client.calibrate(
-            module,
-            asker.user,
-            what=what,
-            certificate=certificate,
-            report=content,
-            until=until,
-            why=why,
-        )
-    of = f"{told['module']} ({what})" if what else told["module"]
-    valid = f", valid until {until}" if until else ""
-    kept = f" Its report is kept as {told['file']}." if told["file"] else ""
-    asker.tell(f"The calibration of {of} is recorded{valid}.{kept}", told)
+        found = client.calibrate(module, asker.user, report=content, **told)
+    of = f"{found['module']} ({found['what']})" if found["what"] else found["module"]
+    valid = f", valid until {found['until']}" if found["until"] else ""
+    kept = f" Its report is kept as {found['file']}." if found["file"] else ""
+    asker.tell(f"The calibration of {of} is recorded{valid}.{kept}", found)
 
 
 def _read(report: Path) -> bytes:

@@ -282,16 +282,7 @@ def amend(campaign: str, asker: Asker, terms_wanted: dict[str, Any]) -> None:
 )
 @propose_option
 @asker_options
-def clone(
-    campaign: str,
-    asker: Asker,
-    name: str,
-    visibility: str | None,
-    dry_run: bool,
-    request: str,
-    propose: bool,
-    terms_wanted: dict[str, Any],
-) -> None:
+def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: Any) -> None:
     """Submit a campaign again, and print the id of the new campaign. The first campaign may have ended. The
     clone has the same rows and the same workflow, and belongs to you. The lab checks each row again. Terms
     without an option are copied from the first campaign, except the deadline: the clone has none.
@@ -301,16 +292,7 @@ def clone(
     labos campaign clone C1 --dry-run
     """
     with asker.lab() as client:
-        told = client.clone_campaign(
-            campaign,
-            asker.user,
-            request=request,
-            name=name,
-            visibility=visibility,
-            dry_run=dry_run,
-            propose=propose,
-            **terms_wanted,
-        )
+        told = client.clone_campaign(campaign, asker.user, **asked, **terms_wanted)
     if asker.as_json:
         show_json(told)
         return

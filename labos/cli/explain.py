@@ -82,6 +82,7 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         + (f": {step.error}" if step.error else "")
         + _usual(state, story, step.index)
         + _setup(state, story, step.index)
+        + _companions(state, story, step.index)
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
@@ -130,6 +131,16 @@ def _setup(state: LabState, story: RunHistory, index: int) -> str:
             flight = state.modules.by_name[action.module].in_flight.get(action.id)
             if flight is not None and flight.setup_s:
                 return f"; {local(action.module)} is set up for it first, {show_span(flight.setup_s)}"
+    return ""
+
+
+def _companions(state: LabState, story: RunHistory, index: int) -> str:
+    """For which other runs the module carries out a step under way in one go."""
+    for action in state.actions.open.values():
+        if (action.run, action.step) == (story.id, index) and action.together:
+            open_ = [state.actions.open[name].run for name in action.together if name in state.actions.open]
+            others = [run for run in open_ if run != story.id]
+            return f"; together with {', '.join(others)}" if others else ""
     return ""
 
 

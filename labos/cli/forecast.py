@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._options import home_option, json_option
+from labos.cli._options import Asker, lab_and_json
 from labos.cli._out import show_json
 
 
 @click.command("forecast", short_help="Forecast when runs start and end, and when a person is needed.")
-@home_option
-@json_option
-def command(home: str | None, as_json: bool) -> None:
+@lab_and_json
+def command(asker: Asker) -> None:
     """Forecast when each run starts and ends, and when a person is needed next.
 
     LabOS simulates the lab from its present state in virtual time, with durations learned from its log.
@@ -21,11 +20,10 @@ def command(home: str | None, as_json: bool) -> None:
     needs a person first has no forecast.
     """
     from labos.cli._forecast import show_campaign, show_runs, show_touches
-    from labos.cli._lab import need_lab
 
-    with need_lab(home) as client:
+    with asker.lab() as client:
         told = client.forecast()
-    if as_json:
+    if asker.as_json:
         show_json(told)
         return
     found = told["forecast"]

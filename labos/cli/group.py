@@ -7,9 +7,9 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import Asker, asker_options, home_option, json_option
+from labos.cli._options import Asker, asker_options, lab_and_json
 from labos.cli._out import show_json, show_table
-from labos.cli._people import in_words, lab_at
+from labos.cli._people import in_words
 
 _name = click.argument("name", metavar="GROUP")
 _member = click.argument("member", metavar="USER")
@@ -34,7 +34,7 @@ def command() -> None:
 @asker_options
 def add(name: str, asker: Asker) -> None:
     """Add a group with weight 1 and without members."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.add_group(name, asker.user)
         _tell(client.groups(), name, asker.as_json)
 
@@ -44,20 +44,19 @@ def add(name: str, asker: Asker) -> None:
 @asker_options
 def remove(name: str, asker: Asker) -> None:
     """Remove a group and its roles. Its members are then in no group."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.remove_group(name, asker.user)
     if asker.as_json:
         show_json({"group": name, "removed": True})
 
 
 @command.command("list")
-@home_option
-@json_option
-def list_groups(home: str | None, as_json: bool) -> None:
+@lab_and_json
+def list_groups(asker: Asker) -> None:
     """List all groups, with their weights, members and roles."""
-    with lab_at(home) as client:
+    with asker.lab() as client:
         found = client.groups()
-    if as_json:
+    if asker.as_json:
         show_json(found)
         return
     rows = [
@@ -83,7 +82,7 @@ def members() -> None:
 @asker_options
 def add_member(name: str, member: str, asker: Asker) -> None:
     """Add a user to a group. The user gets the group's share of the lab and its roles."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.add_member(name, member, asker.user)
         _tell(client.groups(), name, asker.as_json)
 
@@ -94,7 +93,7 @@ def add_member(name: str, member: str, asker: Asker) -> None:
 @asker_options
 def remove_member(name: str, member: str, asker: Asker) -> None:
     """Remove a user from a group."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.remove_member(name, member, asker.user)
         _tell(client.groups(), name, asker.as_json)
 

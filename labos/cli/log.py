@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from typing import Any
 
 import click
 
@@ -47,27 +48,18 @@ POLL_S = 0.25
     help="Events of this experiment and its runs.",
 )
 @click.option(
-    "--since", metavar="T", callback=as_time, help="From this time on: ISO 8601 (local zone if none), or -2h."
+    "--since",
+    "since_ns",
+    metavar="T",
+    callback=as_time,
+    help="From this time on: ISO 8601 (local zone if none), or -2h.",
 )
-@click.option("--until", metavar="T", callback=as_time, help="Before this time.")
+@click.option("--until", "until_ns", metavar="T", callback=as_time, help="Before this time.")
 @click.option("--last", type=click.IntRange(min=0), metavar="N", help="Only the last N events.")
 @click.option("-f", "--follow", is_flag=True, help="Show new events as they are added, until Ctrl-C.")
 @json_option_saying("One line for each event: envelope, hash and payload, as stored.")
 @log_options
-def command(
-    where: Where,
-    types: tuple[str, ...],
-    run: str,
-    module: str,
-    labware: str,
-    user: str,
-    experiment: str,
-    since: int | None,
-    until: int | None,
-    last: int | None,
-    follow: bool,
-    as_json: bool,
-) -> None:
+def command(where: Where, follow: bool, as_json: bool, **wanted: Any) -> None:
     """Show the log, one sentence for each event.
 
     \b
@@ -80,17 +72,16 @@ def command(
     An event is shown if it matches all filters. The first column is the position in the log. `labos
     stations --at POSITION` shows the lab at that moment.
     """
-    wanted = LogFilter(types, run, module, labware, user, experiment, since, until, last)
     with open_log(where, stored=as_json) as store, suppress(KeyboardInterrupt):
         head = store.head()
         seen = head.position
         say_if_dead(where.url, head, last_known=False)
-        sieve = FilteredLog(store, wanted)
+        sieve = FilteredLog(store, LogFilter(**wanted))
         shown = 0
         for event, record in sieve.read_matching(seen):
             _show(sieve, event, record, as_json)
             shown += 1
-        if user and not shown and not sieve.knows_user():
+        if (user := sieve.wanted.user) and not shown and not sieve.knows_user():
             click.echo(f"labos: This log has no events by {user!r} or for {user!r}.", err=True)
         while follow:
             end = store.head().position

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import find_user, home_option, json_option
+from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
 from labos.cli._out import show_json, tell
 
 if TYPE_CHECKING:
@@ -155,16 +155,14 @@ def _lab(url: str, home: str | None, token: str = "") -> LabClient:
 
 
 @click.command("whoami")
-@home_option
-@json_option
-def whoami(home: str | None, as_json: bool) -> None:
+@lab_and_json
+def whoami(asker: Asker) -> None:
     """Show as which user you are signed in, and your rights in the lab."""
-    from labos.cli._lab import need_lab
     from labos.services.times import iso_time
 
-    with need_lab(home) as client:
+    with asker.lab() as client:
         found = client.identity()
-    if as_json:
+    if asker.as_json:
         show_json(found)
         return
     if found["how"] == "open":

@@ -17,6 +17,7 @@ from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
 from labos.core.lengths import Lengths
 from labos.core.model import MAIN, ON_CANCEL
+from labos.core.structs import make_from
 from labos.core.watching import list_end_stations
 from labos.errors import LabosError
 from labos.planning.certificate import Certificate
@@ -210,14 +211,12 @@ def outline_of(
     times = make_timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
     steps = [
-        OutlineStep(
-            key=step.key,
+        make_from(
+            OutlineStep,
+            step,
             module=local(step.module),
-            action=step.action,
-            args=step.args,
             after=[plan.steps[index].key for index in step.after],
             stations=stations[index],
-            duration_s=step.duration_s,
             start_s=slot.start_s,
             end_s=slot.end_s,
             critical=index in times.critical,
@@ -226,7 +225,6 @@ def outline_of(
             learned=not step.by_person and lengths.estimate(nominal[index], pace) is not None,
             retries=step.retry.times if step.retry else 0,
             reset=step.retry is not None and step.retry.reset is not None,
-            timeout_s=step.timeout_s,
             on_error=_on_error(step),
             when=step.when.text if step.when else "",
             expect=step.expect.text if step.expect else "",

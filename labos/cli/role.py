@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import Asker, asker_options, home_option, json_option
+from labos.cli._options import Asker, asker_options, lab_and_json
 from labos.cli._out import show_json, show_table
-from labos.cli._people import lab_at, role_choice, scope_of, subject_of, workcell_option
+from labos.cli._people import role_choice, scope_of, subject_of, workcell_option
 from labos.core.lab import WHOLE_LAB
 from labos.core.users import group_subject, user_subject
 
@@ -39,7 +39,7 @@ def command() -> None:
 @asker_options
 def grant(subject: str, role: str, workcell: str | None, asker: Asker) -> None:
     """Grant a role to a user or a group. It replaces their present role there."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.grant_role(subject_of(subject), role, asker.user, scope=scope_of(workcell))
     if asker.as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": role})
@@ -51,23 +51,22 @@ def grant(subject: str, role: str, workcell: str | None, asker: Asker) -> None:
 @asker_options
 def revoke(subject: str, workcell: str | None, asker: Asker) -> None:
     """Revoke a granted role, in a workcell or in the whole lab."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.revoke_role(subject_of(subject), asker.user, scope=scope_of(workcell))
     if asker.as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": ""})
 
 
 @command.command("list")
-@home_option
-@json_option
-def list_roles(home: str | None, as_json: bool) -> None:
+@lab_and_json
+def list_roles(asker: Asker) -> None:
     """List all granted roles: to whom, and in which workcell or the whole lab."""
-    with lab_at(home) as client:
+    with asker.lab() as client:
         users, groups = client.users(), client.groups()
     held = [(user_subject(user["id"]), user["roles"]) for user in users]
     held += [(group_subject(group["name"]), group["roles"]) for group in groups]
     grants = [(subject, scope, role) for subject, roles in held for scope, role in roles.items()]
-    if as_json:
+    if asker.as_json:
         show_json([{"subject": subject, "scope": scope, "role": role} for subject, scope, role in grants])
         return
     rows = [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from labos.cli._complete import completes
@@ -40,18 +42,7 @@ from labos.cli._payload import payload_option
 @propose_option
 @wait_option("Wait for the end of the run; exit code 1 if it does not complete.", default=False)
 @asker_options
-def command(
-    workflow: str,
-    payloads: tuple[str, ...],
-    asker: Asker,
-    workcell: str,
-    priority: int,
-    experiment: str,
-    due: str,
-    request: str,
-    propose: bool,
-    wait: bool,
-) -> None:
+def command(workflow: str, payloads: tuple[str, ...], asker: Asker, wait: bool, **asked: Any) -> None:
     """Queue WORKFLOW, a file or a packaged workflow, and print the run's id.
 
     \b
@@ -64,17 +55,7 @@ def command(
 
     values = read_payload(payloads)
     with asker.lab() as client:
-        run = client.submit(
-            workflow,
-            values,
-            user=asker.user,
-            workcell=workcell,
-            priority=priority,
-            experiment=experiment,
-            due=due,
-            request=request,
-            propose=propose,
-        )
+        run = client.submit(workflow, values, user=asker.user, **asked)
         show_warnings(client)
         if not wait:
             click.echo(f'{{"run": "{run}"}}' if asker.as_json else run)

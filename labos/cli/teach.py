@@ -8,7 +8,7 @@ import click
 import msgspec
 
 from labos.cli._complete import completes
-from labos.cli._options import Asker, asker_options, home_option, json_option, why_option
+from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 
 
 @click.command("teach")
@@ -49,9 +49,8 @@ def teach(module: str, station: str, pose: str, why: str, kind: str, asker: Aske
 
 @click.command("locations")
 @click.argument("module", shell_complete=completes("module"))
-@json_option
-@home_option
-def locations(module: str, as_json: bool, home: str | None) -> None:
+@lab_and_json
+def locations(module: str, asker: Asker) -> None:
     """List the poses at which the arm MODULE reaches its stations. Version 0 is the one in the workcell file.
     Older versions are in the log: `labos log --type location.taught`.
 
@@ -60,8 +59,8 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
     """
     from labos.cli._out import show_json, show_table
 
-    found = _locations(module, home)
-    if as_json:
+    found = _locations(module, asker.home)
+    if asker.as_json:
         show_json(found)
         return
     rows = [

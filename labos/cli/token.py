@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option
-from labos.cli._out import show_json, tell
+from labos.cli._options import Asker, lab_and_json
+from labos.cli._out import show_json
 
 
 @click.group("token", cls=Suggesting)
@@ -37,9 +37,8 @@ def command() -> None:
     default="",
     help="The user of the token, such as a service account; for admins.",
 )
-@home_option
-@json_option
-def create(label: str, scope: str, days: float, user: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def create(label: str, scope: str, days: float, user: str, asker: Asker) -> None:
     """Create a token for a program. LABEL describes its purpose. The token is shown only once, because the
     lab stores only its digest.
 
@@ -51,12 +50,11 @@ def create(label: str, scope: str, days: float, user: str, home: str | None, as_
     labos token create prometheus --scope viewer --days 366
     labos token create agent --for planner
     """
-    from labos.cli._lab import need_lab
     from labos.services.times import iso_time
 
-    with need_lab(home) as client:
+    with asker.lab() as client:
         made = client.make_token(label, scope=scope, days=days, user=user)
-    if as_json:
+    if asker.as_json:
         show_json(made)
         return
     token = made["token"]
@@ -71,17 +69,15 @@ def create(label: str, scope: str, days: float, user: str, home: str | None, as_
 
 @command.command("list")
 @click.option("--for", "user", metavar="USER", default="", help="List the tokens of this user; for admins.")
-@home_option
-@json_option
-def list_(user: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def list_(user: str, asker: Asker) -> None:
     """List your tokens, and when each was last used (to the minute)."""
-    from labos.cli._lab import need_lab
     from labos.cli._out import show_table
     from labos.services.times import iso_time
 
-    with need_lab(home) as client:
+    with asker.lab() as client:
         tokens = client.tokens(user)
-    if as_json:
+    if asker.as_json:
         show_json(tokens)
         return
 
@@ -102,12 +98,9 @@ def list_(user: str, home: str | None, as_json: bool) -> None:
 
 @command.command("revoke")
 @click.argument("token", metavar="ID")
-@home_option
-@json_option
-def revoke(token: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def revoke(token: str, asker: Asker) -> None:
     """Revoke a token. ID is the one that `labos token list` shows. The token is invalid from now on."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         client.revoke_token(token)
-    tell(f"The token {token} is revoked.", {"token": token, "revoked": True}, as_json=as_json)
+    asker.tell(f"The token {token} is revoked.", {"token": token, "revoked": True})

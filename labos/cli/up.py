@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -59,6 +59,7 @@ NO_USERS = (
 @click.option(
     "--first-password",
     type=click.Path(dir_okay=False),
+    default="",
     help="A file with the password of --first-user; used only if that user has none.",
 )
 @click.option(
@@ -120,6 +121,7 @@ NO_USERS = (
 )
 @click.option(
     "--trace",
+    "trace_wires",
     is_flag=True,
     help="Write every byte on the devices' wires to HOME/traces, one file for each module.",
 )
@@ -138,20 +140,8 @@ NO_USERS = (
 def command(
     workcells: tuple[str, ...],
     simulate: bool | None,
-    speed: float | None,
     home: str | None,
     database: str | None,
-    http_port: int | None,
-    bus_port: int | None,
-    host: str,
-    open_to_network: bool,
-    tls_cert: str | None,
-    tls_key: str | None,
-    behind_proxy: bool,
-    names: tuple[str, ...],
-    first_user: str,
-    first_password: str | None,
-    bus: tuple[str, ...],
     secure: bool | None,
     cert: Path | None,
     address: tuple[str, ...],
@@ -161,15 +151,8 @@ def command(
     no_nodes: bool,
     detach_nodes: bool,
     declare: bool | None,
-    on_database_loss: str,
-    database_silence: float | None,
-    quarantine: str,
-    seed: int,
-    wire: bool,
-    trace: bool,
-    node_metrics: bool,
-    otlp: str,
     quiet: bool,
+    **as_set: Any,
 ) -> None:
     """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
 
@@ -197,31 +180,12 @@ def command(
     settings = Settings.make(
         home,
         database,
-        speed=speed,
         simulate=simulate,
-        http_port=http_port,
-        bus_port=bus_port,
-        host=host,
-        open_to_network=open_to_network,
-        tls_certificate=tls_cert or "",
-        tls_key=tls_key or "",
-        behind_proxy=behind_proxy,
-        names=names,
-        first_user=first_user,
-        first_password=first_password or "",
-        seed=seed,
-        wire=wire,
-        trace_wires=trace,
-        node_metrics=node_metrics,
-        otlp=otlp,
-        on_database_loss=on_database_loss,
-        database_silence=database_silence,
-        bus=bus,
-        quarantine=quarantine,
         secure=True if cert is not None else secure,
         certificate=cert.absolute() if cert is not None else None,
         addresses=address,
         authority=pki,
+        **as_set,
     )
     if or_standby and _runs_elsewhere(settings):
         standby, workcells = True, ()

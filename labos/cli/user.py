@@ -7,9 +7,9 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import Asker, asker_options, home_option, json_option
-from labos.cli._out import show_json, show_table, tell
-from labos.cli._people import in_words, lab_at, lab_or_its_folder, role_choice, scope_of, workcell_option
+from labos.cli._options import Asker, asker_options, lab_and_json
+from labos.cli._out import show_json, show_table
+from labos.cli._people import in_words, lab_or_its_folder, role_choice, scope_of, workcell_option
 from labos.services.times import show_time
 
 _id = click.argument("name", metavar="ID")
@@ -77,13 +77,12 @@ def add(
 
 
 @command.command("list")
-@home_option
-@json_option
-def list_users(home: str | None, as_json: bool) -> None:
+@lab_and_json
+def list_users(asker: Asker) -> None:
     """List all users, with their groups and roles."""
-    with lab_at(home) as client:
+    with asker.lab() as client:
         found = client.users()
-    if as_json:
+    if asker.as_json:
         show_json(found)
         return
     show_table(("id", "kind", "group", "roles", "since"), [_row(user) for user in found])
@@ -93,15 +92,14 @@ def list_users(home: str | None, as_json: bool) -> None:
 
 @command.command("show")
 @_id
-@home_option
-@json_option
-def show(name: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def show(name: str, asker: Asker) -> None:
     """Show one user, with the roles of the user's group."""
-    with lab_at(home) as client:
+    with asker.lab() as client:
         found = client.user(name)
         groups = {group["name"]: group for group in client.groups()}
     found["group_roles"] = groups.get(found["group"], {}).get("roles", {})
-    if as_json:
+    if asker.as_json:
         show_json(found)
         return
     lines = (
@@ -122,7 +120,7 @@ def show(name: str, home: str | None, as_json: bool) -> None:
 def disable(name: str, asker: Asker) -> None:
     """Disable a user: withdraw all rights. The user's active and waiting runs continue, campaigns are paused.
     Users are never removed, because the log refers to them."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.disable_user(name, asker.user)
         found = client.user(name) if asker.as_json else {}
     if asker.as_json:
@@ -134,7 +132,7 @@ def disable(name: str, asker: Asker) -> None:
 @asker_options
 def enable(name: str, asker: Asker) -> None:
     """Enable a disabled user again."""
-    with lab_at(asker.home) as client:
+    with asker.lab() as client:
         client.enable_user(name, asker.user)
         found = client.user(name) if asker.as_json else {}
     if asker.as_json:
@@ -143,9 +141,8 @@ def enable(name: str, asker: Asker) -> None:
 
 @command.command("password")
 @_id
-@home_option
-@json_option
-def password(name: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def password(name: str, asker: Asker) -> None:
     """Change a password. For your own, you need the present one. An admin, and the owner of the lab's folder
     on the lab's computer, can change the password of any user.
 
@@ -154,68 +151,53 @@ def password(name: str, home: str | None, as_json: bool) -> None:
     """
     from labos.cli._secret import ask_password
 
-    with lab_or_its_folder(home) as client:
+    with lab_or_its_folder(asker.home) as client:
         present = ask_password("Your present password") if client.identity()["user"] == name else ""
         client.set_password(name, ask_password(f"New password of {name}", twice=True), present)
-    tell(f"{name} has a new password.", {"user": name, "password_set": True}, as_json=as_json)
+    asker.tell(f"{name} has a new password.", {"user": name, "password_set": True})
 
 
 @command.command("name")
 @_id
 @click.option("--name", "person", metavar="NAME", help="The person's name.")
 @click.option("--mail", metavar="ADDRESS", help="A mail address.")
-@home_option
-@json_option
-def rename(name: str, person: str | None, mail: str | None, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def rename(name: str, person: str | None, mail: str | None, asker: Asker) -> None:
     """Record a user's name and mail address. They are stored outside the log. The log has only ids."""
-    with lab_or_its_folder(home) as client:
+    with lab_or_its_folder(asker.home) as client:
         client.set_person(name, name=person, mail=mail)
-    tell(
-        f"The name and address of {name} are recorded.",
-        {"user": name, "name": person, "mail": mail},
-        as_json=as_json,
-    )
+    asker.tell(f"The name and address of {name} are recorded.", {"user": name, "name": person, "mail": mail})
 
 
 @command.command("erase")
 @_id
-@home_option
-@json_option
-def erase(name: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def erase(name: str, asker: Asker) -> None:
     """Erase a user's personal data: name, address, password, tokens, sessions. Events stay in the log, with
     the user's id.
 
     The user still exists. Use `labos user disable` too if nobody may act with this id.
     """
-    with lab_or_its_folder(home) as client:
+    with lab_or_its_folder(asker.home) as client:
         client.erase_person(name)
-    tell(
-        f"The personal data of {name} is erased. Only the id is left.",
-        {"user": name, "erased": True},
-        as_json=as_json,
-    )
+    asker.tell(f"The personal data of {name} is erased. Only the id is left.", {"user": name, "erased": True})
 
 
 @command.command("link")
 @_id
 @click.argument("issuer")
 @click.argument("subject")
-@home_option
-@json_option
-def link(name: str, issuer: str, subject: str, home: str | None, as_json: bool) -> None:
+@lab_and_json
+def link(name: str, issuer: str, subject: str, asker: Asker) -> None:
     """Link a user to an identity at an identity provider. ISSUER is the provider's URL, SUBJECT the user's
     identifier there.
 
     \b
     labos user link ada https://login.example.org 248289761001
     """
-    with lab_or_its_folder(home) as client:
+    with lab_or_its_folder(asker.home) as client:
         client.link_identity(name, issuer, subject)
-    tell(
-        f"{subject} of {issuer} is {name} here.",
-        {"user": name, "issuer": issuer, "subject": subject},
-        as_json=as_json,
-    )
+    asker.tell(f"{subject} of {issuer} is {name} here.", {"user": name, "issuer": issuer, "subject": subject})
 
 
 def _row(user: dict[str, Any]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from labos.client._flows import FlowResult
 from labos.client._record import ExperimentRecord, ServiceRecord
 from labos.client._replay import Key, ReplayMismatch, as_json
-from labos.client._transfers import Place, TransferFailed, Transferred
+from labos.client._transfers import Place, TransferFailed, Transferred, read_transfer
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -104,11 +104,7 @@ def transfer(
         facts = {**said, "where": "globus", "task": moved.task, "sha256": moved.sha256, "bytes": moved.bytes}
         facts["seconds"] = round(perf_counter() - begun, 6)
         known = record.keep(key, "transfer", urlsplit(said["target"]).path.rpartition("/")[2], facts)
-    facts = known["facts"]
-    recorded = {name: facts[name] for name in said}
-    if recorded != said:
-        raise ReplayMismatch(record.experiment, key, recorded, said)
-    return Transferred(**said, sha256=facts["sha256"], bytes=facts["bytes"])
+    return read_transfer(record, key, known["facts"], said)
 
 
 def ingest(record: ExperimentRecord, key: Key, index: GlobusIndex, content: Mapping[str, Any]) -> None:

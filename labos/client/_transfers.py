@@ -50,7 +50,13 @@ def transfer(record: ExperimentRecord, key: Key, source: Place, target: str | Pa
         digest, size = _copy(record, source, str(target))
         facts = {**said, "sha256": digest, "bytes": size, "seconds": round(perf_counter() - begun, 6)}
         known = record.keep(key, "transfer", Path(urlsplit(said["target"]).path).name or "file", facts)
-    facts = known["facts"]
+    return read_transfer(record, key, known["facts"], said)
+
+
+def read_transfer(
+    record: ExperimentRecord, key: Key, facts: Mapping[str, Any], said: Mapping[str, str]
+) -> Transferred:
+    """A transfer as the log has it. Raises ReplayMismatch if that was another one than is ``said`` now."""
     recorded = {name: facts[name] for name in said}
     if recorded != said:
         raise ReplayMismatch(record.experiment, key, recorded, said)

@@ -31,9 +31,10 @@ class ActionEvent(Event, frozen=True):
 
 @event("action.requested")
 class ActionRequested(ActionEvent, frozen=True):
-    """The durable intent: written before anything is sent. ``attempt`` counts sendings of the
-    same action; ``journal`` is the node's journal the request is meant for; ``effects`` name the
-    labware they touch."""
+    """The kernel requests an action. The event is on disk before anything is sent. ``attempt`` counts how
+    often the same action was sent. ``journal`` is the node's journal for which the request is meant.
+    ``effects`` name the labware that they concern. ``together`` are all actions that the device carries out
+    at once with this one, this one included; empty if it carries out this one alone."""
 
     attempt: int
     epoch: int
@@ -43,19 +44,20 @@ class ActionRequested(ActionEvent, frozen=True):
     effects: tuple[AnyEffect, ...]
     exclusive: bool = True
     files: dict[str, str] = {}
+    together: tuple[ActionId, ...] = ()
 
 
 @event("action.accepted")
 class ActionAccepted(ActionEvent, frozen=True):
-    """The node has the attempt in its journal and carries it out."""
+    """The node has stored the attempt in its journal and carries it out."""
 
     attempt: int
 
 
 @event("action.rejected")
 class ActionRejected(ActionEvent, frozen=True):
-    """The node refused before anything moved. ``final``: it would refuse again; otherwise the
-    step waits for its turn once more."""
+    """The node refused the action before anything moved. With ``final``, it would refuse again; otherwise the
+    step waits for another attempt."""
 
     attempt: int
     why: str
@@ -64,8 +66,8 @@ class ActionRejected(ActionEvent, frozen=True):
 
 @event("action.reported")
 class ActionReported(ActionEvent, frozen=True):
-    """The device says that it did it. That is believed when the observers of ``looks`` have seen what
-    stands at these stations now; ``ended_ns`` as of ``action.succeeded``."""
+    """The device reports success. The action counts as succeeded when observers have confirmed what stands at
+    the stations ``looks`` now. ``ended_ns`` is as in ``action.succeeded``."""
 
     attempt: int
     looks: tuple[StationName, ...]
@@ -75,8 +77,8 @@ class ActionReported(ActionEvent, frozen=True):
 
 @event("action.succeeded")
 class ActionSucceeded(ActionEvent, frozen=True):
-    """The device did it; its effects follow as events of their own. ``ended_ns`` is when, by the
-    node's own clock (UTC ns); 0 if it did not say, or said a time before it was asked."""
+    """The action succeeded; its effects follow as further events. ``ended_ns`` is the end by the node's own
+    clock (UTC ns). It is 0 if the node reported no time, or a time before the request."""
 
     attempt: int
     result: Any = None
@@ -85,8 +87,9 @@ class ActionSucceeded(ActionEvent, frozen=True):
 
 @event("action.failed")
 class ActionFailed(ActionEvent, frozen=True):
-    """It failed; ``effects`` says what took place. ``kind`` is ``software`` where the device reported it,
-    ``operational`` where it reported a collision, or success where an observer saw something else."""
+    """The action failed; ``effects`` says how much of it took place. ``kind`` is ``software`` if the device
+    reported an error. It is ``operational`` if the device reported a collision, or if it reported success and
+    an observer saw something else."""
 
     attempt: int
     error: str
@@ -96,7 +99,7 @@ class ActionFailed(ActionEvent, frozen=True):
 
 @event("action.unknown")
 class ActionUnknown(ActionEvent, frozen=True):
-    """Nobody can say whether it was done; a sensor or a person has to."""
+    """It is unknown whether the action was done. A sensor or a person has to find out."""
 
     attempt: int
     why: str
@@ -104,8 +107,8 @@ class ActionUnknown(ActionEvent, frozen=True):
 
 @event("action.reconciled")
 class ActionReconciled(ActionEvent, frozen=True):
-    """What was unknown is known now; ``by`` names who or what said so. ``result`` is what later
-    steps read of it, if it was done."""
+    """An action's unknown outcome is now known; ``by`` names the person or module that reported it. If the
+    action was done, ``result`` is the value that later steps read."""
 
     attempt: int
     effects: EffectsDone
@@ -113,9 +116,13 @@ class ActionReconciled(ActionEvent, frozen=True):
     result: Any = None
 
 
+ActionEnd = ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled
+"""The events with which an action ends."""
+
+
 @event("action.evidence")
 class ActionEvidence(ActionEvent, frozen=True):
-    """A result that came after the log had settled the action without it."""
+    """A result arrived after the outcome of the action had already been settled."""
 
     attempt: int
     succeeded: bool
@@ -126,9 +133,9 @@ class ActionEvidence(ActionEvent, frozen=True):
 
 @event("action.discovered")
 class ActionDiscovered(Event, frozen=True):
-    """A node's journal knows an action that the log does not: the log lost its tail. ``position`` is where
-    its request stood (0: not noted); ``effects`` are what it was to do to labware, null where the journal
-    does not say."""
+    """A node's journal has an action that the log does not have: the log has lost its end. ``position`` is
+    the position of its request (0: not known). ``effects`` are its planned effects on labware; null if the
+    journal does not have them."""
 
     action: ActionId
     module: ModuleName
@@ -153,7 +160,8 @@ class ActionStatus(StrEnum):
 
 class Action(msgspec.Struct):
     """An action that has not ended. Once its device has reported success, ``looks`` are the stations that are
-    looked at before that is believed, and ``result`` and ``ended_ns`` what it said."""
+    looked at before that is believed, and ``result`` and ``ended_ns`` what it said. ``together`` are the
+    actions with which its device carries it out in one go, and itself."""
 
     id: ActionId
     run: RunId
@@ -173,6 +181,7 @@ class Action(msgspec.Struct):
     looks: tuple[StationName, ...] = ()
     result: Any = None
     ended_ns: int = 0
+    together: tuple[ActionId, ...] = ()
 
 
 class Settled(msgspec.Struct):
@@ -243,6 +252,7 @@ def fold_action_requested(actions: Actions, event: ActionRequested, at: int, pos
         files=event.files,
         position=position,
         requested_at=at,
+        together=event.together,
     )
     actions.in_cell.setdefault(workcell_of(event.module), {})[event.action] = True
 

@@ -7,7 +7,7 @@ experiments and changes of campaigns; and by a second person, of runs with dange
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 
@@ -26,7 +26,8 @@ from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.open_experiments import Experiments
 from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event, event
-from labos.core.runs import RunCancelled, RunCompleted, RunEvent, RunFailed, Runs, let_wait_anew
+from labos.core.runs import RunEnd, RunEvent, Runs, let_wait_anew
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 PAST_KEPT = 1_000
@@ -36,15 +37,16 @@ Kind = Literal["run", "campaign", "experiment", "amendment"]
 
 
 class Why(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Why something waits for an approval: a ``code`` for programs, a ``text`` for people."""
+    """A reason why something waits for an approval: a ``code`` for programs, a ``text`` for people."""
 
     code: str
     text: str
 
 
 class Demand(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a submission asks of the lab by its plan: how many steps; nominal module time in lab seconds, in
-    all and by module; consumables by kind; which steps are dangerous. Of a campaign: of all its ``rows``."""
+    """The work and material that a submission needs by its plan: the number of steps; nominal module time in
+    lab seconds, in total and by module; consumables by kind; its dangerous steps. For a campaign, these are
+    the sums over all its ``rows``."""
 
     steps: int = 0
     module_time_s: float = 0.0
@@ -65,10 +67,10 @@ class ApprovalEvent(Event, frozen=True):
 
 @event("approval.requested")
 class ApprovalRequested(ApprovalEvent, frozen=True):
-    """A submission, or a change of a campaign (``amendment``), waits for an approval.
-    ``digest`` is that of all its ``parts``, which are digests by name; ``by`` is who asked. ``before`` is
-    what was approved last of the same name, and ``changed`` are the parts that were others then. ``terms``
-    are those of a campaign."""
+    """A submission, or a change of a campaign (``amendment``), waits for an approval. ``digest`` covers all
+    its ``parts``, which are digests by name. ``by`` is the user who asked. ``before`` is the last approved
+    digest of the same name, and ``changed`` lists the parts that differ from it. ``terms`` are those of a
+    campaign."""
 
     kind: Kind
     name: str
@@ -85,9 +87,9 @@ class ApprovalRequested(ApprovalEvent, frozen=True):
 
 @event("approval.given")
 class ApprovalGiven(ApprovalEvent, frozen=True):
-    """An operator lets it go on as it is (``digest``), but for the ``priority`` or the ``terms`` if they are
-    given. With ``alike``, further runs of the same experiment with the same workflow need no approval for
-    being a program's or a newcomer's."""
+    """An operator approves exactly this content (``digest``). If ``priority`` or ``terms`` are given, they
+    replace those of the submission. With ``alike``, further runs of the same experiment with the same
+    workflow need no approval for the reason that a program or a newcomer submits them."""
 
     kind: Kind
     digest: str
@@ -100,7 +102,7 @@ class ApprovalGiven(ApprovalEvent, frozen=True):
 
 @event("approval.refused")
 class ApprovalRefused(ApprovalEvent, frozen=True):
-    """An operator does not let it go on; it is cancelled, or the change of a campaign is not made."""
+    """An operator refuses. The submission is cancelled, or the change of the campaign is not made."""
 
     kind: Kind
     digest: str
@@ -110,7 +112,8 @@ class ApprovalRefused(ApprovalEvent, frozen=True):
 
 @event("run.approved")
 class RunApproved(RunEvent, frozen=True):
-    """Its dangerous steps may be carried out: ``by`` is not whose run it is, and has seen what it does."""
+    """The run's dangerous steps may be carried out. ``by`` is a person other than the run's owner, and has
+    checked the steps."""
 
     by: str
 
@@ -177,7 +180,7 @@ def fold_policy_applied(approvals: Approvals, event: PolicyApplied, at: int) -> 
 
 def fold_approval_requested(approvals: Approvals, event: ApprovalRequested, at: int) -> None:
     approvals.open.pop(event.subject, None)
-    approvals.open[event.subject] = Proposal(**msgspec.structs.asdict(event), requested_at=at)
+    approvals.open[event.subject] = make_from(Proposal, event, requested_at=at)
 
 
 def fold_approval_given(approvals: Approvals, event: ApprovalGiven, at: int) -> None:
@@ -199,7 +202,7 @@ def fold_approval_refused(approvals: Approvals, event: ApprovalRefused, at: int)
     del approvals.open[event.subject]
 
 
-def fold_run_ended(approvals: Approvals, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(approvals: Approvals, event: RunEnd, at: int) -> None:
     approvals.open.pop(event.run, None)
 
 
@@ -222,9 +225,7 @@ HANDLERS = {
     ApprovalRequested: fold_approval_requested,
     ApprovalGiven: fold_approval_given,
     ApprovalRefused: fold_approval_refused,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
+    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
     CampaignCancelled: fold_campaign_ended,
     CampaignStopped: fold_campaign_ended,
     CampaignCompleted: fold_campaign_ended,

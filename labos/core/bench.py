@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
-from labos.core.actions import (
-    ActionDiscovered,
-    ActionFailed,
-    ActionReconciled,
-    ActionRejected,
-    ActionRequested,
-    ActionSucceeded,
-)
+from labos.core.actions import ActionDiscovered, ActionEnd, ActionRequested
 from labos.core.effects import AnyEffect, Carrying, find_labware_used, hand_of, list_carried, turn
 from labos.core.ids import (
     NOBODY,
@@ -397,9 +390,7 @@ def fold_action_discovered(bench: Bench, event: ActionDiscovered, at: int) -> No
             bench.named = number
 
 
-def fold_action_ended(
-    bench: Bench, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
-) -> None:
+def fold_action_ended(bench: Bench, event: ActionEnd, at: int) -> None:
     """What the action had reserved is free; its effects follow as events of their own."""
     effects = bench.reserved.pop(event.action, ())
     for what in list_carried(effects):
@@ -532,8 +523,5 @@ HANDLERS = {
     LiquidDrawn: fold_liquid_drawn,
     ActionRequested: fold_action_requested,
     ActionDiscovered: fold_action_discovered,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionReconciled: fold_action_ended,
+    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
 }

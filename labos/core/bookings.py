@@ -14,6 +14,7 @@ import msgspec
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.recurrence import DAY_NS, times_between
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 LEAD_NS = 30 * 60 * 1_000_000_000
@@ -50,21 +51,21 @@ class BookingTerms(BookingEvent, frozen=True):
 
 @event("booking.made")
 class BookingMade(BookingTerms, frozen=True):
-    """Somebody booked a module or a workcell. ``over`` are bookings that it was made over, by force."""
+    """Somebody booked a module or a workcell. ``over`` lists the bookings that it overrides."""
 
     over: tuple[str, ...] = ()
 
 
 @event("booking.changed")
 class BookingChanged(BookingTerms, frozen=True):
-    """A booking is for another time or for somebody else. All of it is said again."""
+    """A booking has another time or another owner. The event holds the whole booking."""
 
     over: tuple[str, ...] = ()
 
 
 @event("booking.cancelled")
 class BookingCancelled(BookingEvent, frozen=True):
-    """A booking is cancelled; of a repeated one, all times that were still to come."""
+    """A booking is cancelled. If it repeats, all its future times are cancelled."""
 
     by: str
     why: Words = ""
@@ -72,7 +73,7 @@ class BookingCancelled(BookingEvent, frozen=True):
 
 @event("booking.skipped")
 class BookingSkipped(BookingEvent, frozen=True):
-    """One time of a repeated booking is left out: the one that begins at ``begins`` (UTC ns)."""
+    """One time of a repeated booking is left out. ``begins`` is the beginning of that time (UTC ns)."""
 
     begins: int
     by: str
@@ -88,7 +89,7 @@ class Occasion(BookingEvent, frozen=True):
 
 @event("booking.neared")
 class BookingNeared(Occasion, frozen=True):
-    """A booking begins soon: who has to clear the place is told."""
+    """A booking begins soon. LabOS notifies the users who have to clear the place."""
 
 
 @event("booking.began")
@@ -98,7 +99,7 @@ class BookingBegan(Occasion, frozen=True):
 
 @event("booking.ended")
 class BookingEnded(Occasion, frozen=True):
-    """The time of a booking is over; ``over``: it does not come again."""
+    """The time of a booking has ended. ``over``: the booking does not repeat again."""
 
     over: bool = False
 
@@ -276,22 +277,7 @@ def fold_booking_ended(bookings: Bookings, event: BookingEnded, at: int) -> None
 
 def _write(bookings: Bookings, event: BookingMade | BookingChanged, at: int) -> None:
     bookings.made += 1
-    bookings.open[event.booking] = Booking(
-        event.booking,
-        event.target,
-        event.begins,
-        event.ends,
-        event.by,
-        event.user,
-        event.group,
-        event.maintenance,
-        event.why,
-        event.zone,
-        event.rule,
-        event.last,
-        bookings.made,
-        at,
-    )
+    bookings.open[event.booking] = make_from(Booking, event, id=event.booking, made=bookings.made, made_at=at)
     bookings.on.setdefault(event.target, {})[event.booking] = True
 
 

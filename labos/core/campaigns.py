@@ -7,25 +7,28 @@ order, so that each becomes exactly one run, and a campaign of many rows takes n
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
-from labos.core.actions import (
-    ActionFailed,
-    ActionReconciled,
-    ActionRejected,
-    ActionRequested,
-    ActionSucceeded,
-)
+from labos.core.actions import ActionEnd, ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.conditions import holds
 from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, CampaignId, RunId
 from labos.core.model import Condition
 from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
-from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.runs import (
+    REQUESTS_KEPT,
+    RunCancelled,
+    RunCompleted,
+    RunEnd,
+    RunFailed,
+    RunStarted,
+    RunSubmitted,
+)
 from labos.core.steps import StepUnexpected
+from labos.core.structs import make_from
 from labos.core.viewer import RestrictedCampaign, Visibility
 from labos.core.words import Words
 
@@ -34,7 +37,7 @@ ROWS_QUEUED = 4
 
 
 class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a campaign may use at most: runs, module time in lab seconds (0: no limit), and consumables by
+    """The most that a campaign may use: runs, module time in lab seconds (0: no limit), and consumables by
     kind, each in its own unit."""
 
     runs: int = 0
@@ -43,9 +46,9 @@ class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Terms(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What can be changed while a campaign goes on. ``deadline`` in UTC ns (0: none); once ``until`` holds
-    for the results of a completed run, or ``stop_after`` runs have failed (0: however many), no further
-    row is submitted."""
+    """The part of a campaign that can be changed while it is running. ``deadline`` is in UTC ns (0: none). As
+    soon as ``until`` is true for the results of a completed run, or ``stop_after`` runs have failed (0: no
+    limit), no further row is submitted."""
 
     priority: int = 0
     deadline: int = 0
@@ -68,9 +71,10 @@ class CampaignEvent(Event, frozen=True):
 
 @event("campaign.submitted")
 class CampaignSubmitted(CampaignEvent, frozen=True):
-    """A workflow is to be carried out for each of so many ``rows``. ``table`` is the digest of the rows, a
-    JSON object a line; ``definition`` that of the workflow's text and files. ``cloned_from`` is the campaign
-    whose rows and workflow it has once more. ``due`` is the key of a row that says when its run is due."""
+    """A workflow is to be carried out once for each row. ``rows`` is their number. ``table`` is the digest of
+    the rows (one JSON object per line); ``definition`` is the digest of the workflow's text and files.
+    ``cloned_from`` is the campaign from which rows and workflow were copied. ``due`` is the column with the
+    due date of each row's run."""
 
     name: str
     user: str
@@ -88,7 +92,7 @@ class CampaignSubmitted(CampaignEvent, frozen=True):
 
 @event("campaign.paused")
 class CampaignPaused(CampaignEvent, frozen=True):
-    """No further row is submitted; runs that wait are paused, those under way go on."""
+    """No further row is submitted. Waiting runs are paused; runs that have started continue."""
 
     why: Words = ""
 
@@ -100,14 +104,14 @@ class CampaignResumed(CampaignEvent, frozen=True):
 
 @event("campaign.amended")
 class CampaignAmended(CampaignEvent, frozen=True):
-    """It goes on under these terms; runs submitted before keep their priority."""
+    """The campaign continues with these terms. Runs that were submitted before keep their priority."""
 
     terms: Terms
 
 
 @event("campaign.row_refused")
 class CampaignRowRefused(CampaignEvent, frozen=True):
-    """A row cannot be carried out in the lab as it is now; it becomes no run."""
+    """A row cannot be carried out in the present lab, so no run is submitted for it."""
 
     row: int
     why: str
@@ -115,8 +119,8 @@ class CampaignRowRefused(CampaignEvent, frozen=True):
 
 @event("campaign.stopped")
 class CampaignStopped(CampaignEvent, frozen=True):
-    """By its own rules no further row is submitted; runs under way go on. ``by_run`` is the run whose
-    results fulfilled its stop rule."""
+    """The campaign's own rules end it: no further row is submitted, and runs that have started continue.
+    ``by_run`` is the run whose results fulfilled the stop rule."""
 
     why: str
     by_run: str = ""
@@ -124,14 +128,15 @@ class CampaignStopped(CampaignEvent, frozen=True):
 
 @event("campaign.cancelled")
 class CampaignCancelled(CampaignEvent, frozen=True):
-    """Somebody ended it: no further row is submitted, and its runs are cancelled."""
+    """Somebody cancelled the campaign: no further row is submitted, and its runs are cancelled."""
 
     why: Words = ""
 
 
 @event("campaign.completed")
 class CampaignCompleted(CampaignEvent, frozen=True):
-    """Nothing of it is left to do. The counts are of rows; ``left`` never became runs."""
+    """All work of the campaign has ended. The counts are numbers of rows; ``left`` is the number of rows for
+    which no run was submitted."""
 
     completed: int
     failed: int
@@ -143,7 +148,7 @@ class CampaignCompleted(CampaignEvent, frozen=True):
 
 @event("campaign.archived")
 class CampaignArchived(Event, frozen=True):
-    """A campaign that has ended is left out of lists."""
+    """A campaign that has ended is hidden from lists."""
 
     campaign: CampaignId
 
@@ -153,7 +158,7 @@ class CampaignArchived(Event, frozen=True):
 
 @event("campaign.unarchived")
 class CampaignUnarchived(Event, frozen=True):
-    """A campaign stands in lists again."""
+    """An archived campaign is shown in lists again."""
 
     campaign: CampaignId
 
@@ -245,7 +250,8 @@ class EndedCampaign(msgspec.Struct):
 
 class Campaigns(msgspec.Struct):
     """``open`` are those that have not been completed; ``named`` and ``requests`` as for runs. ``members``
-    are the runs alive of campaigns, ``clocks`` hold when their open actions were requested. ``due`` are the
+    are the runs alive of campaigns, ``clocks`` hold when their open actions were requested, ``parts`` how
+    many actions share the time of their module, where a device carries out several in one go. ``due`` are the
     campaigns that must be stopped or are over. ``ended`` and ``restricted`` are kept for ever: a campaign may
     be archived years later, and its events stay in the log."""
 
@@ -254,6 +260,7 @@ class Campaigns(msgspec.Struct):
     requests: dict[str, CampaignId] = {}
     members: dict[RunId, CampaignId] = {}
     clocks: dict[ActionId, int] = {}
+    parts: dict[ActionId, int] = {}
     due: dict[CampaignId, bool] = {}
     ended: dict[CampaignId, EndedCampaign] = {}
     restricted: dict[CampaignId, RestrictedCampaign] = {}
@@ -292,20 +299,7 @@ def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: 
         campaigns.requests[event.request] = event.campaign
         while len(campaigns.requests) > REQUESTS_KEPT:
             del campaigns.requests[next(iter(campaigns.requests))]
-    campaigns.open[event.campaign] = Campaign(
-        id=event.campaign,
-        name=event.name,
-        user=event.user,
-        workflow=event.workflow,
-        workcell=event.workcell,
-        rows=event.rows,
-        table=event.table,
-        definition=event.definition,
-        submitted_at=at,
-        terms=event.terms,
-        cloned_from=event.cloned_from,
-        due=event.due,
-    )
+    campaigns.open[event.campaign] = make_from(Campaign, event, id=event.campaign, submitted_at=at)
     if event.visibility != "lab":
         campaigns.restricted[event.campaign] = RestrictedCampaign(
             event.user, event.workcell, event.visibility
@@ -385,7 +379,7 @@ def fold_run_started(campaigns: Campaigns, event: RunStarted, at: int) -> None:
         campaign.first_started_at = campaign.first_started_at or at
 
 
-def fold_run_ended(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(campaigns: Campaigns, event: RunEnd, at: int) -> None:
     campaign = campaigns.find_by_run(event.run)
     if campaign is None:
         return
@@ -419,17 +413,17 @@ def _meets(campaign: Campaign, results: dict[str, Any]) -> bool:
 def fold_action_requested(campaigns: Campaigns, event: ActionRequested, at: int) -> None:
     if event.run in campaigns.members:
         campaigns.clocks.setdefault(event.action, at)
+        if event.together:
+            campaigns.parts[event.action] = len(event.together)
 
 
-def fold_action_ended(
-    campaigns: Campaigns, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
-) -> None:
-    began = campaigns.clocks.pop(event.action, None)
+def fold_action_ended(campaigns: Campaigns, event: ActionEnd, at: int) -> None:
+    began, parts = campaigns.clocks.pop(event.action, None), campaigns.parts.pop(event.action, 1)
     campaign = campaigns.find_by_run(event.run)
     if campaign is None:
         return
     if began is not None:
-        campaign.spent_ns += at - began
+        campaign.spent_ns += (at - began) // parts
     is_done = isinstance(event, ActionSucceeded) or (
         isinstance(event, ActionReconciled) and event.effects == "all"
     )
@@ -474,14 +468,9 @@ HANDLERS = {
     CampaignUnarchived: fold_campaign_unarchived,
     RunSubmitted: fold_run_submitted,
     RunStarted: fold_run_started,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
+    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
     ActionRequested: fold_action_requested,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionReconciled: fold_action_ended,
+    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
     StepUnexpected: fold_step_unexpected,
     ResourceConsumed: fold_resource_consumed,
 }

@@ -92,10 +92,9 @@ class Carrying(Effect, frozen=True):
 
 
 class Move(Carrying, frozen=True, tag="move"):
-    """Labware goes from one station to another, in the gripper of the module that acts.
-
-    ``via`` is the station where the grip is changed, if it must be. A move to a waste station
-    ends the labware.
+    """Labware moves from one station to another, in the gripper of the module that acts. ``via`` is the
+    station where the grip is changed, if that is necessary. After a move to a waste station, the labware is
+    no longer on the bench.
     """
 
     source: StationName
@@ -107,8 +106,8 @@ class Move(Carrying, frozen=True, tag="move"):
 
 
 class Unlid(Move, frozen=True, tag="unlid"):
-    """The lid of the plate at ``source`` goes to ``target``, a nest or stack for lids. The plate
-    stays; ``labware`` is the lid."""
+    """The lid of the plate at ``source`` moves to ``target``, a nest or stack for lids. The plate stays;
+    ``labware`` is the lid."""
 
     plate: LabwareId = LabwareId("")
 
@@ -124,7 +123,7 @@ class Unlid(Move, frozen=True, tag="unlid"):
 
 
 class Relid(Move, frozen=True, tag="relid"):
-    """The lid at ``source`` goes onto the plate at ``target``; ``labware`` is the lid."""
+    """The lid at ``source`` moves onto the plate at ``target``; ``labware`` is the lid."""
 
     plate: LabwareId = LabwareId("")
 
@@ -148,7 +147,7 @@ class Relid(Move, frozen=True, tag="relid"):
 
 
 class Take(Carrying, frozen=True, tag="take"):
-    """The topmost item of a stack becomes labware of its own at ``target``."""
+    """The topmost piece of a stack moves to ``target`` and gets an id."""
 
     stack: StationName
     target: StationName
@@ -172,17 +171,16 @@ class Take(Carrying, frozen=True, tag="take"):
 
 
 class Needs(Effect, frozen=True, tag="needs"):
-    """Labware that this run may use stands at the station (default: at any of the module's)."""
+    """Labware that this run may use stands at the station (default: at any station of the module)."""
 
     station: StationName = NOWHERE
     labware: LabwareId = LabwareId("")
 
 
 class Requires(Effect, frozen=True, tag="requires"):
-    """A variable of the module, or of the labware it works on, has a value before the start.
-
-    ``of`` is ``module`` or ``labware``. A labware variable that was never set counts as false;
-    ``lidded`` is never set, but follows from where lids are.
+    """A variable of the module, or of the labware in it, must have a value before the start. ``of`` is
+    ``module`` or ``labware``. A labware variable that was never set counts as false. ``lidded`` is never set;
+    it follows from the places of lids.
     """
 
     of: str
@@ -192,8 +190,8 @@ class Requires(Effect, frozen=True, tag="requires"):
 
 
 class Sets(Effect, frozen=True, tag="sets"):
-    """A variable of the module, or of the labware it works on, has a value afterwards. The value
-    ``{result}`` or ``{result.field}`` is what the device reports when it has done it."""
+    """A variable of the module, or of the labware in it, has a value after the action. The value ``{result}``
+    or ``{result.field}`` stands for the result that the device reports."""
 
     of: str
     variable: str
@@ -202,16 +200,16 @@ class Sets(Effect, frozen=True, tag="sets"):
 
 
 class Consumes(Effect, frozen=True, tag="consumes"):
-    """The module uses up an amount of a resource, in that resource's unit. A driver may state it as
-    a place-holder (``{wells.count}``); in a plan it is a number."""
+    """The module uses up an amount of a resource, in the unit of the resource. A driver may declare it as a
+    placeholder (``{wells.count}``); in a plan it is a number."""
 
     resource: str
     amount: float | str
 
 
 class Replaces(Effect, frozen=True, tag="replaces"):
-    """What is left of a resource of ``module`` is taken out, and a full pack put in: what a person does
-    with a roll of foil or a rack of tips. Nothing, if no module is named."""
+    """A person takes out the rest of a resource of ``module`` and puts in a full pack, such as a roll of foil
+    or a rack of tips. Without a module, it has no effect."""
 
     module: str
     resource: str
@@ -220,22 +218,22 @@ class Replaces(Effect, frozen=True, tag="replaces"):
 
 
 class Claims(Effect, frozen=True, tag="claims"):
-    """The module is set to a value that its run needs to stay: runs that want the same value
-    share it, others wait until the last holder has let go or ended."""
+    """The module is set to a value that its run needs it to keep. Runs that need the same value share it.
+    Others wait until the last of these runs has released it or ended."""
 
     setpoint: str
     value: Any
 
 
 class Releases(Effect, frozen=True, tag="releases"):
-    """The run does not need the module's setpoint any more."""
+    """The run no longer needs the module's setpoint."""
 
     setpoint: str
 
 
 class Reads(Effect, frozen=True, tag="reads"):
-    """The module reads the barcode of the labware it works on; the result is that text, or an
-    object that holds it as ``barcode``. ``station`` and ``barcode`` are known afterwards only."""
+    """The module reads the barcode of the labware in it. The result is the barcode, or an object with the
+    field ``barcode``. ``station`` and ``barcode`` are known only after the action."""
 
     labware: LabwareId = LabwareId("")
     station: StationName = StationName("")
@@ -243,9 +241,9 @@ class Reads(Effect, frozen=True, tag="reads"):
 
 
 class Transfers(Effect, frozen=True, tag="transfers"):
-    """Liquid goes into wells of the labware that the module works on: one volume (µL) a well.
-    ``liquid`` is the well or reservoir it comes from, ``resource`` the consumable whose lot it is
-    of, if it is one. Lists may come from an earlier step's result."""
+    """Liquid goes into wells of the labware in the module: one volume (µL) per well. ``liquid`` is the well
+    or reservoir from which it comes. If the liquid is a consumable, ``resource`` names it and gives the lot.
+    Lists may come from an earlier step's result."""
 
     liquid: str
     wells: Any
@@ -255,8 +253,8 @@ class Transfers(Effect, frozen=True, tag="transfers"):
 
 
 class Draws(Effect, frozen=True, tag="draws"):
-    """Liquid leaves wells of the labware that the module works on: one volume (µL) a well. Lists may
-    come from an earlier step's result."""
+    """Liquid leaves wells of the labware in the module: one volume (µL) per well. Lists may come from an
+    earlier step's result."""
 
     wells: Any
     volumes_ul: Any

@@ -11,11 +11,11 @@ from labos.core.registry import TYPES, Event, event
 from labos.core.words import PREFIX, fields_of_words, references_in
 
 REASONS = {
-    "request": "the person who wrote it, or whom it is about, asked for it",
-    "personal": "it tells of a person what does not belong there",
-    "secret": "it holds a password, or what is confidential",
+    "request": "the author, or the person whom the text concerns, asked for it",
+    "personal": "it holds personal data that do not belong there",
+    "secret": "it holds a password or something confidential",
     "mistake": "it was written in the wrong place",
-    "retention": "it was kept for as long as the rules say",
+    "retention": "its retention period has ended",
     "order": "a court or an authority ordered it",
 }
 """Why words may be erased, by code. A text would be words again."""
@@ -34,7 +34,7 @@ class ErasureEvent(Event, frozen=True):
 
 @event("words.erasure_asked")
 class ErasureAsked(ErasureEvent, frozen=True):
-    """Somebody wants words erased, which takes a second person by the lab's policy."""
+    """Somebody asks for words to be erased. By the lab's policy, a second person has to agree."""
 
     because: str
     by: str
@@ -44,15 +44,16 @@ class ErasureAsked(ErasureEvent, frozen=True):
 
 @event("words.erasure_refused")
 class ErasureRefused(ErasureEvent, frozen=True):
-    """What waits for a second person is not done."""
+    """The second person did not agree to an erasure, or it was withdrawn; it is not done."""
 
     by: str
 
 
 @event("words.erased")
 class WordsErased(ErasureEvent, frozen=True):
-    """Words that stood beside the log are gone. ``digests`` are those in the references to them, ``records``
-    the positions of the events that were written with them. ``approved_by`` is the second person."""
+    """Words that were stored beside the log are erased. ``digests`` are the digests in the references to
+    them; ``records`` are the positions of the events that refer to them. ``approved_by`` is the second
+    person."""
 
     because: str
     by: str

@@ -18,8 +18,8 @@ class ExperimentEvent(Event, frozen=True):
 
 @event("experiment.started")
 class ExperimentStarted(ExperimentEvent, frozen=True):
-    """An application has begun. ``closing`` is the plan that clears away what it parks between
-    its runs (empty: none); ``parking`` are the stations where it parks (empty: anywhere)."""
+    """An application has started. ``closing`` is the plan that clears away the labware that it parks between
+    its runs (empty: none). ``parking`` lists the stations where it may park labware (empty: anywhere)."""
 
     name: str
     user: str
@@ -31,22 +31,23 @@ class ExperimentStarted(ExperimentEvent, frozen=True):
 
 @event("experiment.cancelled")
 class ExperimentCancelled(ExperimentEvent, frozen=True):
-    """It takes no more runs, and closes when those that it has have ended."""
+    """The experiment accepts no more runs. It closes when all its runs have ended."""
 
     why: Words
 
 
 @event("experiment.closing")
 class ExperimentClosing(ExperimentEvent, frozen=True):
-    """The application is over; its closing workflow clears away its labware."""
+    """The application has ended. Its closing workflow clears its labware away."""
 
     why: Words
 
 
 @event("experiment.ended")
 class ExperimentEnded(ExperimentEvent, frozen=True):
-    """Nothing of it is left to do; ``closing`` is its closing plan, not needed any more. ``why`` is the
-    reason of one that had nothing to clear away; of others ``experiment.closing`` has it."""
+    """The experiment has ended. ``closing`` is its closing plan, which is no longer needed. ``why`` is the
+    reason of an experiment that had nothing to clear away; otherwise ``experiment.closing`` has the
+    reason."""
 
     closing: str = ""
     why: Words = ""
@@ -54,15 +55,15 @@ class ExperimentEnded(ExperimentEvent, frozen=True):
 
 @event("experiment.resumed")
 class ExperimentResumed(ExperimentEvent, frozen=True):
-    """Its application was started again, and goes on where it was."""
+    """The experiment's application was started again and continues where it was."""
 
 
 @event("experiment.noted")
 class ExperimentNoted(ExperimentEvent, frozen=True):
-    """What an application logs of itself. ``kind``: loop_started, loop_ended,
-    condition_checked, decision, local_compute, compute, flow, publication (the paper's logged
-    events), or transfer. ``key`` names the call of the application that logged it, by which one that is
-    started again finds it; an experiment has no two of one key."""
+    """An application logs a note. ``kind``: loop_started, loop_ended, condition_checked, decision,
+    local_compute, compute, flow, publication (the paper's logged events), or transfer. ``key`` identifies the
+    call in the application, so that a restarted application finds its result. A key occurs only once in an
+    experiment."""
 
     kind: str
     name: str

@@ -7,17 +7,18 @@ import msgspec
 from labos.core.effects import AnyEffect
 from labos.core.ids import InterventionId, LabwareId
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.topics import AnyTopic, Choice, Topic
 from labos.core.words import Words
 
 
 @event("intervention.requested", schema=2)
 class InterventionRequested(Event, frozen=True):
-    """A person is asked. ``topic`` is what about (null: of a kind that is not asked any more); ``kind``,
-    ``subject``, ``labware`` and ``motions`` say the same in words that all kinds share: the name of the kind,
-    the id it is about, what a choice may remove, and the moves and takes for which it is not known how far
-    they went, or the reading that contradicts the log. ``due_at`` is until when planned work should be done
-    (UTC ns; 0: no time was set)."""
+    """LabOS asks a person. ``topic`` is the subject with its details (null: of a kind that is no longer
+    used). ``kind``, ``subject``, ``labware`` and ``motions`` repeat it in fields that all kinds share: the
+    name of the kind, the id of its subject, the labware that an answer may remove, and the moves and takes of
+    unknown outcome, or the reading that contradicts the log. ``due_at`` is the time by which planned work
+    should be done (UTC ns; 0: no time)."""
 
     intervention: InterventionId
     kind: str
@@ -37,7 +38,8 @@ class InterventionRequested(Event, frozen=True):
 
 @event("intervention.resolved")
 class InterventionResolved(Event, frozen=True):
-    """A person chose. ``choice`` is ``withdrawn`` when the question answered itself."""
+    """A person answered with ``choice``. It is ``withdrawn`` if the question was resolved without an
+    answer."""
 
     intervention: InterventionId
     choice: str
@@ -50,7 +52,8 @@ class InterventionResolved(Event, frozen=True):
 
 @event("intervention.overdue")
 class InterventionOverdue(Event, frozen=True):
-    """Planned work was not confirmed in time (``due_at``, UTC ns). Nothing fails by that."""
+    """A person did not confirm planned work by the time ``due_at`` (UTC ns). Nothing fails because of
+    this."""
 
     intervention: InterventionId
     run: str
@@ -126,19 +129,8 @@ def fold_intervention_requested(interventions: Interventions, event: Interventio
     if event.intervention in interventions.open:
         raise ValueError(f"{event.intervention} is open already")
     interventions.named += 1
-    interventions.open[event.intervention] = Intervention(
-        id=event.intervention,
-        kind=event.kind,
-        subject=event.subject,
-        text=event.text,
-        choices=event.choices,
-        run=event.run,
-        module=event.module,
-        labware=event.labware,
-        motions=event.motions,
-        requested_at=at,
-        due_at=event.due_at,
-        topic=event.topic,
+    interventions.open[event.intervention] = make_from(
+        Intervention, event, id=event.intervention, requested_at=at
     )
     interventions.by_subject.setdefault(event.subject, {})[event.intervention] = True
     if event.run:

@@ -134,12 +134,18 @@ def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
 
 def _modules(state: LabState, modules: Mapping[ModuleName, Module]) -> str:
     for name, module in modules.items():
-        if sum(flight.exclusive for flight in module.in_flight.values()) > 1:
+        if len({_find_group(state, a) for a, flight in module.in_flight.items() if flight.exclusive}) > 1:
             return f"{name} carries out two exclusive actions at once"
         for flying in module.in_flight:
             if flying not in state.actions.open:
                 return f"{name} is busy with {flying}, which is not open"
     return ""
+
+
+def _find_group(state: LabState, name: ActionId) -> tuple[ActionId, ...]:
+    """The actions that a device carries out in one go with this one, and this one."""
+    action = state.actions.open.get(name)
+    return (action.together if action is not None else ()) or (name,)
 
 
 def _actions(state: LabState, actions: Mapping[ActionId, Action]) -> str:

@@ -13,7 +13,7 @@ from labos.core.words import Words
 
 @event("lab.created")
 class LabCreated(Event, frozen=True):
-    """``pace`` is how much faster than real time simulated instruments run (1 in a real lab)."""
+    """The lab was created. ``pace`` is the speed-up factor of its simulated instruments (1 in a real lab)."""
 
     lab: LabId
     name: str
@@ -22,7 +22,7 @@ class LabCreated(Event, frozen=True):
 
 @event("kernel.started")
 class KernelStarted(Event, frozen=True):
-    """A kernel took the lease; everything older than its epoch is fenced off."""
+    """A kernel took the lease. Everything with an older epoch is fenced off."""
 
     epoch: int
     version: str
@@ -30,8 +30,8 @@ class KernelStarted(Event, frozen=True):
 
 @event("workcell.applied")
 class WorkcellApplied(Event, frozen=True):
-    """The modules of a workcell as its file (``digest``) describes them, the lab's own types of ``labware``,
-    and the ways of ``transfers`` that name no module."""
+    """A workcell file (``digest``) was applied: its modules, the lab's own types of ``labware``, and the
+    ``transfers`` for moves that name no module."""
 
     name: str
     digest: str
@@ -45,7 +45,8 @@ class WorkcellApplied(Event, frozen=True):
 
 @event("workcell.stations_applied")
 class StationsApplied(Event, frozen=True):
-    """Stations of a workcell; large workcells take several of these. Those ``removed`` were empty."""
+    """Stations of a workcell were applied. A large workcell needs several of these events. Stations that were
+    ``removed`` were empty."""
 
     name: str
     stations: tuple[StationSpec, ...]
@@ -57,8 +58,8 @@ class StationsApplied(Event, frozen=True):
 
 @event("workcell.access_requested")
 class AccessRequested(Event, frozen=True):
-    """A person wants to reach into a workcell: nothing starts there any more but the runs of the
-    plans ``parking``, which bring arms out of the way."""
+    """A person asks for access to a workcell. Nothing starts there any more, except the runs of the plans
+    ``parking``, which move arms out of the way."""
 
     name: str
     by: str
@@ -71,8 +72,8 @@ class AccessRequested(Event, frozen=True):
 
 @event("workcell.access_granted")
 class AccessGranted(Event, frozen=True):
-    """Nothing moves in the workcell, and nothing will until the access has ended; but for a module whose
-    action ended unknown: of that nobody knows."""
+    """The person may reach in: nothing moves in the workcell until the access has ended. The exception is a
+    module whose action has an unknown outcome: it may still move."""
 
     name: str
 
@@ -82,7 +83,7 @@ class AccessGranted(Event, frozen=True):
 
 @event("workcell.access_ended")
 class AccessEnded(Event, frozen=True):
-    """The person is out; what was changed there follows as events of its own."""
+    """The access has ended. The changes that the person made follow as further events."""
 
     name: str
     by: str
@@ -101,8 +102,7 @@ follow one another count by one."""
 
 @event("starts.paused")
 class StartsPaused(Event, frozen=True):
-    """Nothing is started any more of an experiment, on a module, in a workcell, or in the whole lab
-    (``*``)."""
+    """Nothing starts any more: of an experiment, on a module, in a workcell, or in the whole lab (``*``)."""
 
     target: str
     by: str

@@ -23,8 +23,8 @@ class LabwareEvent(Event, frozen=True):
 
 @event("station.declared")
 class StationDeclared(Event, frozen=True):
-    """A person says what stands at a station: labware types, bottom to top. Items of a stack
-    stay nameless until they are taken."""
+    """A person reports the labware at a station: labware types, from bottom to top. Pieces of a stack have no
+    id until they are taken."""
 
     station: StationName
     contents: tuple[str, ...]
@@ -35,8 +35,8 @@ class StationDeclared(Event, frozen=True):
 
 @event("station.emptied")
 class WasteEmptied(Event, frozen=True):
-    """Somebody emptied a waste: there is room in it again for as much as it holds. Not written any
-    more: what is taken out of a waste is unloaded."""
+    """Somebody emptied a waste station, so that all its room is free again. This event is no longer written;
+    `station.unloaded` has replaced it."""
 
     station: StationName
 
@@ -46,8 +46,8 @@ class WasteEmptied(Event, frozen=True):
 
 @event("station.loaded")
 class StationLoaded(Event, frozen=True):
-    """A person put labware of a lot on top of a stack; it stays nameless until it is taken.
-    ``awaited`` are the runs that could not go on without it."""
+    """A person put labware of a lot on top of a stack. It has no id until it is taken. ``awaited`` lists the
+    runs that waited for it."""
 
     station: StationName
     type: str
@@ -61,8 +61,8 @@ class StationLoaded(Event, frozen=True):
 
 @event("station.unloaded")
 class StationUnloaded(Event, frozen=True):
-    """A person took nameless labware away: from the top of a stack, or out of a waste. ``awaited`` are
-    the runs that could not go on before there was room."""
+    """A person took labware without an id away: from the top of a stack, or out of a waste station.
+    ``awaited`` lists the runs that waited for room."""
 
     station: StationName
     count: int
@@ -74,9 +74,9 @@ class StationUnloaded(Event, frozen=True):
 
 @event("station.observed")
 class StationObserved(Event, frozen=True):
-    """A sensor or a person looked at a station. ``count`` is how many pieces stand there (0: it is
-    empty; null: at least one), ``labware`` and ``type`` what was recognised; ``by`` is the module or
-    the person that looked. What follows from it stands behind it as events of its own."""
+    """A sensor or a person observed a station. ``count`` is the number of pieces that stand there (0: it is
+    empty; null: at least one). ``labware`` and ``type`` say what was recognised. ``by`` is the module or the
+    person that observed. The resulting changes are events after this one."""
 
     station: StationName
     by: str
@@ -90,8 +90,8 @@ class StationObserved(Event, frozen=True):
 
 @event("labware.placed")
 class LabwarePlaced(LabwareEvent, frozen=True):
-    """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person, who
-    may say of which ``lot`` it is. A lid that came with its plate lies ``on`` it."""
+    """Labware gets its id. It was taken from a stack (``stack``), or a person put it on the bench and may
+    have named its ``lot``. A lid that came with its plate lies ``on`` it."""
 
     type: str
     station: StationName
@@ -104,7 +104,8 @@ class LabwarePlaced(LabwareEvent, frozen=True):
 
 @event("labware.moved")
 class LabwareMoved(LabwareEvent, frozen=True):
-    """From station to station; a lid off its plate, or ``on`` one. What lies on it comes along."""
+    """Labware moved from one station to another. A lid was taken off its plate, or put ``on`` a plate.
+    Labware that lies on the moved labware moves with it."""
 
     source: StationName
     target: StationName
@@ -114,7 +115,7 @@ class LabwareMoved(LabwareEvent, frozen=True):
 
 @event("labware.removed")
 class LabwareRemoved(LabwareEvent, frozen=True):
-    """It has left the bench: into waste, or carried away."""
+    """Labware has left the bench: it was discarded, or a person took it away."""
 
     where: StationName
     why: str
@@ -123,8 +124,8 @@ class LabwareRemoved(LabwareEvent, frozen=True):
 
 @event("labware.uncertain")
 class LabwareUncertain(LabwareEvent, frozen=True):
-    """It may be at any of these places (a gripper is a place; empty string: gone). A lid may lie
-    ``on`` a plate at one of them."""
+    """Labware may be at any of these places (a gripper is a place; empty string: off the bench). A lid may
+    lie ``on`` a plate at one of them."""
 
     places: tuple[StationName, ...]
     why: str
@@ -134,7 +135,7 @@ class LabwareUncertain(LabwareEvent, frozen=True):
 
 @event("labware.observed")
 class LabwareObserved(LabwareEvent, frozen=True):
-    """A sensor or a person saw it; ``by`` says who."""
+    """A sensor or a person (``by``) saw the labware."""
 
     station: StationName
     by: str
@@ -142,7 +143,7 @@ class LabwareObserved(LabwareEvent, frozen=True):
 
 @event("labware.changed")
 class LabwareChanged(LabwareEvent, frozen=True):
-    """A variable of the labware, such as ``sealed``."""
+    """A variable of the labware, such as ``sealed``, has a new value."""
 
     variable: str
     value: Any
@@ -151,8 +152,8 @@ class LabwareChanged(LabwareEvent, frozen=True):
 
 @event("labware.handed_over")
 class LabwareHandedOver(LabwareEvent, frozen=True):
-    """It belongs to somebody else from now on. Where a person gave it, ``by`` names them and
-    ``note`` says why. ``lent``: to a run that works on it, at whose end it is again whose it was."""
+    """Labware has a new owner. If a person gave it, ``by`` names the person and ``note`` says why. ``lent``:
+    a run may use it, and it goes back to its owner when the run ends."""
 
     owner: Owner
     by: str = ""
@@ -162,8 +163,8 @@ class LabwareHandedOver(LabwareEvent, frozen=True):
 
 @event("labware.barcode_read")
 class BarcodeRead(LabwareEvent, frozen=True):
-    """It bears this barcode, and no other labware does; ``by`` is the module that read it or the
-    person who said so."""
+    """Labware has this barcode, and no other labware has it. ``by`` is the module that read it or the person
+    who reported it."""
 
     barcode: str
     by: str
@@ -172,8 +173,8 @@ class BarcodeRead(LabwareEvent, frozen=True):
 
 @event("liquid.transferred")
 class LiquidTransferred(LabwareEvent, frozen=True):
-    """Liquid went from a well or reservoir of a module (``liquid``) into wells of the labware, one
-    volume (µL) a well, of these lots. Where it is not ``certain`` the action failed half-way."""
+    """Liquid went from a well or reservoir of a module (``liquid``) into wells of the labware: one volume
+    (µL) per well, from these lots. If it is not ``certain``, the action failed part of the way."""
 
     module: ModuleName
     liquid: str
@@ -186,8 +187,8 @@ class LiquidTransferred(LabwareEvent, frozen=True):
 
 @event("liquid.drawn")
 class LiquidDrawn(LabwareEvent, frozen=True):
-    """Liquid left wells of the labware, one volume (µL) a well. Where it is not ``certain`` the action
-    failed half-way, and the wells may hold as much as before."""
+    """Liquid left wells of the labware: one volume (µL) per well. If it is not ``certain``, the action failed
+    part of the way, and the wells may hold as much as before."""
 
     module: ModuleName
     wells: tuple[str, ...]
@@ -197,7 +198,7 @@ class LiquidDrawn(LabwareEvent, frozen=True):
 
 
 class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a well holds; ``volume_ul`` is null where nobody said."""
+    """The content of a well. ``volume_ul`` is null if it was not given."""
 
     well: str
     sample: str
@@ -206,9 +207,9 @@ class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @event("labware.samples_registered")
 class SamplesRegistered(LabwareEvent, frozen=True):
-    """A sheet says which samples are in its wells; an earlier sheet counts no more. ``sheet`` is the
-    digest of the sheet itself, a blob. Where there are too many wells for the log, ``wells`` is
-    empty and ``blob`` names the JSON list of them."""
+    """A sample sheet says which samples are in the wells of the labware. It replaces an earlier sheet.
+    ``sheet`` is the digest of the sheet itself, a blob. If there are too many wells for the log, ``wells`` is
+    empty and ``blob`` is the digest of their JSON list."""
 
     sheet: str
     count: int

@@ -18,8 +18,8 @@ Verify = Literal["always", "on_doubt", "never"]
 
 
 class WellGrid(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A grid of wells; ``a1_x_mm`` and ``a1_y_mm`` are the centre of A1 from the left and the back edge,
-    ``volume_ul`` what a well holds."""
+    """A grid of wells. ``a1_x_mm`` and ``a1_y_mm`` are the distances of the centre of A1 from the left and
+    the back edge; ``volume_ul`` is the capacity of a well."""
 
     rows: int
     columns: int
@@ -30,9 +30,9 @@ class WellGrid(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LabwareSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A labware type that a lab has defined for a workcell: its outer size, its wells if it has any, and
-    the grips by which it can be held (none named: any). What is not ``stackable`` does not stand upon
-    another."""
+    """A labware type that a lab has defined for a workcell: its outer size, its wells if it has any, and the
+    grips by which it can be held (none named: any). A piece that is not ``stackable`` cannot stand on another
+    piece."""
 
     name: str
     length_mm: float
@@ -46,18 +46,17 @@ class LabwareSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A place that holds labware.
 
-    ``capacity`` counts labware. ``accepts`` names labware types, empty for any.
-    ``access`` are values the owning module's variables must have for a manipulator to reach
-    in (``{"lid": "open"}``). ``claim`` groups stations whose labware must belong to one holder
-    at a time, as the deck of a liquid handler; empty where everybody may put something down.
-    ``reach`` names the manipulators that were taught this station and the grips they can use
-    there (no grip named: any); ``reach_of`` says otherwise for some labware types.
-    ``rotation`` is how far the nest is turned from the room's frame, ``a1`` how far labware may be
-    turned in it (degrees; None: any way round). ``zone`` is a part of the bench that one arm may be in at
-    a time. ``observer`` is the module that sees what stands there, and ``verify`` when it is asked.
-    ``refuses`` names the types that may not stand there whatever it ``accepts``: they cannot be stacked.
-    A shelf names its ``hotel``: plans name the hotel, motions the shelf.
-    Where ``transfers`` is false, only steps that name their module carry labware to or from it.
+    ``capacity`` is a number of pieces of labware. ``accepts`` lists labware types (empty: any). ``access``
+    are the values that variables of the station's module must have before a manipulator can reach in
+    (``{"lid": "open"}``). ``claim`` is a group of stations whose labware must belong to one owner at a time,
+    such as the deck of a liquid handler (empty: no such group). ``reach`` names the manipulators that have a
+    pose for this station and their possible grips (no grip: any); ``reach_of`` has exceptions for some
+    labware types. ``rotation`` is the angle of the nest in the room's frame, and ``a1`` lists the allowed
+    rotations of labware in it (degrees; None: any). ``zone`` is a part of the bench in which only one arm may
+    be at a time. ``observer`` is the module that can see the station, and ``verify`` says when LabOS uses it.
+    ``refuses`` lists types that may not stand there although ``accepts`` allows them, because they cannot be
+    stacked. A shelf names its ``hotel``: plans name the hotel, and moves name the shelf. If ``transfers`` is
+    false, only steps that name a module move labware to or from the station.
     """
 
     name: StationName
@@ -110,23 +109,32 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RetryDefault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How often a step is done again that fails without doing anything, ``delay_s`` lab seconds after it
-    failed; with ``reset``, its module is reset before."""
+    """Retries of a step that failed without any effect: ``delay_s`` lab seconds after the failure. With
+    ``reset``, the module is reset before."""
 
     times: int
     delay_s: float = 0.0
     reset: bool = False
 
 
+class Together(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A device carries these ``actions`` out for the labware of several runs at once. A run waits for the
+    labware of others for at most ``wait_s`` lab seconds after its own could begin."""
+
+    actions: tuple[str, ...]
+    wait_s: float = 0.0
+
+
 class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An instrument or manipulator. ``rest`` are the values of its variables that let others
-    use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
-    ``levels`` are resource capacities, in the resource's unit (``units``; pieces if not said);
-    ``zone`` is where it is whenever it acts; ``expired`` is ``warn`` if it may use up what is past its
-    date, else ``refuse``. What steps on it do not say themselves, it says: ``on_error`` is what follows when
-    one fails, ``retry`` how often it is done again before that, ``timeout_s`` the lab seconds after which
-    nobody knows how it ended. With ``second_person``, runs that do what is dangerous there wait for an
-    approval. ``setup`` is what it costs to change it from one kind of work to another."""
+    """An instrument or manipulator. ``rest`` are the values of its variables at which others may use it
+    (``{"lid": "open"}``). ``regrip`` is the station where a manipulator changes its grip. ``levels`` are the
+    capacities of its resources, in the units of ``units`` (default: pieces). ``zone`` is the zone in which it
+    acts. ``expired`` is ``warn`` if it may use resources after their expiry date, else ``refuse``.
+    ``on_error``, ``retry`` and ``timeout_s`` are the defaults for its steps: the reaction to a failure, the
+    retries before that, and the lab seconds after which the outcome of a step counts as unknown. With
+    ``second_person``, runs with dangerous steps there wait for an approval. ``setup`` is the time for
+    changing it from one kind of work to another, ``together`` the actions that it carries out for several
+    runs at once."""
 
     name: ModuleName
     driver: str
@@ -144,13 +152,14 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout_s: float | None = None
     second_person: bool = False
     setup: Setup | None = None
+    together: Together | None = None
 
 
 class TransferWay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How labware is carried where a step names no module: by an ``action`` of a module, whose arguments
-    ``source`` and ``target`` say from where to where, with further ``args``. Of several ways the least
-    ``cost`` wins. It holds ``from_stations`` and ``to_stations`` only, if any are named: such a way stands in
-    place of those that hold everywhere."""
+    """How labware is moved if a step names no module: by an ``action`` of a module with the arguments
+    ``source`` and ``target`` and further ``args``. Among several, the one with the lowest ``cost`` is used.
+    If ``from_stations`` or ``to_stations`` are named, it is valid only for them, and takes precedence there
+    over those that are valid everywhere."""
 
     module: ModuleName
     action: str
@@ -265,10 +274,10 @@ OnBreach = Literal["continue", "fail", "ask"]
 
 
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A step starts at least ``wait_s`` and at most ``within_s`` after step ``anchor`` ended
-    (lab seconds; ``within_s`` None for no limit). With ``of`` the clock was started by another run
-    of the same experiment, named by its workflow or its id: ``anchor`` is then null and ``of_step``
-    names the step of that run."""
+    """A step starts at least ``wait_s`` and at most ``within_s`` after the end of step ``anchor`` (lab
+    seconds; ``within_s`` None: no limit). With ``of``, the time counts from a step of another run of the same
+    experiment. ``of`` names that run by its workflow or id, ``of_step`` names the step, and ``anchor`` is
+    null."""
 
     anchor: int | None
     wait_s: float = 0.0
@@ -297,17 +306,18 @@ def find_served_step(part: AnyPart) -> int | None:
 
 
 class Condition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """An expression whose payload is filled in: ``text`` as it was written, ``tree`` as it is read
-    (JSON). Names in it are ``["result", field…]``, the step's own result, or ``["steps", key, field…]``."""
+    """An expression with the payload filled in: ``text`` as it was written, and ``tree`` as it was parsed
+    (JSON). A name in the tree is ``["result", field…]`` for the step's own result, or ``["steps", key,
+    field…]``."""
 
     text: str
     tree: str
 
 
 class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """What follows when a step has failed, it is known what it did, and its retries are spent: the run
-    fails; goes on without it (``skip``); asks a person, who may skip it if ``may_skip``; or carries out
-    the steps whose ``part`` is this step (``run``), and then fails or goes on."""
+    """The reaction to a failed step whose outcome is known and which has no retries left. The run fails;
+    continues without the step (``skip``); asks a person, who may skip the step if ``may_skip``; or carries
+    out the steps whose ``part`` is this step (``run``), and then fails or continues."""
 
     do: Literal["fail", "skip", "ask", "run"]
     then: Literal["fail", "go_on"] = "fail"
@@ -315,8 +325,8 @@ class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
 
 
 class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A step that failed without doing anything is done again, ``times`` at most, ``delay_s`` lab
-    seconds after it failed. ``reset`` is the step that resets its module before, if one does."""
+    """A step that failed without any effect is tried again, at most ``times`` times, ``delay_s`` lab seconds
+    after the failure. ``reset`` is the step that resets its module before, if there is one."""
 
     times: int
     delay_s: float = 0.0
@@ -325,13 +335,12 @@ class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
 
 class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``, with ``"$file": true``
-    where the action takes a file;
-    ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
-    request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
-    itself, the way out of a cancelled run (some may be left out, so they wait for all that come
-    before), or what is done when the step of that index has failed. Only if ``when`` holds is it
-    done, and its result has to be as ``expect`` says. ``hazard`` is what its action says of dangers;
-    ``dangerous`` is the same if it takes a second person's approval."""
+    where the action takes a file; ``after`` are indices of the steps that must be done before. If the action
+    has not ended ``timeout_s`` lab seconds after the request, its outcome counts as unknown. ``part`` says to
+    which part the step belongs: the workflow itself, the steps under ``on_cancel`` (they wait for all before
+    them, because some may be left out), or the steps after a failure of the step with that index. The step is
+    done only if ``when`` is true, and its result must fulfil ``expect``. ``hazard`` is the danger that its
+    driver declares; ``dangerous`` is the same text if a second person has to approve it."""
 
     key: str
     module: ModuleName
@@ -361,8 +370,8 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A run keeps a module from others from the request of step ``first`` to the end of step
-    ``last``, wherever its labware is meanwhile."""
+    """A run has a module to itself from the request of step ``first`` to the end of step ``last``, wherever
+    its labware is in between."""
 
     module: ModuleName
     first: int

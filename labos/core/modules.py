@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from labos.core.actions import (
+    ActionEnd,
     ActionFailed,
-    ActionReconciled,
     ActionRejected,
     ActionReported,
     ActionRequested,
@@ -24,6 +24,7 @@ from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ModuleSpec
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 
@@ -36,7 +37,7 @@ class ModuleEvent(Event, frozen=True):
 
 @event("node.joined")
 class NodeJoined(ModuleEvent, frozen=True):
-    """A node answers for the module; ``about`` is the digest of its description."""
+    """The module's node has joined. ``about`` is the digest of its description."""
 
     journal: str
     instance: str
@@ -49,8 +50,8 @@ class NodeJoined(ModuleEvent, frozen=True):
 
 @event("node.left")
 class NodeLeft(ModuleEvent, frozen=True):
-    """The node is gone, or silent. ``stopped``: LabOS itself has told it to end, as the lab was closed or its
-    workcell changed."""
+    """The node has ended, or does not answer. ``stopped``: LabOS itself ended it, because the lab was closed
+    or the workcell changed."""
 
     why: str
     stopped: bool = False
@@ -58,7 +59,7 @@ class NodeLeft(ModuleEvent, frozen=True):
 
 @event("node.state_changed")
 class NodeStateChanged(ModuleEvent, frozen=True):
-    """A transition that no action explains: into ERROR, BUSY by itself, back to IDLE."""
+    """The node changed its state without an action: to ERROR, to BUSY by itself, or back to IDLE."""
 
     status: str
     error: str = ""
@@ -66,7 +67,7 @@ class NodeStateChanged(ModuleEvent, frozen=True):
 
 @event("module.variable_set")
 class VariableSet(ModuleEvent, frozen=True):
-    """A variable of the module, such as its lid; null when it is not known any more."""
+    """A variable of the module, such as its lid, has a new value; null if it is no longer known."""
 
     variable: str
     value: Any
@@ -75,8 +76,8 @@ class VariableSet(ModuleEvent, frozen=True):
 
 @event("module.setpoint_claimed")
 class SetpointClaimed(ModuleEvent, frozen=True):
-    """The module is set to a value, and a run needs it to stay so; null when an action failed
-    and nobody knows what it is set to."""
+    """The module was set to a value, and a run needs it to stay at that value. It is null if an action failed
+    and the value is unknown."""
 
     setpoint: str
     value: Any
@@ -85,7 +86,7 @@ class SetpointClaimed(ModuleEvent, frozen=True):
 
 @event("module.setpoint_released")
 class SetpointReleased(ModuleEvent, frozen=True):
-    """A run does not need the module's setpoint any more."""
+    """A run no longer needs the module's setpoint."""
 
     setpoint: str
     by: str
@@ -93,9 +94,9 @@ class SetpointReleased(ModuleEvent, frozen=True):
 
 @event("module.taken_out", schema=2)
 class ModuleTakenOut(ModuleEvent, frozen=True):
-    """The module is out of service until it is put back: by somebody, or at the time ``until``
-    (UTC ns; 0: by somebody only). ``failures`` is how often it had failed when LabOS took it out by itself
-    (*quarantine*; 0: somebody did)."""
+    """The module is out of service. A person puts it back, or it comes back at the time ``until`` (UTC ns; 0:
+    only a person puts it back). If LabOS took it out of service (*quarantine*), ``failures`` is the number of
+    failures before; if a person did, it is 0."""
 
     why: Words
     until: int = 0
@@ -109,8 +110,8 @@ class ModulePutBack(ModuleEvent, frozen=True):
 
 @event("module.emergency_stopped")
 class EmergencyStopped(ModuleEvent, frozen=True):
-    """Somebody stopped the module in an emergency. Written after it, whenever the log can be
-    written; ``stopped_at`` is the time by the node's clock (UTC ns)."""
+    """Somebody stopped the module in an emergency. The event is written afterwards, as soon as the log can be
+    written. ``stopped_at`` is the time by the node's clock (UTC ns)."""
 
     by: str
     stopped_at: int
@@ -118,8 +119,8 @@ class EmergencyStopped(ModuleEvent, frozen=True):
 
 @event("lab.stop_reported")
 class StopReported(Event, frozen=True):
-    """The result of a request to stop modules in an emergency: the modules that confirmed that they stopped,
-    and when (UTC ns), and the others, each with a reason. Written after it."""
+    """The result of an emergency stop: the modules that confirmed that they stopped, with the time (UTC ns),
+    and the other modules, each with a reason. The event is written after the stop."""
 
     by: str
     target: str
@@ -132,8 +133,8 @@ class StopReported(Event, frozen=True):
 
 @event("location.taught")
 class LocationTaught(ModuleEvent, frozen=True):
-    """A manipulator has a new pose for a station; ``version`` counts them, from 1. With a
-    ``labware_type``, the pose is for labware of that type only."""
+    """A manipulator has a new pose for a station. ``version`` counts the poses, from 1. With a
+    ``labware_type``, the pose is only for labware of that type."""
 
     station: StationName
     pose: tuple[float, ...]
@@ -145,10 +146,10 @@ class LocationTaught(ModuleEvent, frozen=True):
 
 @event("module.calibrated")
 class ModuleCalibrated(ModuleEvent, frozen=True):
-    """Somebody recorded that the module, or ``what`` of it, was calibrated: the certificate, the digest of
-    the report (``file``), and the last day on which it is valid (``until``, as ``2027-01-01``, by UTC). It
-    takes the place of the one before it of the same ``what``, which it may correct. What nobody said is
-    empty."""
+    """Somebody recorded a calibration of the module, or of a part or quantity of it (``what``): the
+    certificate, the digest of the report (``file``), and the last day on which it is valid (``until``, such
+    as ``2027-01-01``, in UTC). It replaces the previous calibration of the same ``what``, and may correct it.
+    A field for which no value was given is empty."""
 
     by: str
     what: str = ""
@@ -438,7 +439,9 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
         module.reached = tuple(sorted(reached))
     setup = module.spec.setup
     if setup is not None and setup.argument in event.args:
-        flight.setup_s = setup.cost_s(module.set_up_for, event.args)
+        others = [module.in_flight[name] for name in event.together if name in module.in_flight]
+        others = [other for other in others if other is not flight]  # it is set up once for all of them
+        flight.setup_s = others[0].setup_s if others else setup.cost_s(module.set_up_for, event.args)
         module.set_up_for = event.args[setup.argument]
     if event.args.get("slow") is True:
         flight.proving = find_unproven(module, event.effects, event.args)
@@ -455,9 +458,7 @@ def fold_action_unknown(modules: Modules, event: ActionUnknown, at: int) -> None
 _CAME_BACK = (ActionSucceeded, ActionRejected)
 
 
-def fold_action_ended(
-    modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
-) -> None:
+def fold_action_ended(modules: Modules, event: ActionEnd, at: int) -> None:
     module = modules.by_name[event.module]
     flight = module.in_flight.pop(event.action, None) or Flight(False)
     if flight.exclusive and isinstance(event, _CAME_BACK):
@@ -487,8 +488,7 @@ def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> No
 
 
 def fold_module_calibrated(modules: Modules, event: ModuleCalibrated, at: int) -> None:
-    told = Calibration(at, event.by, event.certificate, event.file, event.until)
-    modules.by_name[event.module].calibrations[event.what] = told
+    modules.by_name[event.module].calibrations[event.what] = make_from(Calibration, event, at=at)
 
 
 def find_unproven(
@@ -524,8 +524,5 @@ HANDLERS = {
     ActionRequested: fold_action_requested,
     ActionReported: fold_action_reported,
     ActionUnknown: fold_action_unknown,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionReconciled: fold_action_ended,
+    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
 }

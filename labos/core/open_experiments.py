@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
@@ -16,7 +16,8 @@ from labos.core.experiments import (
     ExperimentStarted,
 )
 from labos.core.ids import ExperimentId, RunId, StationName
-from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.runs import REQUESTS_KEPT, RunEnd, RunSubmitted
+from labos.core.structs import make_from
 
 
 class ExperimentStatus(StrEnum):
@@ -62,15 +63,7 @@ def fold_experiment_started(experiments: Experiments, event: ExperimentStarted, 
         experiments.requests[event.request] = event.experiment
         while len(experiments.requests) > REQUESTS_KEPT:
             del experiments.requests[next(iter(experiments.requests))]
-    experiments.open[event.experiment] = Experiment(
-        id=event.experiment,
-        name=event.name,
-        user=event.user,
-        closing=event.closing,
-        priority=event.priority,
-        started_at=at,
-        parking=event.parking,
-    )
+    experiments.open[event.experiment] = make_from(Experiment, event, id=event.experiment, started_at=at)
 
 
 def fold_experiment_cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:
@@ -106,7 +99,7 @@ def fold_run_submitted(experiments: Experiments, event: RunSubmitted, at: int) -
         experiments.members[event.run] = event.experiment
 
 
-def fold_run_ended(experiments: Experiments, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(experiments: Experiments, event: RunEnd, at: int) -> None:
     member = experiments.members.pop(event.run, None)
     experiment = experiments.open.get(member) if member is not None else None
     if experiment is not None:
@@ -120,7 +113,5 @@ HANDLERS = {
     ExperimentEnded: fold_experiment_ended,
     ExperimentNoted: fold_experiment_noted,
     RunSubmitted: fold_run_submitted,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
+    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
 }

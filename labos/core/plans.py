@@ -15,10 +15,10 @@ from labos.core.resources import uses_up
 
 @event("plan.recorded")
 class PlanRecorded(Event, frozen=True):
-    """A workflow with its payload filled in, named by its digest. ``shape`` is the digest of
-    what it does to the bench: plans of one shape start under the same conditions. ``by`` is
-    the run or experiment that needed it first. ``campaign``: it belongs to the runs of a campaign that not
-    everybody sees, and its name is theirs alone."""
+    """A plan is recorded: a workflow with its payload filled in, identified by its digest. ``shape`` is the
+    digest of its effects on the bench; plans with the same shape start under the same conditions. ``by`` is
+    the run or experiment that needed the plan first. ``campaign``: the plan belongs only to runs of a
+    campaign that not everybody may see."""
 
     by: str
     plan: str
@@ -37,7 +37,7 @@ class PlanRecorded(Event, frozen=True):
 
 @event("plan.steps_recorded", schema=4)
 class PlanStepsRecorded(Event, frozen=True):
-    """Some of a plan's steps, from index ``first``; long plans take several of these."""
+    """Steps of a plan, from index ``first``. A long plan needs several of these events."""
 
     by: str
     plan: str

@@ -10,8 +10,8 @@ from labos.core.registry import Event, event
 
 
 class BookingLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a user who is no operator there may book: ``hours`` of one booking (null: any), ``total_hours``
-    that are still to come, of all bookings together, and so many ``days_ahead``."""
+    """The limits for bookings of a user who is no operator there: ``hours`` of one booking (null: any),
+    ``total_hours`` of all future bookings together, and the number of ``days_ahead``."""
 
     hours: float | None = None
     total_hours: float = 24.0
@@ -19,12 +19,12 @@ class BookingLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What waits for an approval: what ``programs`` (service accounts that are not ``trusted``) submit; the
-    first ``newcomers`` submissions of a user; what does something ``dangerous``; what is ``above`` a budget;
-    campaigns with ``deadlines``. With ``own``, an operator may approve what is the operator's own. With
-    ``erasure``, words are erased only when a second admin has agreed. ``priority`` is the highest that
-    somebody may give who is no operator and whose quota names none (null: any). ``bookings`` limits what
-    such a user books."""
+    """The submissions that need an approval: those of ``programs`` (service accounts that are not
+    ``trusted``); the first ``newcomers`` submissions of a user; those with ``dangerous`` steps; those
+    ``above`` a budget; campaigns with ``deadlines``. With ``own``, operators may approve their own
+    submissions. With ``erasure``, words are erased only after a second admin has agreed. ``priority`` is the
+    highest for a user who is no operator and whose quota sets none (null: any). ``bookings`` limits the
+    bookings of such a user."""
 
     programs: bool = True
     trusted: tuple[str, ...] = ()
@@ -40,7 +40,7 @@ class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @event("policy.applied")
 class PolicyApplied(Event, frozen=True):
-    """From now on this policy holds, as a file (``digest``) says."""
+    """A policy file (``digest``) was applied; this policy is valid from now on."""
 
     digest: str
     policy: Policy

@@ -45,14 +45,18 @@ def zone_of(name: str) -> tzinfo:
         raise ValueError(f"{name!r} is no time zone") from None
 
 
+def zone_or_utc(name: str) -> tzinfo:
+    """UTC in place of a zone that this computer does not know."""
+    try:
+        return zone_of(name)
+    except ValueError:
+        return UTC
+
+
 def in_zone(at: int, zone: str) -> str:
     """A time (UTC ns) as a clock on the wall shows it: ``2026-11-26 09:00 CET``. By UTC if this computer
     does not know the zone."""
-    try:
-        where = zone_of(zone)
-    except ValueError:
-        where = UTC
-    return datetime.fromtimestamp(at // SECOND_NS, where).strftime("%Y-%m-%d %H:%M %Z")
+    return datetime.fromtimestamp(at // SECOND_NS, zone_or_utc(zone)).strftime("%Y-%m-%d %H:%M %Z")
 
 
 def fault_of_rule(rule: str, zone: str, first: int) -> str:

@@ -9,8 +9,9 @@ from labos.core.registry import Event, event
 
 @event("request.repeated")
 class RequestRepeated(Event, frozen=True):
-    """Somebody asked again for what was done or under way already, and said why. ``request`` is ``cancel``,
-    ``pause``, ``access`` …; ``subject`` is what it was about. Who asked is the event's actor."""
+    """Somebody repeated, with a reason, a request that was already carried out or under way. ``request`` is
+    ``cancel``, ``pause``, ``access`` …; ``subject`` is the thing that it concerns. The event's actor is the
+    user who asked."""
 
     subject: str
     request: str

@@ -15,7 +15,7 @@ from labos.core.registry import event
 
 @event("resource.level_set")
 class LevelSet(ModuleEvent, frozen=True):
-    """Somebody counted: this much is left, all of it of one lot."""
+    """Somebody counted a resource. This amount is left, all of it from one lot."""
 
     resource: str
     level: float
@@ -25,9 +25,9 @@ class LevelSet(ModuleEvent, frozen=True):
 
 @event("resource.replenished")
 class ResourceReplenished(ModuleEvent, frozen=True):
-    """A person put more in. ``expires`` is a date (``2027-05-31``), empty where nobody said;
-    ``awaited`` are the runs that could not go on without it. ``instead``: what was left of the old
-    packs was taken out before."""
+    """A person refilled a resource. ``expires`` is a date (``2027-05-31``), empty if none was given.
+    ``awaited`` lists the runs that waited for it. ``instead``: the rest of the old packs was taken out
+    first."""
 
     resource: str
     amount: float
@@ -39,7 +39,7 @@ class ResourceReplenished(ModuleEvent, frozen=True):
 
 @event("resource.consumed")
 class ResourceConsumed(ModuleEvent, frozen=True):
-    """An action used it up; ``lot`` is that of the pack it came from."""
+    """An action used up some of a resource. ``lot`` is the lot of the pack from which it came."""
 
     resource: str
     amount: float

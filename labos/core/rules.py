@@ -6,6 +6,8 @@ first thing it waits for. Whether a start could trap the lab is not decided here
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
@@ -14,13 +16,14 @@ from labos.core.booked import check_not_booked
 from labos.core.effects import AnyEffect, places
 from labos.core.expiry import check_in_date
 from labos.core.holding import find_other_holder
-from labos.core.ids import ActionId, ModuleName, local, workcell_of
+from labos.core.ids import ActionId, ModuleName, RunId, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.modules import ModuleStatus
 from labos.core.quotas import check_quota
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_anchor
 from labos.core.state import LabState
+from labos.core.together import check_left_out
 from labos.core.waits import Wait, access_key, module_key, run_key, until_left_alone, zone_key
 from labos.core.watching import find_unwatched
 from labos.core.zones import find_other_at_work, find_stopped_module, zones_of
@@ -35,8 +38,11 @@ CLOSING_S = 1800.0
 """Lab seconds for which a closing workflow may wait for its first step before a person is told."""
 
 
-def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tuple[AnyEffect, ...]:
-    """The bound effects with which the step may start now, or what it waits for."""
+def examine(
+    state: LabState, run: RunState, index: int, now: int, others: Collection[RunId] = ()
+) -> Wait | tuple[AnyEffect, ...]:
+    """The bound effects with which the step may start now, or what it waits for. The step of this run is
+    carried out together with one of each of the ``others``."""
     step = state.runs.plan_of(run).steps[index]
     return (
         _own_turn(state, run, step, index)
@@ -48,6 +54,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         or _check_retry_delay(state, run, step, index, now)
         or check_not_booked(state, run, step, now)
         or check_module_free(state, run, step)
+        or check_left_out(state, run, step, others)
         or find_unwatched(state, (step,))
         or check_zones_free(state, step)
         or _check_supplies(state, run)

@@ -22,6 +22,7 @@ from labos.core.plans import (
     release_plan,
 )
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.topics import ClosingWaits
 from labos.core.words import Words
 
@@ -53,8 +54,8 @@ workflow always is."""
 
 
 class Anchor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The end of another run's step, at which a window of this run is anchored: what ``of`` and
-    ``of_step`` of the window meant when the run was submitted. ``ended_at`` in UTC ns."""
+    """The end of another run's step, from which a window of this run counts. ``of`` and ``of_step`` of the
+    window were resolved when the run was submitted. ``ended_at`` is in UTC ns."""
 
     of: str
     step: str
@@ -71,13 +72,13 @@ class RunEvent(Event, frozen=True):
 
 @event("run.submitted", schema=3)
 class RunSubmitted(RunEvent, frozen=True):
-    """A run waits to be started. ``pins`` are digests of the workflow file, the workcell, each
-    module's ``about`` and the whole request, by name. ``anchors`` are the ends of other runs'
-    steps at which its windows are anchored. ``planned_by`` is the run or experiment in whose
-    stream its plan stands (empty: in its own). It may be the ``row`` of a ``campaign``, counted from 0;
-    ``reads`` are then the steps whose results the campaign's stop rule reads: their index by key.
-    ``choices`` are all its plans, ``plan`` being the first, if a step may be done by one of several modules:
-    which of them it is says ``run.bound``. ``due_at`` is when it should be over (UTC ns, 0: no such time)."""
+    """A run is submitted and waits. ``pins`` are the digests of the workflow file, the workcell, each
+    module's ``about`` and the whole request, by name. ``anchors`` are the ends of other runs' steps from
+    which its windows are counted. ``planned_by`` is the run or experiment whose stream holds its plan (empty:
+    its own stream). If the run belongs to a ``campaign``, ``row`` is its row, counted from 0, and ``reads``
+    are the steps whose results the campaign's stop rule reads: their index by key. If several modules can do
+    a step, ``choices`` lists all its plans, ``plan`` is the first, and ``run.bound`` says which one is used.
+    ``due_at`` is the time by which the run should end (UTC ns; 0: none)."""
 
     plan: str
     workflow: str
@@ -99,9 +100,9 @@ class RunSubmitted(RunEvent, frozen=True):
 
 @event("run.bound")
 class RunBound(RunEvent, frozen=True):
-    """Of the plans that a run has to choose from, this one counts from now on. ``modules`` are those that
-    were chosen, by the steps' keys; ``planned_by`` is as in ``run.submitted``; ``why`` it was bound to
-    another one after it had started."""
+    """A run that has several possible plans uses this one from now on. ``modules`` are the chosen modules, by
+    the steps' keys. ``planned_by`` is as in ``run.submitted``. ``why`` is the reason if the plan was changed
+    after the run had started."""
 
     plan: str
     modules: dict[str, ModuleName]
@@ -111,26 +112,27 @@ class RunBound(RunEvent, frozen=True):
 
 @event("run.started")
 class RunStarted(RunEvent, frozen=True):
-    """Its first step is requested."""
+    """The run's first step is requested."""
 
 
 @event("run.paused")
 class RunPaused(RunEvent, frozen=True):
-    """No further step starts until it is resumed. ``why`` is the reason that the user gave."""
+    """No further step of the run starts until somebody resumes it. ``why`` is the reason that the user
+    gave."""
 
     why: Words = ""
 
 
 @event("run.resumed")
 class RunResumed(RunEvent, frozen=True):
-    """Steps may start again."""
+    """The run's steps may start again."""
 
 
 @event("run.cancelling")
 class RunCancelling(RunEvent, frozen=True):
-    """It ends when what is in flight has ended: cancelled, or failed if ``why`` says so. If it was
-    cancelled, its labware goes the way out that its plan has, unless it is to ``stay``; ``reason`` is what
-    the person said who cancelled it."""
+    """The run ends as soon as its actions under way have ended. It is then cancelled, or failed if ``why``
+    gives a reason for that. The steps under ``on_cancel`` clear the labware of a cancelled run away, unless
+    it is to ``stay``. ``reason`` is the reason that the user gave for cancelling."""
 
     why: str = ""
     stay: bool = False
@@ -139,23 +141,23 @@ class RunCancelling(RunEvent, frozen=True):
 
 @event("run.leaving")
 class RunLeaving(RunEvent, frozen=True):
-    """It was cancelled and goes its way out: of the steps for that, these are needed from where it
-    stands. All others of its plan are left out."""
+    """The run was cancelled and its labware is cleared away. These steps under `on_cancel` are needed from
+    the present position; all other steps of the plan are left out."""
 
     steps: tuple[int, ...]
 
 
 @event("run.completed")
 class RunCompleted(RunEvent, frozen=True):
-    """All steps are done."""
+    """All steps of the run are done."""
 
     steps: int
 
 
 @event("run.failed")
 class RunFailed(RunEvent, frozen=True):
-    """It cannot reach its end. ``kind``: software, operational or experiment (the paper's
-    classes of failure)."""
+    """The run cannot be completed. ``kind``: software, operational or experiment (the paper's classes of
+    failure)."""
 
     why: str
     kind: str
@@ -163,14 +165,17 @@ class RunFailed(RunEvent, frozen=True):
 
 @event("run.cancelled")
 class RunCancelled(RunEvent, frozen=True):
-    """It was ended on request; ``why`` is what the person said, if it was not said before it ended
-    (``run.cancelling``)."""
+    """The run was cancelled on request. ``why`` is the reason that the user gave, unless ``run.cancelling``
+    already has it."""
 
     why: Words = ""
 
 
+RunEnd = RunCompleted | RunFailed | RunCancelled
+"""The events with which a run ends."""
+
 RUN_ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)
-"""The types of the events with which a run ends."""
+"""Their types."""
 
 
 class StepState(msgspec.Struct, omit_defaults=True):
@@ -388,21 +393,13 @@ def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) 
     plan = runs.plans[event.plan]
     for one in event.choices or (event.plan,):
         runs.plans[one].uses += 1
-    run = RunState(
+    run = make_from(
+        RunState,
+        event,
         id=event.run,
-        plan=event.plan,
-        workflow=event.workflow,
-        user=event.user,
-        experiment=event.experiment,
-        priority=event.priority,
         position=position,
         submitted_at=at,
-        closing=event.closing,
-        anchors=event.anchors,
-        campaign=event.campaign,
         unapproved=any(runs.plans[one].dangers for one in event.choices or (event.plan,)),
-        choices=event.choices,
-        due_at=event.due_at,
     )
     runs.queued[event.run] = run
     if event.anchors:
@@ -533,7 +530,7 @@ def fold_run_leaving(runs: Runs, event: RunLeaving, at: int) -> None:
         run.steps[index].status = PENDING
 
 
-def fold_run_ended(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(runs: Runs, event: RunEnd, at: int) -> None:
     run = runs.active.pop(event.run, None)
     runs.windowed.pop(event.run, None)
     if run is None:

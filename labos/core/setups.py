@@ -9,7 +9,7 @@ import msgspec
 
 
 class SetupChange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A change that takes ``takes_s`` lab seconds, other than most."""
+    """A change with a set-up time of its own: ``takes_s`` lab seconds."""
 
     before: Any
     after: Any
@@ -18,8 +18,8 @@ class SetupChange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class Setup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A module is set up for a value of an ``argument`` of its actions. An action with another value takes
-    ``takes_s`` lab seconds longer, or what ``changes`` says of that change; so it does if nobody knows for
-    what the module is set up."""
+    ``takes_s`` lab seconds longer, or the time in ``changes`` for that change. The same holds if it is
+    unknown for which value the module is set up."""
 
     argument: str
     takes_s: float

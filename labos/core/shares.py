@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import msgspec
 
-from labos.core.actions import (
-    ActionFailed,
-    ActionReconciled,
-    ActionRejected,
-    ActionRequested,
-    ActionSucceeded,
-)
+from labos.core.actions import ActionEnd, ActionRequested
 from labos.core.ids import ActionId, RunId
 from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
-from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.runs import RunEnd, RunStarted, RunSubmitted
 from labos.core.users import GroupAdded, GroupRemoved, MemberAdded, MemberRemoved
 
 DAY_NS = 24 * 3600 * 1_000_000_000
@@ -26,8 +22,8 @@ WEEK_DAYS = 7
 
 
 class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What somebody may have at most (0: no limit): runs under way and runs that wait at the same time; lab
-    hours and consumables by kind a week, where runs under way count by their plans. ``priority`` is the
+    """Limits for a user or group (0: no limit): the number of started runs and of waiting runs at the same
+    time; lab hours and consumables by kind per week. Started runs count by their plans. ``priority`` is the
     highest that may be given (null: any)."""
 
     running: int = 0
@@ -38,14 +34,14 @@ class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Member(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A user's weight within the group, and own quota."""
+    """A user's weight within the group, and the user's own quota."""
 
     weight: float = 1.0
     quota: Quota = Quota()
 
 
 class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Users who share one part of the lab. The quota is what all of them may have together."""
+    """Users who share one part of the lab. The quota limits all of them together."""
 
     name: str
     weight: float = 1.0
@@ -55,9 +51,9 @@ class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @event("shares.applied")
 class SharesApplied(Event, frozen=True):
-    """Weights and quotas from now on, as a file (``digest``) says. Who is in none of the ``groups`` is a
-    group alone, of weight 1 unless ``users`` say otherwise. Groups that the file does not name are gone,
-    but for those that were added by themselves (``group.added``)."""
+    """A shares file (``digest``) with weights and quotas was applied. A user who is in none of the ``groups``
+    forms a group alone, with weight 1 unless ``users`` gives another weight. Groups that the file does not
+    name are removed, except those from ``group.added``."""
 
     digest: str
     groups: tuple[Group, ...] = ()
@@ -115,8 +111,9 @@ class Had(msgspec.Struct):
 class Shares(msgspec.Struct):
     """``usage`` by user, ``group_usage`` by group; ``had`` by user, ``group_had`` by group. ``group_of``
     names the group of each user who is in one. ``users`` of runs alive; ``started`` are those of them that
-    are under way; ``clocks`` hold when open actions were requested. ``kept`` are the groups that stay when a
-    file does not name them."""
+    are under way; ``clocks`` hold when open actions were requested, ``parts`` how many actions share the
+    time of their module, where a device carries out several in one go. ``kept`` are the groups that stay
+    when a file does not name them."""
 
     digest: str = ""
     groups: dict[str, Group] = {}
@@ -129,6 +126,7 @@ class Shares(msgspec.Struct):
     users: dict[RunId, str] = {}
     started: dict[RunId, bool] = {}
     clocks: dict[ActionId, int] = {}
+    parts: dict[ActionId, int] = {}
     kept: dict[str, bool] = {}
 
     def member(self, user: str) -> Member:
@@ -251,7 +249,7 @@ def fold_run_started(shares: Shares, event: RunStarted, at: int) -> None:
         had.running += 1
 
 
-def fold_run_ended(shares: Shares, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(shares: Shares, event: RunEnd, at: int) -> None:
     user = shares.users.pop(event.run, None)
     if user is None:
         return
@@ -265,23 +263,23 @@ def fold_run_ended(shares: Shares, event: RunCompleted | RunFailed | RunCancelle
 
 def fold_action_requested(shares: Shares, event: ActionRequested, at: int) -> None:
     shares.clocks.setdefault(event.action, at)
+    if event.together:
+        shares.parts[event.action] = len(event.together)
 
 
-def fold_action_ended(
-    shares: Shares, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
-) -> None:
-    began = shares.clocks.pop(event.action, at)
+def fold_action_ended(shares: Shares, event: ActionEnd, at: int) -> None:
+    spent = (at - shares.clocks.pop(event.action, at)) // shares.parts.pop(event.action, 1)
     user = shares.users.get(event.run)
     if user is None:
         return
-    _find_usage(shares.usage, user, at).add(at - began, at)
+    _find_usage(shares.usage, user, at).add(spent, at)
     group = shares.group_of.get(user)
     if group is not None:
-        _find_usage(shares.group_usage, group, at).add(at - began, at)
+        _find_usage(shares.group_usage, group, at).add(spent, at)
     day = at // DAY_NS
     for had in _had(shares, user):
         had.week.forget_before(day)
-        had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + at - began
+        had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + spent
 
 
 def fold_resource_consumed(shares: Shares, event: ResourceConsumed, at: int) -> None:
@@ -304,13 +302,8 @@ HANDLERS = {
     MemberRemoved: fold_member_removed,
     RunSubmitted: fold_run_submitted,
     RunStarted: fold_run_started,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
+    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
     ActionRequested: fold_action_requested,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionReconciled: fold_action_ended,
+    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
     ResourceConsumed: fold_resource_consumed,
 }

@@ -19,10 +19,10 @@ STATIONS_PER_EVENT = 400
 
 @event("log.found_shorter")
 class LogFoundShorter(Event, frozen=True):
-    """Somebody knows more than this log holds: ``evidence`` says who (a module, a checkpoint …), ``knows``
-    what, in words. ``known`` is the highest position they know of (0: they name none), ``ended`` where this
-    log ended when it was found. In a ``workcell`` that is named anything may stand elsewhere: a module of it
-    has forgotten what it did behind that end."""
+    """There is evidence that the log has lost its end. ``evidence`` names the source (a module, a checkpoint
+    …), and ``knows`` describes in words what it knows. ``known`` is the highest position that it knows (0:
+    none named); ``ended`` is where this log ended when the loss was found. If a ``workcell`` is named,
+    labware there may stand elsewhere, because one of its modules has forgotten its actions after that end."""
 
     evidence: str
     knows: str
@@ -33,8 +33,8 @@ class LogFoundShorter(Event, frozen=True):
 
 @event("log.stations_checked")
 class StationsChecked(Event, frozen=True):
-    """A person on the round said what stands at these stations, or that it is as recorded. What follows
-    from it stands in front of it as events of its own."""
+    """A person checked these stations and reported what stands there, or confirmed the record. The resulting
+    changes are events before this one."""
 
     stations: tuple[StationName, ...]
     by: str
@@ -42,7 +42,8 @@ class StationsChecked(Event, frozen=True):
 
 @event("log.bench_compared")
 class BenchCompared(Event, frozen=True):
-    """The round is over: every station was reported, and the log goes on from these reports."""
+    """The comparison with the bench is complete: every station was reported, and the log continues from these
+    reports."""
 
     by: str
     note: Words = ""

@@ -22,10 +22,10 @@ Kind = Literal["experiment", "campaign"]
 
 @event("run.signed")
 class RunSigned(Event, frozen=True):
-    """A user has signed the record of a run that had ended, and proved just before who they are (``method``:
-    `password`). What was signed are all ``records`` of the run's own stream: ``digest`` is the SHA-256 over
-    their leaf hashes (RFC 6962), in order. ``meaning``: authored, responsible, reviewed, approved or
-    rejected."""
+    """A user has signed the record of an ended run, after confirming their identity (``method``:
+    ``password``). The signature covers all records of the run's stream; ``records`` is their number.
+    ``digest`` is the SHA-256 over their leaf hashes (RFC 6962), in order. ``meaning``: authored, responsible,
+    reviewed, approved or rejected."""
 
     run: RunId
     by: str
@@ -41,10 +41,11 @@ class RunSigned(Event, frozen=True):
 
 @event("records.signed")
 class RecordsSigned(Event, frozen=True):
-    """A user has signed the records of a whole experiment or campaign (``kind``) that had ended, and proved
-    just before who they are (``method``: `password`). What was signed are all ``records`` of its own stream
-    and of those of its ``runs`` (their number): ``digest`` is the SHA-256 over their leaf hashes (RFC 6962),
-    in the order of the log. ``meaning``: authored, responsible, reviewed, approved or rejected."""
+    """A user has signed the records of an ended experiment or campaign (``kind``), after confirming their
+    identity (``method``: ``password``). The signature covers all records of its own stream and of the streams
+    of its runs; ``records`` and ``runs`` are their numbers. ``digest`` is the SHA-256 over the records' leaf
+    hashes (RFC 6962), in the order of the log. ``meaning``: authored, responsible, reviewed, approved or
+    rejected."""
 
     subject: str
     kind: Kind

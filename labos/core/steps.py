@@ -32,8 +32,8 @@ from labos.core.runs import (
 
 @event("window.breached", schema=2)
 class WindowBreached(RunEvent, frozen=True):
-    """A step did not start within ``within_s`` lab seconds of its anchor: the step ``anchor`` of
-    its own run, or (null) a step of the run ``of``."""
+    """A step did not start within ``within_s`` lab seconds after its anchor: the step ``anchor`` of its own
+    run or, if that is null, a step of the run ``of``."""
 
     step: int
     anchor: int | None
@@ -43,8 +43,7 @@ class WindowBreached(RunEvent, frozen=True):
 
 @event("step.retried")
 class StepRetried(RunEvent, frozen=True):
-    """A step that failed waits for its turn again: its retry ``number`` of ``times``, ``delay_s`` lab
-    seconds from now."""
+    """A failed step will be tried again: retry ``number`` of ``times``, ``delay_s`` lab seconds from now."""
 
     step: int
     number: int
@@ -55,7 +54,7 @@ class StepRetried(RunEvent, frozen=True):
 
 @event("step.skipped")
 class StepSkipped(RunEvent, frozen=True):
-    """A step is left out, or the run goes on without it after it failed."""
+    """A step is skipped, or it failed and the run continues without it."""
 
     step: int
     why: str
@@ -63,7 +62,7 @@ class StepSkipped(RunEvent, frozen=True):
 
 @event("step.unexpected")
 class StepUnexpected(RunEvent, frozen=True):
-    """A step's result is not as the workflow expects (an *experiment error*)."""
+    """A step's result is not what the workflow expects (an *experiment error*)."""
 
     step: int
     why: str
@@ -71,7 +70,7 @@ class StepUnexpected(RunEvent, frozen=True):
 
 @event("step.recovering")
 class StepRecovering(RunEvent, frozen=True):
-    """A step failed; the steps that its ``on_error`` names are carried out."""
+    """A step failed. The steps under its ``on_error`` are carried out."""
 
     step: int
     why: str

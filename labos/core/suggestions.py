@@ -24,8 +24,8 @@ class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=Fals
 
 @event("order.suggested")
 class OrderSuggested(Event, frozen=True):
-    """A planner suggests in which order ``steps`` of a workcell should start, the earliest first. It replaces
-    what was suggested before, and counts until ``until`` (UTC ns)."""
+    """A planner suggests an order for starting ``steps`` of a workcell, the earliest first. It replaces the
+    previous suggestion and is valid until ``until`` (UTC ns)."""
 
     workcell: str
     by: str

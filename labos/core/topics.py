@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a person may answer, and what follows from it."""
+    """A possible answer of a person, and its consequence."""
 
     name: str
     consequence: str
@@ -75,7 +75,8 @@ def name_some(pieces: Sequence[str]) -> str:
 
 
 class UnknownAction(Topic, frozen=True, tag="unknown_action"):
-    """Nobody knows how an action ended. If it moves labware, it goes from ``source`` to ``target``."""
+    """The outcome of an action is unknown. If the action moves labware, it moves it from ``source`` to
+    ``target``."""
 
     KIND: ClassVar[str] = "unknown_action"
     SUBJECT: ClassVar[str] = "action"
@@ -87,7 +88,7 @@ class UnknownAction(Topic, frozen=True, tag="unknown_action"):
     def choices(self) -> tuple[Choice, ...]:
         if not self.target:
             return (
-                Choice("done", "It was done: the run goes on."),
+                Choice("done", "It was done: the run continues."),
                 Choice("not_done", "It was not done: the step is done again."),
                 Choice("gone", "It was spoilt: the run ends."),
             )
@@ -99,7 +100,7 @@ class UnknownAction(Topic, frozen=True, tag="unknown_action"):
 
 
 class LostLabware(Topic, frozen=True, tag="lost_labware"):
-    """A motion failed half-way: somebody has to say where the labware is."""
+    """A move failed part of the way: a person has to report where the labware is."""
 
     KIND: ClassVar[str] = "lost_labware"
     SUBJECT: ClassVar[str] = "action"
@@ -120,13 +121,13 @@ class LostLabware(Topic, frozen=True, tag="lost_labware"):
 
 
 class LeftLabware(Topic, frozen=True, tag="left_labware"):
-    """A run has ended and left labware in others' way; or its labware was found (``lost_by`` the action)
-    after it had ended."""
+    """A run has ended and left labware where it may block other runs; or its labware, lost by the action
+    ``lost_by``, was found after its end."""
 
     KIND: ClassVar[str] = "failed_run"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
-        Choice("removed", "The labware was carried away; its stations are free."),
-        Choice("leave", "It stays where it is, as its user's labware."),
+        Choice("removed", "The labware was taken away; its stations are free."),
+        Choice("leave", "It stays where it is and belongs to the run's user."),
     )
     labware: tuple[LabwareId, ...]
     lost_by: str = ""
@@ -141,7 +142,7 @@ class LeftLabware(Topic, frozen=True, tag="left_labware"):
 
 
 class DiscoveredAction(Topic, frozen=True, tag="discovered_action"):
-    """A node's journal knows an action that the log does not. Not asked any more: see ``LogShorter``."""
+    """A node's journal has an action that the log does not have. No longer used: see ``ShorterLog``."""
 
     KIND: ClassVar[str] = "discovered_action"
     SUBJECT: ClassVar[str] = "action"
@@ -150,7 +151,7 @@ class DiscoveredAction(Topic, frozen=True, tag="discovered_action"):
 
 
 class LateResult(Topic, frozen=True, tag="late_result"):
-    """A node says something else of an action than what it was settled as."""
+    """A node reports another outcome of an action than the log has."""
 
     KIND: ClassVar[str] = "contradiction"
     SUBJECT: ClassVar[str] = "action"
@@ -159,8 +160,8 @@ class LateResult(Topic, frozen=True, tag="late_result"):
 
 
 class NotSeen(Topic, frozen=True, tag="not_seen"):
-    """Somebody looked, and what should stand at a station was not there; instead of it something of
-    ``other_type`` (empty: nothing)."""
+    """An observation did not find the recorded labware at a station, but labware of the type ``other_type``
+    (empty: nothing)."""
 
     KIND: ClassVar[str] = "contradiction"
     SUBJECT: ClassVar[str] = "station"
@@ -171,9 +172,9 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
 
     @property
     def choices(self) -> tuple[Choice, ...]:
-        away = "What was recorded is off the bench, and what was seen was carried away."
+        away = "The recorded labware is off the bench, and the observed labware was taken away."
         return (
-            Choice("there", "It was not seen properly: all stands as recorded."),
+            Choice("there", "The observation was wrong: everything is as recorded."),
             Choice("gone", away if self.other_type else "It was taken off the bench."),
         )
 
@@ -187,8 +188,8 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
 
 
 class SeenElsewhere(Topic, frozen=True, tag="seen_elsewhere"):
-    """Labware was recognised at a station where it should not be: it is ``recorded`` at another one (empty:
-    its place is not known), or ``others`` should stand there."""
+    """Labware was recognised at a station where it should not be: by the log it stands at ``recorded``
+    (empty: its place is not known), or ``others`` should stand there."""
 
     KIND: ClassVar[str] = "contradiction"
     SUBJECT: ClassVar[str] = "station"
@@ -203,8 +204,8 @@ class SeenElsewhere(Topic, frozen=True, tag="seen_elsewhere"):
         rest = f"; {', '.join(self.others)} is off the bench" if self.others else ""
         choices = [Choice("seen", f"{name} stands at {local(self.station)}{rest}.")]
         if recorded:
-            choices.append(Choice("recorded", f"It was not seen properly: {name} is at {recorded}."))
-        choices.append(Choice("gone", f"{name} is off the bench; all else stands as recorded."))
+            choices.append(Choice("recorded", f"The observation was wrong: {name} is at {recorded}."))
+        choices.append(Choice("gone", f"{name} is off the bench; everything else is as recorded."))
         return tuple(choices)
 
     @property
@@ -218,8 +219,7 @@ class SeenElsewhere(Topic, frozen=True, tag="seen_elsewhere"):
 
 
 class Unexpected(Topic, frozen=True, tag="unexpected"):
-    """Something stands at a station where the log knows of nothing. If it is of a type that is known, it can
-    get a name."""
+    """Labware stands at a station that is empty by the log. If its type is known, it can get an id."""
 
     KIND: ClassVar[str] = "contradiction"
     SUBJECT: ClassVar[str] = "station"
@@ -228,7 +228,7 @@ class Unexpected(Topic, frozen=True, tag="unexpected"):
 
     @property
     def choices(self) -> tuple[Choice, ...]:
-        choices = [Choice("removed", f"It was carried away; {local(self.station)} is as recorded.")]
+        choices = [Choice("removed", f"It was taken away; {local(self.station)} is as recorded.")]
         if self.type:
             choices.append(Choice("new", f"It is {self.type} for everybody, and gets a name."))
         return tuple(choices)
@@ -239,23 +239,23 @@ class Unexpected(Topic, frozen=True, tag="unexpected"):
 
 
 class LostExperiment(Topic, frozen=True, tag="lost_experiment"):
-    """The application of an experiment is silent."""
+    """The application of an experiment has stopped sending heartbeats."""
 
     KIND: ClassVar[str] = "lost_experiment"
     SUBJECT: ClassVar[str] = "experiment"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
         Choice("close", "Its closing workflow clears away its labware."),
-        Choice("wait", "It is left as it is: the application will come back."),
+        Choice("wait", "Nothing is done: the application will come back."),
     )
     experiment: ExperimentId
 
 
 class LateStep(Topic, frozen=True, tag="late_step"):
-    """A step did not start in time: its run stands still."""
+    """A step did not start in time, and its run waits."""
 
     KIND: ClassVar[str] = "late_step"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
-        Choice("go_on", "The step starts late, as soon as it can; the run goes on."),
+        Choice("go_on", "The step starts late, as soon as it can; the run continues."),
         Choice("fail", "The run ends as failed; its labware stays where it is."),
     )
     step: int
@@ -266,8 +266,8 @@ class LateStep(Topic, frozen=True, tag="late_step"):
 
 
 class FailedStep(Topic, frozen=True, tag="failed_step"):
-    """A step failed, and its workflow has a person asked. ``done``: what it should do was done all the same;
-    it can be done ``again`` if it did nothing."""
+    """A step failed, and its workflow says that a person decides. ``done``: the effect of the step took place
+    nevertheless. ``again``: the step had no effect and can be repeated."""
 
     KIND: ClassVar[str] = "failed_step"
     step: int
@@ -283,15 +283,16 @@ class FailedStep(Topic, frozen=True, tag="failed_step"):
     def choices(self) -> tuple[Choice, ...]:
         choices = [Choice("retry", "It is done again.")] if self.again else []
         if self.done:
-            choices.append(Choice("skip", "What it should do was done all the same: the run goes on."))
+            choices.append(Choice("skip", "Its effect took place nevertheless: the run continues."))
         elif self.may_skip:
-            choices.append(Choice("skip", "The run goes on without it."))
+            choices.append(Choice("skip", "The run continues without it."))
         return (*choices, Choice("fail", "The run ends as failed; its labware stays where it is."))
 
 
 class Barcode(Topic, frozen=True, tag="barcode"):
-    """A barcode was read that is not that of the labware which should stand there. ``other`` bears it, and
-    stands ``elsewhere`` (both empty: nothing known does that could stand there)."""
+    """A barcode was read that does not belong to the labware which should stand there. It belongs to
+    ``other``, which by the log stands ``elsewhere`` (both empty: no known labware has this barcode and could
+    stand there)."""
 
     KIND: ClassVar[str] = "barcode"
     SUBJECT: ClassVar[str] = "action"
@@ -306,7 +307,7 @@ class Barcode(Topic, frozen=True, tag="barcode"):
     def choices(self) -> tuple[Choice, ...]:
         name, here, there = self.labware, local(self.station), local(self.elsewhere)
         choices = [
-            Choice("misread", f"It was read wrongly: it is {name}, and all is as recorded."),
+            Choice("misread", f"It was read wrongly: it is {name}, and everything is as recorded."),
             Choice("relabelled", f"It is {name}; its barcode is {self.barcode} from now on."),
         ]
         if self.other:
@@ -328,19 +329,19 @@ class Barcode(Topic, frozen=True, tag="barcode"):
 
 
 class PlannedWork(Topic, frozen=True, tag="planned_work"):
-    """What a workflow asks a person to do; all other kinds ask for help."""
+    """Work that a workflow assigns to a person. All other kinds ask for help."""
 
     KIND: ClassVar[str] = "planned_work"
     SUBJECT: ClassVar[str] = "action"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
-        Choice("done", "It is done: the run goes on."),
+        Choice("done", "It is done: the run continues."),
         Choice("not_done", "It cannot be done, and nothing was moved: the run ends."),
     )
     action: ActionId
 
 
 class DoubtfulNode(Topic, frozen=True, tag="doubtful_node"):
-    """Words on the bus that the lab did not believe."""
+    """The lab refused messages on the bus because they may come from a wrong process."""
 
     KIND: ClassVar[str] = "doubtful_node"
     SUBJECT: ClassVar[str] = "module"
@@ -348,11 +349,11 @@ class DoubtfulNode(Topic, frozen=True, tag="doubtful_node"):
     @property
     def choices(self) -> tuple[Choice, ...]:
         name = local(self.module)
-        return (Choice("checked", f"Somebody has looked at which processes speak for {name}."),)
+        return (Choice("checked", f"Somebody has checked which processes answer as {name}."),)
 
 
 class OutrankedNode(Topic, frozen=True, tag="outranked_node"):
-    """A node that obeys a later kernel than this one."""
+    """A node has accepted a kernel with a higher epoch than this one."""
 
     KIND: ClassVar[str] = "outranked_node"
     SUBJECT: ClassVar[str] = "module"
@@ -370,8 +371,8 @@ class ShorterLog(Topic, frozen=True, tag="log_shorter"):
     CHOICES: ClassVar[tuple[Choice, ...]] = (
         Choice(
             "checked",
-            "All stations were said on the round. Runs that were under way end, their labware stays "
-            "where it was said to stand and belongs to their users; runs that wait are paused.",
+            "All stations were reported. Runs that were under way end; their labware stays at the reported "
+            "stations and belongs to their users. Waiting runs are paused.",
         ),
     )
 
@@ -381,17 +382,17 @@ class ShorterLog(Topic, frozen=True, tag="log_shorter"):
 
 
 class DeviceWaits(Topic, frozen=True, tag="device_waits"):
-    """A device waits for somebody in the midst of an action."""
+    """A device waits for a person during an action."""
 
     KIND: ClassVar[str] = "device_waits"
     SUBJECT: ClassVar[str] = "module"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
-        Choice("noted", "Somebody sees to it; this is not asked again while it lasts."),
+        Choice("noted", "Somebody will help; the question is not asked again during this wait."),
     )
 
 
 class ClosingWaits(Topic, frozen=True, tag="closing_waits"):
-    """The closing workflow of an experiment does not begin."""
+    """The closing workflow of an experiment does not start."""
 
     KIND: ClassVar[str] = "closing_waits"
     SUBJECT: ClassVar[str] = "run"
@@ -400,25 +401,25 @@ class ClosingWaits(Topic, frozen=True, tag="closing_waits"):
     @property
     def choices(self) -> tuple[Choice, ...]:
         return (
-            Choice("wait", "It goes on waiting; this is not asked again."),
+            Choice("wait", "It continues to wait; the question is not asked again."),
             Choice("end", f"The experiment ends; its labware stays where it is and is {self.user}'s."),
         )
 
 
 class SecondPerson(Topic, frozen=True, tag="second_person"):
-    """A run has a dangerous step, and waits until somebody other than its user has checked it."""
+    """A run has a dangerous step. It waits until a person other than its user has checked it."""
 
     KIND: ClassVar[str] = "second_person"
     SUBJECT: ClassVar[str] = "run"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
-        Choice("approve", "It may start. Only somebody else than its user can say so."),
+        Choice("approve", "It may start. Only a person other than its user can approve it."),
         Choice("refuse", "It is cancelled."),
     )
 
 
 class Approval(Topic, frozen=True, tag="approval"):
-    """A submission, or a change of a campaign, waits for an approval: ``about`` it, as it is with this
-    ``digest``. ``what`` is its kind."""
+    """A submission, or a change of a campaign, waits for an approval. ``about`` is its id, ``digest`` is the
+    digest of its content, and ``what`` is its kind."""
 
     KIND: ClassVar[str] = "approval"
     SUBJECT: ClassVar[str] = "about"
@@ -428,19 +429,21 @@ class Approval(Topic, frozen=True, tag="approval"):
 
     @property
     def choices(self) -> tuple[Choice, ...]:
-        refused = "The campaign goes on as before." if self.what == "amendment" else "It is cancelled."
+        refused = "The campaign continues as before." if self.what == "amendment" else "It is cancelled."
         return (
-            Choice("approve", "It goes on as it is."),
+            Choice("approve", "It is approved without changes."),
             Choice("refuse", refused),
         )
 
 
 class BookedPlace(Topic, frozen=True, tag="booked_place"):
-    """Where somebody has booked, labware of others stands, or an ``action`` of others is under way."""
+    """At a booked place, there is labware of another user, or an ``action`` of another user is under way."""
 
     KIND: ClassVar[str] = "booked_place"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
-        Choice("noted", "Somebody sees to it. When the booking begins this is asked once more."),
+        Choice(
+            "noted", "Somebody will take care of it. The question is asked again when the booking begins."
+        ),
     )
     booking: str
     labware: tuple[LabwareId, ...] = ()

@@ -67,14 +67,15 @@ class UserEvent(Event, frozen=True):
 
 @event("user.added")
 class UserAdded(UserEvent, frozen=True):
-    """Somebody may use the lab, as far as roles say. From the first user on, nobody else may."""
+    """A user is added and may use the lab according to their roles. As soon as there is one user, only users
+    may use the lab."""
 
     kind: Kind
 
 
 @event("user.disabled")
 class UserDisabled(UserEvent, frozen=True):
-    """The user may do nothing any more; runs and roles stay as they are."""
+    """The user may no longer do anything; their runs and roles stay as they are."""
 
 
 @event("user.enabled")
@@ -84,8 +85,8 @@ class UserEnabled(UserEvent, frozen=True):
 
 @event("user.erased")
 class UserErased(UserEvent, frozen=True):
-    """The lab has forgotten who the user is: name and address, and all that the user signed in with. This
-    says the id alone, and so do all other events of the user, which remain."""
+    """The lab has erased the user's name, address and means of signing in. The user's events remain; like
+    this one, they contain only the id."""
 
 
 class GroupEvent(Event, frozen=True):
@@ -97,17 +98,18 @@ class GroupEvent(Event, frozen=True):
 
 @event("group.added")
 class GroupAdded(GroupEvent, frozen=True):
-    """A group of weight 1, without members. A shares file that does not name it leaves it as it is."""
+    """A group is added, with weight 1 and without members. A shares file that does not name it does not
+    change it."""
 
 
 @event("group.removed")
 class GroupRemoved(GroupEvent, frozen=True):
-    """A group is no more; its members are in none."""
+    """A group is removed; its members are then in no group."""
 
 
 @event("group.member_added")
 class MemberAdded(GroupEvent, frozen=True):
-    """A user, who is in no group yet, belongs to it: the group's share of the lab and its roles."""
+    """A user who is in no group joins this group, and has a part in its share of the lab and its roles."""
 
     user: str
 
@@ -120,7 +122,7 @@ class MemberRemoved(GroupEvent, frozen=True):
 @event("role.granted")
 class RoleGranted(Event, frozen=True):
     """A user (``user:ID``) or all members of a group (``group:NAME``) have a role in a workcell, or in the
-    whole lab (``*``), in place of the one that they had there."""
+    whole lab (``*``). It replaces their previous role there."""
 
     subject: str
     role: Role

@@ -9,7 +9,7 @@ from labos.http.asking import NodeAnswer
 from labos.http.campaigns import CampaignView, Estimate
 from labos.http.teaching import LocationPose
 from labos.ports import EventLine
-from labos.services.runs import RunHistory, StepHistory
+from labos.services.runs import StepHistory
 from labos.services.shares import ShareAccount
 from labos.services.signatures import Signature
 from labos.spec.findings import Finding
@@ -26,9 +26,9 @@ class LogCheckView(msgspec.Struct, frozen=True):
 
 
 class Health(msgspec.Struct, frozen=True):
-    """``status`` is ``ok`` or ``failed``; ``position`` that of the last event on
-    disk; ``suspended`` why nothing is started (a fault in planning; empty while it works);
-    ``broken_drivers`` why a driver cannot be used, by name."""
+    """``status`` is ``ok`` or ``failed``. ``position`` is the position of the last event on disk.
+    ``suspended`` is the reason why nothing starts (a fault in planning; empty: planning works).
+    ``broken_drivers`` lists drivers that cannot be used, each with the reason."""
 
     status: str
     lab: str
@@ -47,16 +47,16 @@ class NodeAnswers(msgspec.Struct, frozen=True):
 
 
 class EventPage(msgspec.Struct, frozen=True):
-    """Committed events in order; ask again with ``after`` = ``position``."""
+    """Committed events in order. For the next page, ask with ``after`` = ``position``."""
 
     events: list[EventLine]
     position: int
 
 
 class RunDetail(msgspec.Struct, frozen=True):
-    """A run as the log tells it, with its steps; times in UTC nanoseconds, 0 if not yet. ``status``: queued,
-    active, paused, cancelling, leaving, completed, failed or cancelled. ``busy`` are the times (from, to) in
-    which some action of it was in flight. It should be over when it is ``due_at``."""
+    """A run from the log, with its steps. Times are in UTC nanoseconds, 0 if not yet known. ``status``:
+    queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy`` are the periods
+    (from, to) in which one of its actions was under way. ``due_at`` is the time by which it should end."""
 
     id: str
     workflow: str
@@ -75,14 +75,10 @@ class RunDetail(msgspec.Struct, frozen=True):
     busy: list[tuple[int, int]]
     due_at: int
 
-    @classmethod
-    def make(cls, story: RunHistory) -> RunDetail:
-        return cls(**{name: getattr(story, name) for name in cls.__struct_fields__})
-
 
 class Runs(msgspec.Struct, frozen=True):
-    """A page of runs. ``position`` is that of the last submission shown; ``more``: others are alive behind
-    it; ``ended_position`` is the first end shown (0: none)."""
+    """A page of runs. ``position`` is the position of the last submission on it; ``more``: there are later
+    ones. ``ended_position`` is the position of the earliest end on it (0: none)."""
 
     runs: list[RunDetail]
     position: int
@@ -91,8 +87,8 @@ class Runs(msgspec.Struct, frozen=True):
 
 
 class RunSubmission(msgspec.Struct, frozen=True):
-    """The id of the run, and what the workflow's files made the lab remark. ``approval`` says why it waits
-    for one, if it does."""
+    """The id of the run, and the warnings about the workflow's files. ``approval`` is the reason if it waits
+    for an approval."""
 
     run: str
     warnings: tuple[Finding, ...] = ()
@@ -121,17 +117,18 @@ class FileReference(msgspec.Struct, frozen=True):
 
 
 class ExperimentReference(msgspec.Struct, frozen=True):
-    """``approval`` says why it waits for one, if it does."""
+    """``approval`` is the reason if it waits for an approval."""
 
     experiment: str
     approval: str = ""
 
 
 class CampaignSubmission(msgspec.Struct, frozen=True):
-    """The id of the campaign (empty if it was only checked), and what all its rows ask of the lab: how many
-    ``rows`` there are and how many of them were ``checked``, ``module_time_s``, by ``modules``, what the
-    ``busiest`` of them needs at least (``bounds_s``), and of each of the ``consumables`` what is ``needed``
-    and what is ``left``. ``approval`` says why it waits for one, if it does."""
+    """The id of the campaign (empty if it was only checked), and the work and material that all its rows
+    need: the number of ``rows`` and of those that were ``checked``, ``module_time_s`` in total and by
+    ``modules``, the least time that the ``busiest`` module needs (``bounds_s``), and the amount of each of
+    the ``consumables`` that is ``needed`` and ``left``. ``approval`` is the reason if it waits for an
+    approval."""
 
     campaign: str
     estimate: Estimate
@@ -143,7 +140,7 @@ class CampaignReference(msgspec.Struct, frozen=True):
 
 
 class CampaignTerms(msgspec.Struct, frozen=True):
-    """The terms on which it goes on. ``approval`` says why a change waits for one, if it does."""
+    """The terms that are now valid. ``approval`` is the reason if a change waits for an approval."""
 
     campaign: str
     terms: Terms
@@ -155,8 +152,8 @@ class Campaigns(msgspec.Struct, frozen=True):
 
 
 class Shares(msgspec.Struct, frozen=True):
-    """An account for each user who stands in the shares file or has used the lab: the part of it that is
-    ``wanted`` and was ``had``, ``lab_hours`` and ``consumables`` of the last seven days, and the ``quota``.
+    """An account for each user who is in the shares file or has used the lab: the ``wanted`` share, the share
+    that the user ``had``, ``lab_hours`` and ``consumables`` of the last seven days, and the ``quota``.
     """
 
     accounts: list[ShareAccount]
@@ -169,7 +166,7 @@ class SharesReference(msgspec.Struct, frozen=True):
 
 
 class HeartbeatReply(msgspec.Struct, frozen=True):
-    """The lab has heard of it."""
+    """The lab has recorded the heartbeat."""
 
 
 class Resolution(msgspec.Struct, frozen=True):
@@ -182,14 +179,14 @@ class ModuleReference(msgspec.Struct, frozen=True):
 
 
 class TraceFile(msgspec.Struct, frozen=True):
-    """The transcript: a file on the computer of the node, which names it itself."""
+    """The transcript: a file on the node's computer. The node chooses its name."""
 
     module: str
     file: str
 
 
 class ReplenishResult(msgspec.Struct, frozen=True):
-    """How much was put in."""
+    """The amount that was put in."""
 
     module: str
     resource: str
@@ -205,7 +202,7 @@ class PoseVersion(msgspec.Struct, frozen=True):
 
 
 class CalibrationRecord(msgspec.Struct, frozen=True):
-    """A calibration as it was recorded. ``file`` is the SHA-256 of its report; empty if none was sent."""
+    """The recorded calibration. ``file`` is the SHA-256 of its report; empty if none was sent."""
 
     module: str
     what: str
@@ -215,19 +212,19 @@ class CalibrationRecord(msgspec.Struct, frozen=True):
 
 
 class LabwareReference(msgspec.Struct, frozen=True):
-    """The id of labware; empty on a stack, whose items get theirs when they are taken."""
+    """The id of the labware. It is empty on a stack, where a piece gets its id when it is taken."""
 
     labware: str
 
 
 class LoadResult(msgspec.Struct, frozen=True):
-    """The ids that the labware got; none on a stack."""
+    """The ids of the labware; none on a stack."""
 
     labware: list[str]
 
 
 class UnloadResult(msgspec.Struct, frozen=True):
-    """The ids of the pieces that had one, and how many had none."""
+    """The ids of the pieces that had one, and the number of pieces without."""
 
     labware: list[str]
     nameless: int
@@ -245,13 +242,13 @@ class LabwareOwner(msgspec.Struct, frozen=True):
 
 
 class SampleCounts(msgspec.Struct, frozen=True):
-    """How many samples each plate has."""
+    """The number of samples in each plate."""
 
     plates: dict[str, int]
 
 
 class AccessResult(msgspec.Struct, frozen=True):
-    """``parking`` are the runs that park arms first."""
+    """``parking`` are the runs that first move arms to their rest positions."""
 
     workcell: str
     parking: list[str]

@@ -13,8 +13,9 @@ from labos.planning.lab_forecast import LabForecast
 
 
 class ProposalForecast(msgspec.Struct, frozen=True):
-    """What a proposal would bring: when it starts and ends, when a person is needed, which runs it delays,
-    what stands in its way, and of each consumable what it needs by its plan and what is left."""
+    """The forecast for a proposal: its start and end, the times when a person is needed, the runs that it
+    delays, the obstacles, and for each consumable the amount that its plan needs and the amount that is
+    left."""
 
     forecast: LabForecast
     consumables: dict[str, ConsumableEstimate]

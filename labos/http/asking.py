@@ -50,11 +50,11 @@ class NodeCheck(msgspec.Struct, frozen=True):
 
 
 class NodeAnswer(msgspec.Struct, frozen=True):
-    """What a module's node answered just now. ``IDLE``, ``BUSY`` and ``ERROR`` are its own words,
-    ``ERROR`` also if its device is off or does not answer, as ``why`` tells; ``silent``: there is no
-    node; ``frozen``: there is one, and it does not answer;
-    ``refused``: the lab does not admit it; ``out``: it answers, and is out of service;
-    ``absent``: this lab has no such module. ``checked`` is there if it was asked for, and answered."""
+    """What a module's node answered just now. ``IDLE``, ``BUSY`` and ``ERROR`` are its own words, ``ERROR``
+    also if its device is off or does not answer, as ``why`` tells; ``silent``: there is no node; ``frozen``:
+    there is one, and it does not answer; ``refused``: the lab does not admit it; ``out``: its node answers,
+    but the module is out of service; ``absent``: this lab has no such module. ``checked`` is there if it was
+    asked for, and answered."""
 
     module: ModuleName
     answer: Literal["IDLE", "BUSY", "ERROR", "silent", "frozen", "refused", "out", "absent"]
@@ -116,7 +116,7 @@ def _ahead_s(node_ns: int, asked_ns: int, heard_ns: int) -> float | None:
 
 
 async def switch_trace(service: LabService, module: ModuleName, on: bool) -> str:
-    """Begin or end the transcript of a device's wires; its file, on the computer of its node. Raises
+    """Start or stop the transcript of a device's links; its file, on the computer of its node. Raises
     Refused, also if no node answers."""
     request = AdminRequest(service.parts.registry.lab, service.kernel.epoch, "trace", {"on": on})
     key = Keys(service.parts.registry.lab).operation(module, "admin")

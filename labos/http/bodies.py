@@ -41,7 +41,7 @@ Limit = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
 Amounts = Annotated[dict[Name, Amount], msgspec.Meta(max_length=MOST_ENTRIES)]
 Tags = Annotated[list[Name], msgspec.Meta(max_length=MOST_TAGS)]
 
-WAITS = says("it waits for an approval, whatever the policy says")
+WAITS = says("wait for an approval, also if the policy does not require one")
 
 
 class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -55,15 +55,18 @@ class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     payload: Annotated[dict[str, Any], says("values for the workflow")] = {}
     workcell: Annotated[Name, says("needed if the lab has several")] = ""
     priority: Annotated[Priority, says("higher goes first; 0")] = 0
-    experiment: Annotated[Name, says("the experiment it belongs to; it must be the user's")] = ""
+    experiment: Annotated[
+        Name, says("the experiment to which the run belongs; it must belong to the same user")
+    ] = ""
     place: Annotated[
         list[Placing],
         msgspec.Meta(max_length=MOST_ENTRIES),
-        says("labware that was put on the bench for it; recorded with the run, or not at all"),
+        says("labware that was put on the bench for the run; recorded with the run, or not at all"),
     ] = []
     propose: Annotated[bool, WAITS] = False
     due: Annotated[
-        Line, says("when it should be over: a time, or how long from now (`12h`); empty: never")
+        Line,
+        says("the time by which the run should end: a time, or a duration from now (`12h`); empty: none"),
     ] = ""
 
 
@@ -107,11 +110,11 @@ class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     user: Asker = ""
     closing: Annotated[
         WorkflowText | None,
-        says("a workflow as for a run, that clears away what the experiment leaves parked"),
+        says("the workflow that clears away the labware which the experiment leaves parked"),
     ] = None
     parking: Annotated[
         Names,
-        says("stations where it may leave labware between its runs; left out: anywhere"),
+        says("stations where the experiment may leave labware between its runs; left out: anywhere"),
     ] = []
     payload: Annotated[dict[str, Any], says("values for the closing workflow")] = {}
     workcell: Annotated[Name, says("needed if the lab has several")] = ""
@@ -126,7 +129,9 @@ class ExperimentNote(msgspec.Struct, forbid_unknown_fields=True):
     ]
     name: Annotated[Name, says("its name")]
     facts: Annotated[dict[str, Any], says("a table of anything")] = {}
-    key: Annotated[Name, says("which call of the application it is; the same one twice is noted once")] = ""
+    key: Annotated[
+        Name, says("identifies the call in the application; a second note with the same key is ignored")
+    ] = ""
 
 
 class ExperimentResumption(msgspec.Struct, forbid_unknown_fields=True):
@@ -145,41 +150,45 @@ class NewCampaign(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     text: Annotated[FileText, says("the campaign file")]
     workflow: Annotated[WorkflowText, says("the workflow, with the files that it names")]
     user: Asker = ""
-    name: Annotated[FileName, says("what errors call the file")] = "campaign"
-    files: Annotated[Files, says("the table that it names, in base64, by the name that it has for it")] = {}
+    name: Annotated[FileName, says("the name of the file in error messages")] = "campaign"
+    files: Annotated[
+        Files, says("the table file of the campaign, in base64, by the name that the campaign file uses")
+    ] = {}
     dry_run: Annotated[bool, says("only check it")] = False
     propose: Annotated[bool, WAITS] = False
 
 
 class CampaignPause(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
-    why: Annotated[Line, says("a word about it for the log")] = ""
+    why: Annotated[Line, says("a reason or comment for the log")] = ""
 
 
 class CampaignCancel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
-    why: Annotated[Line, says("a word about it for the log")] = ""
-    stay: Annotated[bool, says("the labware of its runs stays where it is")] = False
+    why: Annotated[Line, says("a reason or comment for the log")] = ""
+    stay: Annotated[bool, says("labware of its runs stays where it is")] = False
 
 
 class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """What is left out stays as it is."""
 
     by: Asker = ""
-    priority: Annotated[Priority | None, says("of rows that are submitted from now on")] = None
-    deadline: Annotated[Line | None, says("a time, or how long from now (`12h`); empty for none")] = None
-    runs: Annotated[Limit | None, says("so many runs at most; 0 for no limit")] = None
-    lab_time_s: Annotated[Amount | None, says("so much module time at most; 0 for no limit")] = None
-    consumables: Annotated[Amounts | None, says("so much at most, by kind of consumable")] = None
-    tags: Annotated[Tags | None, says("its tags, in place of those it has")] = None
+    priority: Annotated[Priority | None, says("the priority of rows that are submitted from now on")] = None
+    deadline: Annotated[Line | None, says("a time, or a duration from now (`12h`); empty for none")] = None
+    runs: Annotated[Limit | None, says("the largest number of runs; 0 for no limit")] = None
+    lab_time_s: Annotated[Amount | None, says("the most module time, in lab seconds; 0 for no limit")] = None
+    consumables: Annotated[Amounts | None, says("the largest amounts, by kind of consumable")] = None
+    tags: Annotated[Tags | None, says("its tags; they replace the present ones")] = None
     until: Annotated[Line | None, says("the stop rule; empty for none")] = None
-    stop_after: Annotated[Limit | None, says("so many rows may fail; 0 for however many")] = None
+    stop_after: Annotated[
+        Limit | None, says("the number of failed runs at which the campaign stops; 0 for no limit")
+    ] = None
 
 
 class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
     """What is left out is as in the campaign that is cloned, but for its deadline: the clone has none."""
 
-    name: Annotated[Line, says("of the new campaign; that of the first one if empty")] = ""
+    name: Annotated[Line, says("the name of the new campaign; empty: the name of the original")] = ""
     visibility: Annotated[Visibility | None, says("who sees it: lab, group or private")] = None
     dry_run: Annotated[bool, says("only check it")] = False
     propose: Annotated[bool, WAITS] = False
@@ -187,13 +196,13 @@ class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
 
 class Archiving(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
-    undo: Annotated[bool, says("let it stand in lists again")] = False
+    undo: Annotated[bool, says("show it in lists again")] = False
 
 
 class SharesFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     text: Annotated[FileText, says("the file")]
     by: Asker = ""
-    name: Annotated[FileName, says("what errors call the file")] = "shares"
+    name: Annotated[FileName, says("the name of the file in error messages")] = "shares"
 
 
 class SuggestedStep(msgspec.Struct, forbid_unknown_fields=True):
@@ -205,21 +214,26 @@ class SuggestedStep(msgspec.Struct, forbid_unknown_fields=True):
 class OrderSuggestion(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     steps: Annotated[
         list[SuggestedStep],
-        msgspec.Meta(max_length=MOST_STEPS, description="in any order; none: no advice any more"),
+        msgspec.Meta(
+            max_length=MOST_STEPS, description="the steps, in any order; none: withdraw the suggestion"
+        ),
     ]
-    until: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1, description="until when it counts (UTC ns)")]
+    until: Annotated[
+        int, msgspec.Meta(ge=0, le=2**63 - 1, description="the time until which it is valid (UTC ns)")
+    ]
     position: Annotated[
-        int, msgspec.Meta(ge=0, le=2**63 - 1, description="the log's position that it was worked out from")
+        int,
+        msgspec.Meta(ge=0, le=2**63 - 1, description="the position of the log from which it was computed"),
     ] = 0
     by: Asker = ""
 
 
 class InterventionAnswer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    choice: Annotated[Name, says("the name of one of its choices")]
+    choice: Annotated[Name, says("the name of one of its answers")]
     by: Asker = ""
     note: Annotated[Words, says("a word about it")] = ""
     result: Annotated[
-        Any, says("what a step that was done has measured; required if later steps read it")
+        Any, says("the measured result of the completed step; required if later steps read it")
     ] = None
 
 
@@ -230,33 +244,34 @@ class LabwarePlacement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True)
 
 
 class BarcodeLabel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    barcode: Annotated[Name, says("what its label says")]
+    barcode: Annotated[Name, says("the text of the barcode")]
     by: Asker = ""
-    replace: Annotated[bool, says("take the place of another barcode: its label was changed")] = False
+    replace: Annotated[bool, says("replace another barcode, because the label was changed")] = False
 
 
 class Observation(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
     by: Asker = ""
     what: Annotated[
-        Name, says("`empty`, a number, labware by its id or barcode, a labware type; left out: something")
+        Name,
+        says("`empty`, a number, labware by its id or barcode, or a labware type; left out: something"),
     ] = ""
 
 
 class Handover(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     to: Annotated[Name, says("`user:NAME`, `experiment:E3` or `shared`")]
     by: Asker = ""
-    force: Annotated[bool, says("as an operator: it is somebody else's")] = False
-    note: Annotated[Words, says("a word about it; needed with `force`")] = ""
+    force: Annotated[bool, says("for operators: the labware belongs to somebody else")] = False
+    note: Annotated[Words, says("a reason or comment; required with `force`")] = ""
 
 
 class SampleSheet(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     text: Annotated[SheetText, says("the sheet, CSV")]
     by: Asker = ""
-    name: Annotated[FileName, says("what errors call the sheet")] = "sheet"
-    labware: Annotated[Name, says("the plate, where the sheet does not say")] = ""
+    name: Annotated[FileName, says("the name of the sheet in error messages")] = "sheet"
+    labware: Annotated[Name, says("the plate, if the sheet does not name it")] = ""
     station: Annotated[Name, says("or where it stands")] = ""
-    replace: Annotated[bool, says("take the place of an earlier sheet")] = False
+    replace: Annotated[bool, says("replace an earlier sheet")] = False
 
 
 class WorkcellFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -265,30 +280,32 @@ class WorkcellFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
     text: Annotated[FileText, says("the file")]
     by: Asker = ""
-    name: Annotated[FileName, says("what errors shall call the file")] = "workcell"
-    dry_run: Annotated[bool, says("only say what would change")] = False
+    name: Annotated[FileName, says("the name of the file in error messages")] = "workcell"
+    dry_run: Annotated[bool, says("only answer what would change")] = False
     labware: Annotated[
-        Files, says("the labware files that it names, in base64, by the names that it has for them")
+        Files, says("the labware files that it names, in base64, by the names that it uses")
     ] = {}
     files: Annotated[Files, says("the other files that it names: tables of drivers (`plc: hatch.yaml`)")] = {}
 
 
 class NewPose(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
-    pose: Annotated[Pose, says("numbers, as many as before")]
+    pose: Annotated[Pose, says("the numbers of the pose, as many as in the present pose")]
     by: Asker = ""
     why: Annotated[Line, says("a word for the log")] = ""
     labware_type: Annotated[
-        Name, says("the pose is for labware of this type only; the station needs one of its own first")
+        Name, says("the pose is only for labware of this type; the station needs a pose for all types first")
     ] = ""
 
 
 class NewCalibration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
-    what: Annotated[Name, says("what of the module was calibrated, as `volume`; empty for all of it")] = ""
+    what: Annotated[
+        Name, says("the calibrated part or quantity, such as `volume`; empty for the whole module")
+    ] = ""
     certificate: Annotated[Name, says("the certificate's number")] = ""
     report: Annotated[FileContent, says("the report, in base64; kept with the lab's files")] = b""
-    until: Annotated[Name, says("the last day on which it is valid, as `2027-01-01` (UTC)")] = ""
+    until: Annotated[Name, says("the last day on which it is valid, such as `2027-01-01` (UTC)")] = ""
     why: Annotated[Line, says("a word for the log")] = ""
 
 
@@ -304,15 +321,15 @@ class AccessEnd(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     changed: Annotated[
         list[StationChange],
         msgspec.Meta(max_length=MOST_ENTRIES),
-        says("what stands at which station now"),
+        says("the stations that were changed, and what stands there now"),
     ] = []
 
 
 class BenchDeclaration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
     stations: Annotated[Named, says("types of labware by station")] = {}
-    workcell: Annotated[Name, says("whose stations `empty` means, if the lab has several")] = ""
-    empty: Annotated[bool, says("stations that nobody has spoken of stand empty")] = False
+    workcell: Annotated[Name, says("the workcell for `empty`, if the lab has several")] = ""
+    empty: Annotated[bool, says("all stations that were not reported are empty")] = False
 
 
 class By(msgspec.Struct, forbid_unknown_fields=True):
@@ -322,28 +339,30 @@ class By(msgspec.Struct, forbid_unknown_fields=True):
 class WireTrace(By, forbid_unknown_fields=True):
     """Whether a node writes down every byte on its device's wires."""
 
-    on: Annotated[bool, says("left out or true: from now on, in a new file; false: no more")] = True
+    on: Annotated[bool, says("true or left out: start a transcript in a new file; false: stop it")] = True
 
 
 class RunCancel(By, forbid_unknown_fields=True):
     """A run is to end when what is in flight has ended."""
 
-    stay: Annotated[bool, says("labware stays where it is, even if there is a way out")] = False
-    why: Annotated[Line, says("a word about it for the log")] = ""
+    stay: Annotated[
+        bool, says("labware stays where it is, even if the workflow has steps under `on_cancel`")
+    ] = False
+    why: Annotated[Line, says("a reason or comment for the log")] = ""
 
 
 class RunSignature(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """The record of a run, an experiment or a campaign is signed, by the user who asks."""
 
     meaning: Annotated[Meaning, says("`authored`, `responsible`, `reviewed`, `approved` or `rejected`")]
-    password: Annotated[Secret, says("the password, once more")]
+    password: Annotated[Secret, says("the user's password")]
     why: Annotated[Line, says("a comment, for the log")] = ""
 
 
 class RunPause(By, forbid_unknown_fields=True):
     """No more steps of a run are to start until it is resumed."""
 
-    why: Annotated[Line, says("a word about it for the log")] = ""
+    why: Annotated[Line, says("a reason or comment for the log")] = ""
 
 
 class EmergencyStop(msgspec.Struct, forbid_unknown_fields=True):
@@ -357,5 +376,6 @@ class OutOfService(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     why: Annotated[Line, says("the reason")]
     by: Asker = ""
     until: Annotated[
-        Time, says("when it is back by itself (UTC nanoseconds); 0: when somebody puts it back")
+        Time,
+        says("the time at which it is in service again (UTC nanoseconds); 0: when somebody puts it back"),
     ] = 0

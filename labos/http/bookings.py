@@ -10,6 +10,7 @@ from labos.core.bookings import Booking, BookingSpan
 from labos.core.decide.bookings import NewTerms
 from labos.core.recurrence import DAY_NS
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import person_of
 from labos.errors import BadInput, NotFound
 from labos.http.bodies import By
@@ -22,13 +23,13 @@ MOST_TIMES = 5_000
 
 BEGINS = "when it begins (UTC nanoseconds)"
 ENDS = "when it ends (UTC nanoseconds)"
-WHOM = "for whom: a group or a user; `group:NAME` or `user:ID` where both are called so"
-NOBODY = "for maintenance: nobody's runs"
+WHOM = "the group or user for whom it is booked; `group:NAME` or `user:ID` if both have this name"
+NOBODY = "a booking for maintenance, during which no run uses it"
 WHY = "what for"
-ZONE = "the time zone by whose clock it is shown and repeated, as `Europe/Zurich`"
-RULE = "how often it comes again, as in iCalendar: `FREQ=WEEKLY;BYDAY=MO,TH`; empty: once"
-LAST = "the latest begin of one that is repeated (UTC nanoseconds); 0: without end"
-Force = Annotated[bool, says("also where others have booked; it needs an admin")]
+ZONE = "the time zone in which the booking is shown and repeated, such as `Europe/Zurich`"
+RULE = "how it repeats, as in iCalendar: `FREQ=WEEKLY;BYDAY=MO,TH`; empty: once"
+LAST = "the latest beginning of a repeated booking (UTC nanoseconds); 0: without end"
+Force = Annotated[bool, says("override bookings of others; only for admins")]
 
 
 class NewBooking(By, forbid_unknown_fields=True, kw_only=True):
@@ -49,7 +50,9 @@ class NewBooking(By, forbid_unknown_fields=True, kw_only=True):
 class BookingChange(By, forbid_unknown_fields=True, kw_only=True):
     """What is left out stays as it is."""
 
-    begins_at: Annotated[Time | None, says(BEGINS + "; without an end, that moves along")] = None
+    begins_at: Annotated[
+        Time | None, says(BEGINS + "; if no end is given, the end moves by the same time")
+    ] = None
     ends_at: Annotated[Time | None, says(ENDS)] = None
     whom: Annotated[Name | None, says(WHOM)] = None
     maintenance: Annotated[bool | None, says(NOBODY)] = None
@@ -62,7 +65,7 @@ class BookingChange(By, forbid_unknown_fields=True, kw_only=True):
 
 class BookingCancel(By, forbid_unknown_fields=True, kw_only=True):
     begins_at: Annotated[
-        Time, says("only the time that begins then (UTC nanoseconds), of a booking that is repeated")
+        Time, says("for a repeated booking: cancel only the time that begins then (UTC nanoseconds)")
     ] = 0
     why: Annotated[Line, says("the reason")] = ""
 
@@ -73,13 +76,13 @@ class OfBooking(msgspec.Struct, frozen=True):
 
 class BookingsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     target: Annotated[
-        Name, says("only those of this module (its workcell's among them) or of this workcell")
+        Name, says("only those of this workcell, or of this module (including those of its workcell)")
     ] = ""
 
 
 class CalendarQuery(BookingsQuery, frozen=True, forbid_unknown_fields=True):
-    since: Annotated[Time, says("from then on (UTC nanoseconds); 0: from now on")] = 0
-    until: Annotated[Time, says("up to then (UTC nanoseconds); 0: a week")] = 0
+    since: Annotated[Time, says("the beginning of the period (UTC nanoseconds); 0: now")] = 0
+    until: Annotated[Time, says("the end of the period (UTC nanoseconds); 0: a week")] = 0
 
 
 class LinkQuery(BookingsQuery, frozen=True, forbid_unknown_fields=True):
@@ -89,9 +92,9 @@ class LinkQuery(BookingsQuery, frozen=True, forbid_unknown_fields=True):
 
 
 class BookingView(msgspec.Struct, frozen=True):
-    """Its first time, and the one that it is or that comes next (``next_…``, 0: none). Times in UTC
-    nanoseconds. ``now``: it has begun; ``skipped_at`` are begins that fall out; ``over`` are the bookings
-    that it was just made over."""
+    """The first time of the booking, and its present or next time (``next_…``, 0: none), in UTC nanoseconds.
+    ``now``: it is under way. ``skipped_at`` are the beginnings of times that are left out. ``over`` are the
+    bookings that it has overridden."""
 
     id: str
     target: str
@@ -131,7 +134,7 @@ class BookedTime(msgspec.Struct, frozen=True):
 
 
 class CalendarView(msgspec.Struct, frozen=True):
-    """The times that are booked ``since`` and ``until`` then, in order."""
+    """The booked times between ``since`` and ``until``, in order."""
 
     since: int
     until: int
@@ -139,7 +142,7 @@ class CalendarView(msgspec.Struct, frozen=True):
 
 
 class BookingCancelled(msgspec.Struct, frozen=True):
-    """``begins_at`` is the one time that falls out; 0: all of it."""
+    """``begins_at`` is the beginning of the cancelled time; 0: the whole booking."""
 
     booking: str
     begins_at: int
@@ -151,24 +154,17 @@ def view(booking: Booking, over: tuple[str, ...] = ()) -> BookingView:
         if booking.began
         else booking.next_span(booking.handled)
     )
-    return BookingView(
-        booking.id,
-        booking.target,
-        booking.begins,
-        booking.ends,
-        booking.user,
-        booking.group,
-        booking.maintenance,
-        booking.why,
-        booking.zone,
-        booking.rule,
-        booking.last,
-        booking.by,
-        bool(booking.began),
-        span.begins if span is not None else 0,
-        span.ends if span is not None else 0,
-        booking.skipped,
-        over,
+    return make_from(
+        BookingView,
+        booking,
+        begins_at=booking.begins,
+        ends_at=booking.ends,
+        last_at=booking.last,
+        now=bool(booking.began),
+        next_begins_at=span.begins if span is not None else 0,
+        next_ends_at=span.ends if span is not None else 0,
+        skipped_at=booking.skipped,
+        over=over,
     )
 
 
@@ -211,16 +207,13 @@ def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarVie
 
 
 def _time(span: BookingSpan, booking: Booking) -> BookedTime:
-    return BookedTime(
-        booking.id,
-        booking.target,
-        span.begins,
-        span.ends,
-        booking.user,
-        booking.group,
-        booking.maintenance,
-        booking.why,
-        booking.began == span.begins,
+    return make_from(
+        BookedTime,
+        booking,
+        booking=booking.id,
+        begins_at=span.begins,
+        ends_at=span.ends,
+        now=booking.began == span.begins,
     )
 
 
@@ -238,15 +231,13 @@ def terms_of(state: LabState, body: NewBooking) -> NewTerms:
         )
     if body.maintenance:
         user = group = ""
-    return NewTerms(
+    return make_from(
+        NewTerms,
+        body,
         begins=body.begins_at,
         ends=body.ends_at,
         user=user,
         group=group,
-        maintenance=body.maintenance,
-        why=body.why,
-        zone=body.zone,
-        rule=body.rule,
         last=body.last_at,
     )
 

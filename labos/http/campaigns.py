@@ -10,12 +10,13 @@ import msgspec
 
 from labos.core.campaigns import Budget, Campaign, Terms
 from labos.core.conditions import find_reads
-from labos.core.decide.campaigns import SubmitCampaign, consumption, module_time_s
+from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.policy import demand_of
 from labos.core.decide.runs import NOBODYS
-from labos.core.ids import CampaignId, local
-from labos.core.model import MAIN, Plan
+from labos.core.ids import CampaignId
+from labos.core.model import Plan
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import person_of
 from labos.core.viewer import Visibility
 from labos.errors import BadInput, KeyReused, SpecError
@@ -62,9 +63,10 @@ class Estimate(msgspec.Struct, frozen=True):
 
 
 class CampaignView(msgspec.Struct, frozen=True):
-    """``status``: proposed, open, paused, stopped or cancelled. Of its ``rows``, ``left`` are those that are
-    no runs yet. ``lab_time_s`` is module time, ``used`` are consumables. ``visibility``: who sees it
-    (lab, group or private); ``cloned_from`` is the campaign that it repeats."""
+    """``status``: proposed, open, paused, stopped or cancelled. ``left`` is the number of its ``rows`` that
+    have not been submitted as runs. ``lab_time_s`` is the used module time, and ``used`` are the used
+    consumables. ``visibility``: who sees it (lab, group or private). ``cloned_from`` is the campaign from
+    which it was copied."""
 
     id: str
     name: str
@@ -324,28 +326,21 @@ def _check_stop_rule(told: CampaignSource, checked: CheckedCampaign) -> None:
 def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: CheckedCampaign) -> Estimate:
     plans = checked.plans
     times = len(told.lines) / len(plans)
-    modules: dict[str, float] = {}
-    needed: dict[str, float] = {}
-    for plan in plans:
-        for step in plan.steps:
-            if step.part == MAIN:
-                name = local(step.module)
-                modules[name] = modules.get(name, 0.0) + step.duration_s * times
-        for kind, amount in consumption(plan).items():
-            needed[kind] = needed.get(kind, 0.0) + amount * times
-    busiest = max(modules, key=modules.__getitem__)
+    asked = demand_of(plans, times)
+    busiest = max(asked.modules, key=asked.modules.__getitem__)
     return Estimate(
         name=told.file.campaign,
         workflow=plans[0].workflow,
         workcell=workcell,
         rows=len(told.lines),
         checked=len(plans),
-        module_time_s=sum(map(module_time_s, plans)) * times,
-        modules=modules,
-        bounds_s=modules[busiest],
+        module_time_s=asked.module_time_s,
+        modules=asked.modules,
+        bounds_s=asked.modules[busiest],
         busiest=busiest,
         consumables={
-            kind: ConsumableEstimate(n, find_left(service, workcell, kind)) for kind, n in needed.items()
+            kind: ConsumableEstimate(n, find_left(service, workcell, kind))
+            for kind, n in asked.consumables.items()
         },
         findings=tuple(checked.findings),
     )
@@ -384,25 +379,10 @@ def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:
 
 
 def view_of(state: LabState, campaign: Campaign) -> CampaignView:
-    return CampaignView(
-        id=campaign.id,
-        name=campaign.name,
-        user=campaign.user,
-        workflow=campaign.workflow,
-        workcell=campaign.workcell,
-        status=campaign.status,
-        why=campaign.why,
-        rows=campaign.rows,
-        queued=campaign.queued,
+    return make_from(
+        CampaignView,
+        campaign,
         active=len(campaign.runs) - campaign.queued,
-        completed=campaign.completed,
-        failed=campaign.failed,
-        cancelled=campaign.cancelled,
-        refused=campaign.refused,
-        left=campaign.left,
         lab_time_s=campaign.spent_ns / 1e9 * state.lab.pace,
-        used=campaign.used,
-        terms=campaign.terms,
         visibility=state.campaigns.visibility_of(campaign.id),
-        cloned_from=campaign.cloned_from,
     )

@@ -31,13 +31,13 @@ class ControlRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
     target: Annotated[Name, says("a run, an experiment, a module, a workcell, or `lab`")]
     by: Asker = ""
-    why: Annotated[Line, says("of a pause: a word for the log")] = ""
-    stay: Annotated[bool, says("`true`: labware of what is cancelled stays where it is")] = False
+    why: Annotated[Line, says("for a pause or a cancellation: a reason for the log")] = ""
+    stay: Annotated[bool, says("`true`: labware of the cancelled runs stays where it is")] = False
 
 
 class ControlResult(msgspec.Struct):
-    """What was meant, and the runs that were cancelled. ``already``: it was so before, and nothing changed;
-    ``noted``: the reason that was given all the same is in the log."""
+    """The target, and the runs that were cancelled. ``already``: it was in this state before, and nothing
+    changed; ``noted``: the given reason was logged nevertheless."""
 
     kind: Kind
     target: str

@@ -27,9 +27,10 @@ class ErasingLog(Log, Protocol):
 
 
 class ErasureDone(msgspec.Struct, frozen=True):
-    """``erased`` is how many texts are gone, ``records`` the positions of their events; ``position`` that of
-    the event that says so. ``left`` says where bytes of them may still stand, empty if nowhere in the
-    database's files. With an ``erasure`` nothing is done yet: it waits under this id for a second person."""
+    """``erased`` is the number of deleted texts, and ``records`` are the positions of their events.
+    ``position`` is the position of the event that records the erasure. ``left`` says where in the database's
+    files bytes of the texts may remain (empty: nowhere). With an ``erasure``, nothing is deleted yet: it
+    waits under this id for a second person."""
 
     erasure: str
     erased: int

@@ -66,7 +66,7 @@ def says(meaning: str) -> msgspec.Meta:
 
 Person = Annotated[str, msgspec.Meta(max_length=LONGEST_PERSON, pattern=ONE_LINE)]
 """Somebody's name. ``check_person`` tells which names are not a person's."""
-WHO_ASKS = says("who asks; not read in a lab that has users: there it is the user who has signed in")
+WHO_ASKS = says("the user who asks; ignored in a lab that has users, where it is the user who has signed in")
 Asker = Annotated[Person, WHO_ASKS]
 """Who asks: a field for labs without users."""
 Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME, pattern=ONE_LINE)]

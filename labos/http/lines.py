@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.envelope import Record
+from labos.core.structs import make_from
 from labos.ports import EventLine
 from labos.services.times import iso_time
 
@@ -12,18 +13,10 @@ from labos.services.times import iso_time
 def line_of(record: Record) -> EventLine:
     """The line of a record."""
     head = record.head
-    return EventLine(
-        position=head.position,
+    return make_from(
+        EventLine,
+        head,
         time=iso_time(head.recorded_at),
-        recorded_at=head.recorded_at,
-        type=head.type,
-        schema=head.schema,
-        version=head.version,
-        stream=head.stream,
-        actor=head.actor,
-        correlation=head.correlation,
-        causation=head.causation,
-        id=head.id,
         payload=msgspec.Raw(record.payload),
         hash=record.hash.hex(),
     )

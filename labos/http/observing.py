@@ -24,8 +24,9 @@ class QuestionAsked(msgspec.Struct, frozen=True):
 
 
 class ObservationResult(msgspec.Struct, frozen=True):
-    """What follows from an observation: labware ``found`` and its station, ``gone`` labware, ``uncertain``
-    labware and its possible places, and the questions that are ``answered`` and ``asked``."""
+    """The consequences of an observation: labware that was ``found``, with its station; labware that is
+    ``gone``; ``uncertain`` labware with its possible places; and the questions that are ``answered`` and
+    ``asked``."""
 
     station: str
     found: dict[str, str]
@@ -76,7 +77,8 @@ def _sight(service: LabService, place: str, what: str, by: str) -> ObserveStatio
 async def give(
     service: LabService, labware: str, to: str, by: str, *, force: bool = False, note: str = ""
 ) -> list[Event]:
-    """Hand labware over to ``user:NAME``, ``experiment:E3`` or ``shared``. Raises NotFound, Refused."""
+    """Give labware to another owner to ``user:NAME``, ``experiment:E3`` or ``shared``. Raises NotFound,
+    Refused."""
     item = service.labware(labware)
     heir = SHARED if to == SHARED else Owner(to)
     return await service.kernel.execute(HandOver(item.id, heir, by, force, note), by)

@@ -54,13 +54,19 @@ SIGNED_IN = {
 }
 
 HEADERS: dict[str, tuple[str, dict[str, Any]]] = {
-    "LabOS-User": ("who asks; `application` if left out", {"type": "string", "maxLength": LONGEST_PERSON}),
-    "Last-Event-ID": ("the position behind which to go on; goes before `after`", {"type": "string"}),
-    "Range": ("a part of the file, as `bytes=0-1023`", {"type": "string"}),
+    "LabOS-User": (
+        "the user who asks; `application` if left out",
+        {"type": "string", "maxLength": LONGEST_PERSON},
+    ),
+    "Last-Event-ID": (
+        "the position after which to continue; takes precedence over `after`",
+        {"type": "string"},
+    ),
+    "Range": ("a part of the file, such as `bytes=0-1023`", {"type": "string"}),
     "If-Range": ("the `ETag` for which `Range` is meant", {"type": "string"}),
     "If-None-Match": ("an `ETag`; the same file is not sent again", {"type": "string"}),
     "LabOS-Position": (
-        "the position in the log that the answer has to know of, as an answer has told it",
+        "a position of the log from an earlier answer; this answer has to include it",
         {"type": "integer", "minimum": 0},
     ),
     "Idempotency-Key": (

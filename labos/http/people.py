@@ -18,9 +18,9 @@ Scope = Annotated[Name, says("a workcell, or `*` for the whole lab")]
 
 
 class NewUser(By, forbid_unknown_fields=True, kw_only=True):
-    user: Annotated[Name, says("the id, which is no name: events bear it for ever")]
+    user: Annotated[Name, says("the id, not the person's name: events contain it permanently")]
     kind: Annotated[Kind, says("`person`, or `service` for a program or an agent")] = "person"
-    role: Annotated[Role | None, says("a role to begin with; the first user is admin in any case")] = None
+    role: Annotated[Role | None, says("the first role; the first user of a lab is admin in any case")] = None
     scope: Scope = WHOLE_LAB
 
 
@@ -44,8 +44,8 @@ class Revocation(By, forbid_unknown_fields=True, kw_only=True):
 
 
 class UserView(msgspec.Struct, frozen=True):
-    """``since`` in UTC nanoseconds; ``roles`` of the user alone, by workcell (``*``: the whole lab). What the
-    ``group`` (empty: none) may comes on top."""
+    """``since`` is in UTC nanoseconds. ``roles`` are the user's own, by workcell (``*``: the whole lab). The
+    roles of the ``group`` (empty: none) are added to them."""
 
     id: str
     kind: Kind
@@ -56,7 +56,7 @@ class UserView(msgspec.Struct, frozen=True):
 
 
 class GroupView(msgspec.Struct, frozen=True):
-    """``weight`` is its part of the lab; ``roles`` by workcell (``*``: the whole lab)."""
+    """``weight`` sets its share of the lab; ``roles`` are by workcell (``*``: the whole lab)."""
 
     name: str
     weight: float
@@ -65,7 +65,7 @@ class GroupView(msgspec.Struct, frozen=True):
 
 
 class UserList(msgspec.Struct, frozen=True):
-    """``open``: there are none, and everybody who reaches the lab may do everything."""
+    """``open``: there are no users, and everybody who can reach the lab may do everything."""
 
     users: list[UserView]
     open: bool
@@ -76,7 +76,7 @@ class GroupList(msgspec.Struct, frozen=True):
 
 
 class GrantView(msgspec.Struct, frozen=True):
-    """The role that a subject has now; empty for none."""
+    """The subject's present role; empty for none."""
 
     subject: str
     scope: str

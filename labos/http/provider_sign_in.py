@@ -10,7 +10,7 @@ from starlette.responses import Response
 from labos.errors import NotFound, NotSignedIn
 from labos.http.limits import Line, says
 from labos.http.providing import user_meant
-from labos.http.signing import Days, expect_users
+from labos.http.signing import Days, answer_secret, expect_users
 from labos.services.accounts import Need
 
 if TYPE_CHECKING:
@@ -22,14 +22,16 @@ Sent = Annotated[str, msgspec.Meta(max_length=3_500)]
 
 
 class BeginSignIn(msgspec.Struct, forbid_unknown_fields=True):
-    port: Annotated[int, msgspec.Meta(ge=0, le=65_535), says("of the asker, to which a browser comes back")]
-    device: Annotated[bool, says("there is no browser: a code for one elsewhere")] = False
+    port: Annotated[int, msgspec.Meta(ge=0, le=65_535), says("the local port to which the browser returns")]
+    device: Annotated[
+        bool, says("there is no browser on this computer: get a code for a browser elsewhere")
+    ] = False
 
 
 class ProviderSignIn(msgspec.Struct, frozen=True):
-    """``address`` is for a browser. ``state`` and ``key`` are shown to finish; the key to nobody else.
-    ``code`` is what is typed in there, if no browser comes back, and ``wait_s`` how long to wait before it is
-    asked for."""
+    """``address`` is for a browser. ``state`` and ``key`` are needed to finish; the key is secret. ``code``
+    is the code that the user enters if the browser does not return to this computer, and ``wait_s`` is the
+    time to wait before the next request."""
 
     address: str
     state: str
@@ -39,19 +41,21 @@ class ProviderSignIn(msgspec.Struct, frozen=True):
 
 
 class FinishSignIn(msgspec.Struct, forbid_unknown_fields=True):
-    state: Annotated[Line, says("as it was told at the beginning")]
-    key: Annotated[Line, says("as it was told at the beginning")]
-    code: Annotated[Sent, says("what came with the browser")] = ""
-    iss: Annotated[Sent, says("what came with the browser")] = ""
-    error: Annotated[Sent, says("what came with the browser")] = ""
+    state: Annotated[Line, says("the value from the answer that began the sign-in")]
+    key: Annotated[Line, says("the value from the answer that began the sign-in")]
+    code: Annotated[Sent, says("the parameter with which the browser returned")] = ""
+    iss: Annotated[Sent, says("the parameter with which the browser returned")] = ""
+    error: Annotated[Sent, says("the parameter with which the browser returned")] = ""
     label: Annotated[Line, says("what the token is for")] = "signed in"
-    scope: Annotated[Need, says("the most that the token is good for")] = "admin"
-    days: Annotated[Days, says("how long the token is good; the lab may give less")] = 30.0
+    scope: Annotated[Need, says("the highest role that the token allows")] = "admin"
+    days: Annotated[
+        Days, says("the number of days for which the token is valid; the lab may allow fewer")
+    ] = 30.0
 
 
 class FinishedSignIn(msgspec.Struct, frozen=True):
-    """``token`` is told this once; ``until`` is when it ends (UTC nanoseconds). With ``wait_s`` nobody has
-    typed the code in yet, and the rest is empty."""
+    """The ``token`` is shown only in this answer; ``until`` is its end (UTC nanoseconds). If ``wait_s`` is
+    not 0, the code has not been entered yet, and the other fields are empty."""
 
     user: str = ""
     until: int = 0
@@ -70,7 +74,7 @@ async def begin(call: Call, told: BeginSignIn) -> Response:
     else:
         begun = await way.begin(told.port)
         found = ProviderSignIn(begun.address, begun.state, begun.browser)
-    return _answer(found)
+    return answer_secret(found)
 
 
 async def finish(call: Call, told: FinishSignIn) -> Response:
@@ -82,27 +86,21 @@ async def finish(call: Call, told: FinishSignIn) -> Response:
     try:
         claims = await way.finish({name: text for name, text in sent.items() if text}, told.key)
         if isinstance(claims, RetryAfter):
-            return _answer(FinishedSignIn(wait_s=claims.seconds))
+            return answer_secret(FinishedSignIn(wait_s=claims.seconds))
         user = await user_meant(call.api, way.provider, claims)
     except NotSignedIn:
         accounts.tell_try("wrong")
         raise
     accounts.tell_try("right")
     secret, token = await accounts.make_token(user, told.label, told.scope, min(told.days, way.most_days))
-    return _answer(FinishedSignIn(user, token.expires_at, secret))
+    return answer_secret(FinishedSignIn(user, token.expires_at, secret))
 
 
 def _way(call: Call) -> CommandLineSignIn:
-    expect_users(call)
+    expect_users(call.kernel.state)
     found = call.api.gate.command_line
     if found is None:
         raise NotFound(
             "This lab has no identity provider.", remedy="Sign in with a password: labos login --user NAME"
         )
     return found
-
-
-def _answer(value: msgspec.Struct) -> Response:
-    # Not for any cache: it may hold a secret.
-    headers = {"cache-control": "no-store"}
-    return Response(msgspec.json.encode(value), 200, headers, "application/json")

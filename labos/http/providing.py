@@ -14,9 +14,9 @@ from starlette.routing import Route
 from labos.core.decide import LABOS, Command, Rejection
 from labos.core.decide.users import AddMember, AddUser, GrantRole, RemoveMember, RevokeRole
 from labos.core.users import Role, rank, user_subject
-from labos.errors import NotSignedIn, Refused
+from labos.errors import NotSignedIn
 from labos.http.door import WAY_BACK
-from labos.http.signing import give_cookie
+from labos.http.signing import expect_users, give_cookie
 from labos.ports import Person
 from labos.services.accounts.secrets import make_id
 
@@ -45,11 +45,7 @@ def provider_routes(api: Api, provider: Provider) -> list[Route]:
 
     async def start(request: Request) -> Response:
         """Send the browser to the provider."""
-        if api.kernel.state.users.is_open:
-            raise Refused(
-                "This lab has no users: nobody needs to sign in.",
-                remedy="Add the first, on the lab's computer: labos user add NAME",
-            )
+        expect_users(api.kernel.state)
         begun = await provider.begin()
         answer = RedirectResponse(begun.address, 303, headers=HEADERS)
         secure = api.gate.secure

@@ -36,7 +36,7 @@ class OfModule(msgspec.Struct, frozen=True):
     module: Annotated[
         Name,
         msgspec.Meta(
-            description="a module's name, with its workcell if the lab has several of that name",
+            description="a module's name, with its workcell if several modules of the lab have this name",
             examples=["rpl/sealer"],
         ),
     ]
@@ -64,42 +64,46 @@ class OfFile(msgspec.Struct, frozen=True):
 
 class StateQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     waits: Annotated[
-        bool, says("whether to say why runs wait, which takes time to work out; true if left out")
+        bool, says("whether to give the reasons why runs wait, which takes time to compute; true if left out")
     ] = True
 
 
 class NodesQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    module: Annotated[Several, says("a module; may be repeated; without it all are asked")] = []
-    check: Annotated[bool, says("each also says who it is and what its device sees; nothing moves")] = False
+    module: Annotated[Several, says("a module; may be repeated; left out: all modules")] = []
+    check: Annotated[
+        bool, says("each node also reports its identity and what its device observes; nothing moves")
+    ] = False
 
 
 class EventFilter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    after: Annotated[Time, says("only events behind this position")] = 0
+    after: Annotated[Time, says("only events after this position")] = 0
     type: Annotated[Several, says("a type or family; may be repeated")] = []
     stream: Annotated[Several, says("a run or other subject; may be repeated")] = []
-    correlation: Annotated[Name, says("part of this run or experiment")] = ""
-    actor: Annotated[Name, says("caused by this user or module")] = ""
-    mentions: Annotated[Name, says("the payload holds this name")] = ""
-    stored: Annotated[bool, says("payloads as the log has them: references in place of people's words")] = (
-        False
-    )
+    correlation: Annotated[Name, says("only events of this run or experiment")] = ""
+    actor: Annotated[Name, says("only events that this user or module caused")] = ""
+    mentions: Annotated[Name, says("only events whose payload holds this name")] = ""
+    stored: Annotated[
+        bool, says("payloads as the log holds them: with references in place of people's words")
+    ] = False
 
 
 class EventsQuery(EventFilter, frozen=True, forbid_unknown_fields=True):
     upto: Annotated[Time, says("only events up to this position; 0: to the end")] = 0
     since: Annotated[Time, says("only events from this time on (UTC nanoseconds); 0: from the first")] = 0
     until: Annotated[Time, says("only events before this time (UTC nanoseconds); 0: to the last")] = 0
-    last: Annotated[Page, says("only the last so many; 0: all")] = 0
+    last: Annotated[Page, says("only this number of the last events; 0: all")] = 0
     wait: Annotated[Wait, says("seconds to wait for an event if there is none yet")] = 0.0
 
 
 class RunsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    after: Annotated[Time, says("only runs that are alive and were submitted behind this position")] = 0
+    after: Annotated[Time, says("only runs that have not ended and were submitted after this position")] = 0
     limit: Annotated[
-        int, msgspec.Meta(ge=1, le=PAGE), says("so many runs that are alive; 100 if left out")
+        int,
+        msgspec.Meta(ge=1, le=PAGE),
+        says("the largest number of runs that have not ended; 100 if left out"),
     ] = 100
-    ended: Annotated[Page, says("adds the last so many that have ended")] = 0
-    before: Annotated[Time, says("of those that have ended, only what ended before this position")] = 0
+    ended: Annotated[Page, says("also answer this number of ended runs")] = 0
+    before: Annotated[Time, says("only ended runs that ended before this position")] = 0
 
 
 class RunQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

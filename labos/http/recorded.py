@@ -20,7 +20,7 @@ from labos.clock import Clock, Uuid7Ids
 from labos.core.decide import Command, Rejection, decide
 from labos.core.envelope import Record
 from labos.core.fold import evolve
-from labos.core.ids import LabId, ModuleName
+from labos.core.ids import ModuleName
 from labos.core.model import Description
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -29,7 +29,7 @@ from labos.http.feed import Feed
 from labos.http.identity import Who
 from labos.planning.scheduler import Scheduler
 from labos.ports import BlobStore, Bus
-from labos.runtime.kernel import error_of
+from labos.runtime.followed import FoldedLab
 from labos.runtime.kernel_log import Listener
 from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
@@ -63,7 +63,7 @@ class _Then:
         return 0.0
 
 
-class RecordedKernel:
+class RecordedKernel(FoldedLab):
     """A kernel in the ``state`` before a request, whose events are among ``records``: those that bear its
     ``mark``, each with what it caused. It decides nothing: a command has the events that it had."""
 
@@ -76,30 +76,9 @@ class RecordedKernel:
         self.suspended = ""
         self.scheduler = Scheduler()
 
-    @property
-    def durable(self) -> int:
-        return self.state.position
-
-    @property
-    def lab(self) -> LabId:
-        return LabId(self.state.lab.id)
-
-    @property
-    def epoch(self) -> int:
-        return self.state.lab.epoch
-
-    async def flush(self) -> None:
-        """All of it is on disk."""
-
     async def scrub(self) -> str:
         """It was done, or told, when the request was carried out."""
         return ""
-
-    async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
-        answer = self.submit(command, actor, causation)
-        if isinstance(answer, Rejection):
-            raise error_of(answer)
-        return answer
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
         """What the command led to: a rejection then is one now, for the state is what it was."""

@@ -34,10 +34,10 @@ class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
     stations: Annotated[
         Named,
-        says("what stands at stations, bottom to top: ids of labware, or types where the log knows none"),
+        says("the labware at each station, from bottom to top: ids, or types if the log has no id"),
     ] = {}
     as_recorded: Annotated[Names, says("stations that are as recorded")] = []
-    finish: Annotated[bool, says("`true`: answer the question about the round if nothing is left")] = False
+    finish: Annotated[bool, says("`true`: answer the intervention if no station is left")] = False
 
 
 class Evidence(msgspec.Struct, frozen=True):
@@ -75,9 +75,9 @@ class RoundStation(msgspec.Struct, frozen=True):
 
 
 class Round(msgspec.Struct, frozen=True):
-    """What is known of a log that has lost its end: the ``intervention`` that asks for the round (empty: none
-    does), where the log ``ended``, and the highest position that somebody knows of (``known``; 0: none).
-    ``not_known`` are doors, lids and the like by module."""
+    """The evidence that the log has lost its end: the ``intervention`` that asks for a comparison with the
+    bench (empty: none), the position where the log ``ended``, and the highest position for which there is
+    evidence (``known``; 0: none). ``not_known`` are variables such as doors and lids, by module."""
 
     intervention: str
     ended: int
@@ -95,9 +95,9 @@ class RoundRefusal(msgspec.Struct, frozen=True):
 
 
 class RoundResult(msgspec.Struct, frozen=True):
-    """The stations that were reported (``said``), the ones whose report was ``refused``, and those that are
-    ``left``; ``answered``: the question that asked for the round is answered, or ``why_not`` though nothing
-    is left."""
+    """The reported stations (``said``), those whose report was ``refused``, and those that are ``left``.
+    ``answered``: the intervention is answered. If no station is left and it is not answered, ``why_not`` is
+    the reason."""
 
     said: list[str]
     refused: list[RoundRefusal]

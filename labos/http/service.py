@@ -425,8 +425,8 @@ class LabService:
             raise error_of(lacks)
 
     def hear(self, experiment: str, actor: str) -> None:
-        """The application lives. Raises Forbidden for somebody else's: the program that keeps it alive goes
-        on with it."""
+        """The application is running. Raises Forbidden for somebody else's: the program that keeps it alive
+        goes on with it."""
         self.check_noting(experiment, actor)
         self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
 
@@ -458,10 +458,10 @@ class LabService:
         await self.kernel.execute(EndExperiment(name, why), actor)
         self._heard.pop(name, None)
 
-    async def miss_silent(self, every_s: float = 1.0) -> None:
+    async def miss_silent(self) -> None:
         """Ask a person about applications that have gone silent; for ever."""
         while True:
-            await asyncio.sleep(every_s)
+            await asyncio.sleep(1.0)
             now = self.parts.clock.monotonic()
             try:
                 experiments = list(self.kernel.state.experiments.open.values())

@@ -8,6 +8,7 @@ import msgspec
 from starlette.responses import Response
 
 from labos.core.decide.users import EraseUser
+from labos.core.state import LabState
 from labos.core.users import LABOS
 from labos.errors import BadInput, Forbidden, NotFound, NotSignedIn, Refused
 from labos.http.identity import SIGN_IN, Gate, Who
@@ -33,12 +34,13 @@ class SignIn(msgspec.Struct, forbid_unknown_fields=True):
     password: Annotated[Secret, says("the password")]
     token: Annotated[bool, says("a token for a program instead of a session for a browser")] = False
     label: Annotated[Line, says("what the token is for")] = "signed in"
-    scope: Annotated[Need, says("the most that the token is good for")] = "admin"
-    days: Annotated[Days, says("how long the token is good")] = 30.0
+    scope: Annotated[Need, says("the highest role that the token allows")] = "admin"
+    days: Annotated[Days, says("the number of days for which the token is valid")] = 30.0
 
 
 class SignedIn(msgspec.Struct, frozen=True):
-    """``until`` is when it ends (UTC nanoseconds). ``token`` is told this once."""
+    """``until`` is the end of the session or token (UTC nanoseconds). The ``token`` is shown only in this
+    answer."""
 
     user: str
     until: int
@@ -46,9 +48,9 @@ class SignedIn(msgspec.Struct, frozen=True):
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """Who asks. ``how``: `token`, `session`, `home` (the owner of the lab's folder) or `open` (the lab has no
-    users). ``scope`` is the most that is allowed by what was shown; ``roles`` by workcell, `*` for the whole
-    lab."""
+    """The user who asks. ``how``: ``token``, ``session``, ``home`` (the owner of the lab's folder) or
+    ``open`` (the lab has no users). ``scope`` is the highest role that the token or session allows; ``roles``
+    are by workcell, ``*`` for the whole lab."""
 
     user: str
     how: str
@@ -63,13 +65,13 @@ class Identity(msgspec.Struct, frozen=True):
 
 class NewToken(msgspec.Struct, forbid_unknown_fields=True):
     label: Annotated[Line, says("what it is for")] = ""
-    scope: Annotated[Need, says("the most that it is good for")] = "submitter"
+    scope: Annotated[Need, says("the highest role that it allows")] = "submitter"
     days: Annotated[Days, says("how long it is good")] = float(TOKEN_DAYS)
-    user: Annotated[Name, says("whose it is, if not the asking user's own; for admins")] = ""
+    user: Annotated[Name, says("the owner; only admins may name another user")] = ""
 
 
 class MadeToken(msgspec.Struct, frozen=True):
-    """``secret`` is told this once: the lab keeps its digest alone."""
+    """The ``secret`` is shown only in this answer: the lab stores only its digest."""
 
     token: Token
     secret: str
@@ -80,8 +82,8 @@ class Tokens(msgspec.Struct, frozen=True):
 
 
 class NewPassword(msgspec.Struct, forbid_unknown_fields=True):
-    password: Annotated[Secret, says("the new one, of 10 characters at least")]
-    present: Annotated[Secret, says("the present one; needed by a user who changes their own")] = ""
+    password: Annotated[Secret, says("the new password, at least 10 characters")]
+    present: Annotated[Secret, says("the present password; required from users who change their own")] = ""
 
 
 class PersonDetails(msgspec.Struct, forbid_unknown_fields=True):
@@ -93,12 +95,11 @@ class PersonDetails(msgspec.Struct, forbid_unknown_fields=True):
 
 class ProviderIdentity(msgspec.Struct, forbid_unknown_fields=True):
     issuer: Annotated[Line, says("the identity provider, as `https://login.example.org`")]
-    subject: Annotated[Line, says("what it calls the user (the claim `sub`)")]
+    subject: Annotated[Line, says("the provider's id of the user (the claim `sub`)")]
 
 
 class People(msgspec.Struct, frozen=True):
-    """The users with a known name or address. Addresses are told to admins, and to each user their
-    own."""
+    """The users with a known name or address. Admins see all addresses; other users see only their own."""
 
     people: list[Person]
 
@@ -141,9 +142,9 @@ def _is_program(call: Call) -> bool:
     return known is not None and known.kind == "service"
 
 
-def expect_users(call: Call) -> None:
+def expect_users(state: LabState) -> None:
     """Raises Refused in a lab without users."""
-    if call.kernel.state.users.is_open:
+    if state.users.is_open:
         raise Refused(
             "This lab has no users: nobody needs to sign in.",
             remedy="Add the first, on the lab's computer: labos user add NAME",
@@ -151,17 +152,17 @@ def expect_users(call: Call) -> None:
 
 
 async def sign_in(call: Call, told: SignIn) -> Response:
-    expect_users(call)
+    expect_users(call.kernel.state)
     gate, accounts = call.api.gate, call.api.gate.accounts
     client = call.request.client
     await accounts.expect_password(told.user, told.password, client.host if client is not None else "")
     if told.token:
         secret, token = await accounts.make_token(told.user, told.label, told.scope, told.days)
-        return _answer(SignedIn(told.user, token.expires_at, secret))
+        return answer_secret(SignedIn(told.user, token.expires_at, secret))
     secret, session = await accounts.begin_session(
         told.user, "password", before=call.request.cookies.get(gate.cookie, "")
     )
-    answer = _answer(SignedIn(told.user, session.expires_at))
+    answer = answer_secret(SignedIn(told.user, session.expires_at))
     give_cookie(gate, answer, secret, session)
     return answer
 
@@ -188,7 +189,7 @@ async def sign_out(call: Call) -> Response:
     cookie = call.request.cookies.get(gate.cookie, "")
     if cookie and call.who.how == "session":
         await accounts.end_session(cookie)
-    answer = _answer(UserReference(call.who.user))
+    answer = answer_secret(UserReference(call.who.user))
     answer.delete_cookie(gate.cookie, path="/", secure=gate.secure, httponly=True, samesite="strict")
     return answer
 
@@ -218,7 +219,7 @@ async def identity_of(call: Call) -> Identity:
 
 async def make_token(call: Call, told: NewToken) -> MadeToken:
     """Raises Forbidden, NotFound, BadInput."""
-    expect_users(call)
+    expect_users(call.kernel.state)
     user = told.user or call.who.user
     if not user:
         raise BadInput("The token is nobody's.", remedy="Say whose it is: --user NAME")
@@ -284,7 +285,8 @@ async def change_person(call: Call, user: str, told: PersonDetails) -> Person:
 
 
 async def erase_person(call: Call, user: str) -> None:
-    """Forget who a user is; then the log says so, by the id alone. Raises Forbidden, NotFound."""
+    """Erase a user's name, address and means of signing in; then the log says so, by the id alone. Raises
+    Forbidden, NotFound."""
     expect_self_or_admin(call, user)
     by = call.who.user if call.who.is_known else LABOS  # the owner of the lab's folder has no name
     await call.api.gate.accounts.erase(user)
@@ -308,7 +310,7 @@ def expect_admin(who: Who, call: Call) -> None:
         raise Forbidden("Only admins of the lab may do that.", remedy="Ask one of them.")
 
 
-def _answer(value: msgspec.Struct) -> Response:
+def answer_secret(value: msgspec.Struct) -> Response:
     # Not for any cache: it may hold a secret.
     headers = {"cache-control": "no-store"}
     return Response(msgspec.json.encode(value), 200, headers, "application/json")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from labos.core.decide import Command
 from labos.core.decide.signatures import SignRecords, SignRun
 from labos.core.ids import RunId
+from labos.core.structs import make_from
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http.bodies import RunSignature
 from labos.http.signing import expect_users
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Signature:
     """The signature of the user who asks; one that is there already, of the same meaning and comment, is
     given again. Raises Forbidden, NotFound, Refused, TooManyTries."""
-    expect_users(call)
+    expect_users(call.kernel.state)
     user, store = call.who.user, call.service.parts.store
     if not call.who.is_known:
         raise NotSignedIn("Only a user can sign.", remedy="Sign in: labos login")
@@ -61,21 +62,10 @@ async def _expect_seen(call: Call, subject: str, kind: Kind) -> None:
 
 
 def _command(subject: str, signed: Signed, by: str, asked: RunSignature) -> Command:
+    about = {"by": by, "meaning": asked.meaning, "method": "password", "why": asked.why}
     if signed.kind == "run":
-        return SignRun(
-            RunId(subject), by, asked.meaning, signed.records, signed.digest, "password", asked.why
-        )
-    return SignRecords(
-        subject,
-        signed.kind,
-        by,
-        asked.meaning,
-        signed.runs,
-        signed.records,
-        signed.digest,
-        "password",
-        asked.why,
-    )
+        return make_from(SignRun, signed, run=RunId(subject), **about)
+    return make_from(SignRecords, signed, subject=subject, **about)
 
 
 async def _expect_password(call: Call, user: str, password: str) -> None:

@@ -26,7 +26,7 @@ class Load(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
     labware: Annotated[Name, says("its type")]
     by: Asker = ""
-    count: Annotated[Count, says("how many pieces; 1 if not said")] = 1
+    count: Annotated[Count, says("the number of pieces; 1 if left out")] = 1
     lot: Annotated[Name, says("their lot, which each piece keeps as its variable `lot`")] = ""
 
 
@@ -36,7 +36,9 @@ class Unload(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
     by: Asker = ""
     labware: Annotated[Name, says("one piece, by its id or barcode")] = ""
-    count: Annotated[Count | None, says("or so many from the top; everything if neither is said")] = None
+    count: Annotated[
+        Count | None, says("or this number of pieces from the top; everything if neither is given")
+    ] = None
 
 
 class Replenishment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -45,13 +47,15 @@ class Replenishment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
     resource: Annotated[Name, says("which resource of the module")]
     by: Asker = ""
-    amount: Annotated[Amount, says("in the resource's unit; as much as there is room for if not said")] = 0.0
-    unit: Annotated[Name, says("of the amount, as `mL`; the resource's own if left out")] = ""
+    amount: Annotated[
+        Amount, says("in the unit of the resource; if left out, as much as there is room for")
+    ] = 0.0
+    unit: Annotated[
+        Name, says("the unit of the amount, such as `mL`; the unit of the resource if left out")
+    ] = ""
     lot: Annotated[Name, says("the lot of the new pack")] = ""
-    expires: Annotated[Name, says("the date until which it is good, as `2027-05-31`")] = ""
-    instead: Annotated[bool, says("what was left of the old packs was taken out; `false` if left out")] = (
-        False
-    )
+    expires: Annotated[Name, says("the expiry date, such as `2027-05-31`")] = ""
+    instead: Annotated[bool, says("the rest of the old packs was taken out; `false` if left out")] = False
 
 
 async def load(service: LabService, told: Load, by: str) -> list[str]:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.core.envelope import Record
+from labos.core.structs import make_from
 from labos.core.viewer import Viewer
 from labos.core.words import references_in
 from labos.http.lines import line_of
@@ -75,10 +76,6 @@ class StreamFilter(msgspec.Struct, frozen=True):
     mentions: str = ""
     viewer: Viewer | None = None
 
-    @classmethod
-    def make(cls, query: LogQuery, viewer: Viewer | None = None) -> StreamFilter:
-        return cls(query.types, query.streams, query.correlation, query.actor, query.mentions, viewer)
-
     def takes(self, line: StreamLine) -> bool:
         return (
             (not self.types or any(is_of_type(line.type, name) for name in self.types))
@@ -99,7 +96,7 @@ class _Follower:
 
     def __init__(self, query: LogQuery, viewer: Viewer | None) -> None:
         self.query, self.after = query, query.after
-        self.filter = StreamFilter.make(query, viewer)
+        self.filter = make_from(StreamFilter, query, viewer=viewer)
         self.live = self.dropped = False
         self._pieces: list[bytes] = []
         self._size = 0
@@ -204,7 +201,7 @@ class Tail:
         self._note_interest()
         if viewer is not None:
             await self._restricted.read()
-        mine = StreamFilter.make(query, viewer)
+        mine = make_from(StreamFilter, query, viewer=viewer)
         upto = self._durable()
         if _is_open(query) and self._holds_after(query.after) and self._end == upto:
             found, full = _cut(line for line in self._since(query.after) if self._takes(mine, line))

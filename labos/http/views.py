@@ -18,6 +18,7 @@ from labos.core.modules import Module, ModuleStatus
 from labos.core.open_experiments import Experiment
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, in_play, modules_open, statuses_of
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
@@ -233,9 +234,9 @@ class LevelView(msgspec.Struct, frozen=True):
 
 
 class LabView(msgspec.Struct, frozen=True):
-    """``position``: the position of the log that this shows; ``now``: the kernel's
-    time (UTC nanoseconds); ``runs``: active ones and the first 100 queued; ``queued``: how many are queued;
-    ``resources`` by ``workcell/module:resource``."""
+    """``position``: the position of the log that this state shows. ``now``: the kernel's time (UTC
+    nanoseconds). ``runs``: active runs and the first 100 queued runs. ``queued``: the number of queued runs.
+    ``resources`` are by ``workcell/module:resource``."""
 
     lab: LabInfo
     position: int
@@ -259,7 +260,7 @@ def lab_view(
     waits: bool = True,
     hidden: frozenset[CampaignId] = frozenset(),
 ) -> LabView:
-    """Everything that is alive in the lab, but for the runs of the campaigns ``hidden``."""
+    """The present state of the lab, without the runs of the campaigns ``hidden``."""
     state, now = kernel.state, kernel.clock.now_ns()
     queued = list(state.runs.queued.values())
     seen = [run for run in queued if run.campaign not in hidden] if hidden else queued
@@ -297,41 +298,19 @@ def _lab_info(state: LabState, simulated: bool) -> LabInfo:
         )
         for cell, access in state.lab.access.items()
     }
-    return LabInfo(
-        id=state.lab.id,
-        name=state.lab.name,
-        pace=state.lab.pace,
-        epoch=state.lab.epoch,
-        simulated=simulated,
-        workcells=dict(state.lab.workcells),
-        access=access,
+    return make_from(
+        LabInfo, state.lab, simulated=simulated, workcells=dict(state.lab.workcells), access=access
     )
 
 
 def _labware_view(item: Labware) -> LabwareView:
-    return LabwareView(
-        id=item.id,
-        type=item.type,
-        station=local(item.station),
-        maybe=[local(place) for place in item.maybe],
-        lid=item.lid,
-        on=item.on,
-        owner=item.owner,
-        moving=item.moving,
-        variables=item.variables,
-        barcode=item.barcode,
+    return make_from(
+        LabwareView, item, station=local(item.station), maybe=[local(place) for place in item.maybe]
     )
 
 
 def _experiment_view(item: Experiment) -> ExperimentView:
-    return ExperimentView(
-        id=item.id,
-        name=item.name,
-        user=item.user,
-        status=item.status,
-        runs=list(item.runs),
-        started_at=item.started_at,
-    )
+    return make_from(ExperimentView, item, runs=list(item.runs))
 
 
 def module_view(
@@ -369,17 +348,12 @@ def calibrations_of(module: Module) -> list[CalibrationView]:
 
 def question_view(state: LabState, question: Intervention) -> QuestionView:
     """What the lab asks a person, and what may be answered."""
-    return QuestionView(
-        id=question.id,
-        kind=question.kind,
-        text=question.text,
+    return make_from(
+        QuestionView,
+        question,
         now=whereabouts(state, question),
         choices=tuple(question.choices),
-        run=question.run,
         module=local(question.module),
-        requested_at=question.requested_at,
-        due_at=question.due_at,
-        overdue=question.overdue,
     )
 
 
@@ -403,17 +377,11 @@ def run_view(
     state = kernel.state
     plan = state.runs.plan_of(run)
     steps = statuses_of(plan, run)
-    return RunView(
-        id=run.id,
-        workflow=run.workflow,
+    return make_from(
+        RunView,
+        run,
         workcell=plan.workcell,
-        user=run.user,
-        experiment=run.experiment,
-        priority=run.priority,
         status="paused" if run.paused else run.status,
-        closing=run.closing,
-        submitted_at=run.submitted_at,
-        started_at=run.started_at,
         steps=in_play(plan, steps),
         done=sum(step == DONE for step in steps),
         failed=sum(step == FAILED for step in steps),
@@ -424,7 +392,6 @@ def run_view(
         ],
         waits=waits_view(kernel, run, now) if waits else [],
         modules={key: list(map(local, names)) for key, names in modules_open(state.runs, run).items()},
-        due_at=run.due_at,
         late_by_s=round((now + find_time_left(state, run) - run.due_at) / 1e9, 1) if run.due_at else None,
     )
 

@@ -34,9 +34,9 @@ OF_STEPS = ("on_error", "retry", "timeout_s")
 
 
 class WorkcellChange(msgspec.Struct, frozen=True):
-    """What a workcell file changes; ``blockers`` say what is in the way, and what to do. ``details`` are, by
-    the local name of a module, the fields of it that change; with their values what its steps go by.
-    ``findings`` are the warnings of its files."""
+    """The changes by a workcell file. ``blockers`` are the obstacles, with remedies. ``details`` are the
+    changed fields of each module, by its local name; the fields that its steps use are shown with their
+    values. ``findings`` are the warnings about its files."""
 
     workcell: str
     applied: bool

@@ -1,4 +1,4 @@
-"""Wires to devices: one shape for all of them.
+"""Links to devices, all with the same interface.
 
 ::
 
@@ -6,12 +6,12 @@
     link.open()
     answer = link.exchange(b"*stat", timeout_s=2.0)
 
-A link opens, exchanges within a deadline, connects again (waiting longer each time) and closes. It
-never sends anything twice by itself. What goes wrong is an error of its own kind (``LinkError`` in
-``labos.errors``), and an answer that may belong to another question is never handed out.
+A link opens, exchanges messages within a deadline, connects again (with increasing pauses) and closes. It
+never sends anything twice by itself. Each failure is an error of its own kind (``LinkError`` in
+``labos.errors``). An answer that may belong to another question is never returned.
 
-Links block: call them in plain ``def`` actions, which run in a thread of the node. What a link needs
-from outside (pyserial, pymodbus, python-can, canopen) is imported when it is opened.
+Links block: call them in plain ``def`` actions, which run in a thread of the node. The external library of a
+link (pyserial, pymodbus, python-can, canopen) is imported when the link is opened.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""CAN, by python-can: single messages; and objects of CANopen nodes (SDO), by canopen."""
+"""CAN: single messages with python-can, and objects of CANopen nodes (SDO) with canopen."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ERROR_PAUSE_S = 0.1
 
 
 class CanMessage(msgspec.Struct, frozen=True):
-    """A frame on the bus. Transcripts hold it as ``601#4000100000000000``."""
+    """A frame on the bus. A transcript shows it as ``601#4000100000000000``."""
 
     id: int
     data: bytes = b""
@@ -68,7 +68,7 @@ class _Bus(Life):
 
     @contextlib.contextmanager
     def _translate(self) -> Iterator[can.BusABC]:
-        """The one door for what python-can says of an open bus."""
+        """The only place where errors of python-can for an open bus are translated."""
         import can
 
         if self._bus is None:
@@ -82,10 +82,8 @@ class _Bus(Life):
 
 
 class CanLink(_Bus):
-    """Messages on a bus.
-
-    ``exchange`` waits for a message that ``answers`` says is the answer: on a bus, messages of all
-    devices arrive.
+    """Messages on a bus. Because messages of all devices arrive, ``exchange`` waits for a message for which
+    ``answers`` is true.
     """
 
     def __init__(self, *, name: str = "", **settings: Any) -> None:
@@ -120,7 +118,7 @@ class CanLink(_Bus):
                 self._put(message)
 
     def receive(self, timeout_s: float) -> CanMessage:
-        """The next message of anybody. Raises NotConnected, LinkLost, NoReply."""
+        """The next message of any device. Raises NotConnected, LinkLost, NoReply."""
         with self._lock:
             if not self._is_open:
                 self.open()
@@ -152,10 +150,10 @@ class CanLink(_Bus):
 class SdoLink(_Bus):
     """The object dictionary of one CANopen node: ``upload`` reads, ``download`` writes.
 
-    An abort by the node is a DeviceError. After a failure ``late_s`` of silence pass before the
-    next question: an answer bears only index and subindex, so a late one could be mistaken.
-    ``emergency`` is given what the node says is wrong (EMCY). ``identify`` and ``expected`` are those of
-    every link.
+    An abort by the node is a DeviceError. After a failure, the link waits for ``late_s`` of silence before
+    the next question, because an answer contains only index and subindex, so that a late one could be
+    mistaken. ``emergency`` is called with the node's error messages (EMCY). ``identify`` and ``expected`` are
+    as in every link.
     """
 
     def __init__(
@@ -200,7 +198,7 @@ class SdoLink(_Bus):
                     raise
 
     def _ask(self, work: Callable[[Any], Any], what: str) -> Any:
-        """The one door for what canopen says."""
+        """The only place where errors of canopen are translated."""
         from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
         where = f"{self.name}, node {self.node}, {what}"
@@ -220,8 +218,8 @@ class SdoLink(_Bus):
                 raise
 
     def _check_receiver(self, effects: str = "unknown") -> None:
-        """What the thread that receives stumbled over ends the connection: an adapter that is gone, or
-        noise from one on a serial port, which nothing checks there."""
+        """Raise the error of the receiving thread, which ends the connection: the adapter is gone, or an
+        adapter on a serial port sent noise."""
         notifier = self._network.notifier if self._network is not None else None
         if notifier is not None and notifier.exception is not None:
             raise LinkLost(
@@ -243,7 +241,7 @@ class SdoLink(_Bus):
         link = self
 
         class Network(canopen.Network):
-            """Tells the transcript what is sent and what comes."""
+            """Records sent and received messages in the transcript."""
 
             NOTIFIER_CYCLE = 0.1  # for so long, closing waits for the thread that receives
 
@@ -256,8 +254,8 @@ class SdoLink(_Bus):
                 super().notify(can_id, data, timestamp)
 
         class Errors(can.Listener):
-            """The next question tells of what the receiving thread stumbled over; until then it need not
-            try without a pause."""
+            """Keeps the error of the receiving thread for the next question, and makes the thread pause until
+            then."""
 
             def on_message_received(self, msg: can.Message) -> None:
                 pass

@@ -1,7 +1,6 @@
-"""Simulated devices at the far end of a line, for tests and for trying a driver without its instrument.
-
-A device hears bytes, works in lab time and speaks when it likes. It keeps its own truth in ``setup.world``
-and knows nothing of the driver at the other end. Nothing here is needed to drive a real device.
+"""Simulated devices at the far end of a line, for tests and for trying a driver without its instrument. A
+device receives bytes, works in lab time and sends bytes at any time. It has its own state in ``setup.world``
+and does not know the driver at the other end. Real devices do not need this module.
 """
 
 from __future__ import annotations
@@ -24,9 +23,8 @@ _log = structlog.get_logger(__name__)
 
 
 class TimedDevice:
-    """A device with a thread of its own: nothing in it happens twice at once.
-
-    Subclasses say how they wait for what comes (``listen``), and what they do when (``after``).
+    """A device with its own thread, so that it does one thing at a time. Subclasses implement how they wait
+    for input (``listen``), and what they do at later times (``after``).
     """
 
     name: str
@@ -50,9 +48,8 @@ class TimedDevice:
             self._thread.join(5)
 
     def do_at_once(self, what: Callable[[], None]) -> None:
-        """Has the device do something, from another thread, and waits until it has done it.
-
-        Raises TimeoutError if the device has not done it after 5 s: it was not started or has been closed.
+        """Let the device do something, called from another thread, and wait until it is done. Raises
+        TimeoutError after 5 s: the device was not started or has been closed.
         """
         is_done = threading.Event()
 
@@ -68,18 +65,18 @@ class TimedDevice:
 
     @property
     def address(self) -> str:
-        """What a driver opens."""
+        """The address that a driver opens."""
         raise NotImplementedError
 
     def power_on(self) -> None:
         """The device has just been switched on."""
 
     def listen(self, timeout_s: float) -> None:
-        """Wait so long for something to come, and do what it asks."""
+        """Wait for input for this time, and do what it asks."""
         raise NotImplementedError
 
     def damage(self, crash: Crash) -> None:
-        """Something was hit on the bench: the device stands still, and should tell of it."""
+        """The device has collided with something on the bench: it stops, and should report this."""
         _log.warning("simulated_device_crashed", device=self.name, what=str(crash))
 
     def now_s(self) -> float:
@@ -87,11 +84,11 @@ class TimedDevice:
         return (time.monotonic() - self._began) * self._pace
 
     def after(self, lab_s: float, what: Callable[[], None]) -> None:
-        """Do something in so many lab seconds."""
+        """Do something after this number of lab seconds."""
         heapq.heappush(self._due, (time.monotonic() + lab_s / self._pace, next(self._count), what))
 
     def forget_plans(self) -> None:
-        """Nothing that was to be done will be done."""
+        """Cancel everything that was planned with `after`."""
         self._due.clear()
 
     # -- inside ------------------------------------------------------------------------------
@@ -112,8 +109,8 @@ class TimedDevice:
 
 
 class HearingDevice(TimedDevice):
-    """A device at the far end of a line (``far_end``, which subclasses set), which says what it does with
-    each piece of bytes that it hears (``hear``)."""
+    """A device at the far end of a line (``far_end``, which subclasses set). Subclasses implement what it
+    does with received bytes (``hear``)."""
 
     far_end: FarEnd
 
@@ -131,7 +128,7 @@ class HearingDevice(TimedDevice):
             self.hear(data)
 
     def hear(self, data: bytes) -> None:
-        """Bytes have come."""
+        """Bytes were received."""
         raise NotImplementedError
 
     def say(self, data: bytes) -> None:
@@ -139,10 +136,9 @@ class HearingDevice(TimedDevice):
 
 
 class DeviceOnLine(HearingDevice):
-    """A device on a line with a bench around it.
-
-    Subclasses say what they do with each line they hear (``obey``), or with each piece of bytes
-    (``hear``), and when (``after``). ``line_end`` ends what is heard and what is said.
+    """A device on a line with a bench around it. Subclasses implement what it does with each received line
+    (``obey``) or with received bytes (``hear``), and what it does later (``after``). ``line_end`` is the end
+    of received and sent lines.
     """
 
     line_end = b"\r\n"
@@ -158,7 +154,7 @@ class DeviceOnLine(HearingDevice):
         self._line = b""
 
     def obey(self, line: str) -> None:
-        """A line has come, without its end."""
+        """A line was received; it is given without its end."""
         raise NotImplementedError
 
     def hear(self, data: bytes) -> None:
@@ -167,9 +163,9 @@ class DeviceOnLine(HearingDevice):
             self.obey(line.decode("ascii", "replace"))
 
     def place(self, station: str) -> str:
-        """A station of this device, as the world names it."""
+        """The name in the world of a station of this device."""
         return self._place(station)
 
     def tell(self, line: str) -> None:
-        """Say a line."""
+        """Send a line."""
         self.say(line.encode("ascii") + self.line_end)

@@ -1,7 +1,6 @@
-"""The device's end of a wire: for simulators of devices, and for tests.
-
-A pseudo-terminal where the system has them, else a TCP port, which a serial link opens as
-``socket://``. Nothing here is needed to drive a device.
+"""The device's end of a wire, for simulators of devices and for tests. It is a pseudo-terminal if the system
+has them, otherwise a TCP port, which a serial link opens as ``socket://``. Real devices do not need this
+module.
 """
 
 from __future__ import annotations
@@ -20,34 +19,34 @@ from typing import Any, Protocol
 from labos.link.transcript import TranscriptLine, read_transcript
 
 PORT_S = 20.0
-"""How long a port may be taken that a simulated device had before."""
+"""How long to wait for a port that a simulated device had before and that is still in use."""
 
 
 class FarEnd(Protocol):
-    """Where a simulated device hears and speaks."""
+    """The end of the wire at which a simulated device receives and sends."""
 
     @property
     def address(self) -> str:
-        """What a serial link opens as its port."""
+        """The port that a serial link opens."""
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come; empty when the time is up, or while nobody is connected."""
+        """The received bytes; empty when the time is up, or while nobody is connected."""
 
     def write(self, data: bytes) -> None:
-        """Say something; nobody may be there to hear it."""
+        """Send something; it is lost if nobody is connected."""
 
     def unplug(self) -> None:
-        """The connected side loses the line."""
+        """Cut the line of the connected side."""
 
     def plug(self) -> None:
-        """The device can be reached again, at the same address."""
+        """Connect the line again, at the same address."""
 
     def close(self) -> None: ...
 
 
 class PtyEnd:
-    """A pseudo-terminal. With ``path``, its address is a link of that name, as with the names under
-    ``/dev/serial/by-id``, and outlives being unplugged."""
+    """A pseudo-terminal. With ``path``, its address is a symbolic link of that name, like the names under
+    ``/dev/serial/by-id``, which stays when the line is unplugged."""
 
     def __init__(self, path: str | Path | None = None) -> None:
         self._path = Path(path) if path is not None else None
@@ -102,7 +101,8 @@ class PtyEnd:
 
 
 class TcpEnd:
-    """A TCP port that takes one client at a time, and greets it. ``clients`` counts those that have come."""
+    """A TCP port that accepts one client at a time and sends it a greeting. ``clients`` counts the clients so
+    far."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0, *, greeting: bytes = b"") -> None:
         self.host, self._greeting = host, greeting
@@ -159,8 +159,8 @@ class TcpEnd:
 
 
 def server_at(host: str, port: int) -> socket.socket:
-    """A socket that listens there (0: at any free port). Others may be given a port while it is free: they
-    are waited for. Raises OSError."""
+    """A socket that listens at this port (0: any free port). If another program has taken the port in the
+    meantime, wait until it is free. Raises OSError."""
     give_up = time.monotonic() + PORT_S
     while True:
         try:
@@ -172,17 +172,16 @@ def server_at(host: str, port: int) -> socket.socket:
 
 
 def serial_end() -> FarEnd:
-    """The far end of a serial line, as this system can make it."""
+    """The far end of a serial line, of the kind that this system supports."""
     return PtyEnd() if hasattr(os, "openpty") else TcpEnd()
 
 
 def replay(
     script: str | Path | Iterable[TranscriptLine], end: FarEnd, *, patience_s: float = 5.0
 ) -> list[TranscriptLine]:
-    """Play the device of a transcript over a real wire, until all is said; returns what was not.
-
-    Each answer is given when what was sent before it has been sent again; stops when something
-    else comes, or nothing for ``patience_s``.
+    """Play the device of a transcript over a real wire. Each answer is sent when the bytes before it in the
+    transcript have been received again. Stops when other bytes arrive, or none for ``patience_s``; returns
+    the part of the transcript that was not played.
     """
     records = read_transcript(script) if isinstance(script, str | Path) else list(script)
     left = [record for record in records if record.mark in "<>"]

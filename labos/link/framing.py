@@ -1,4 +1,4 @@
-"""Where one message ends and the next begins, apart from what carries the bytes."""
+"""Framing: the boundaries between messages, independent of the wire."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Callable
 from typing import Literal, Protocol
 
 LIMIT = 64 * 1024
-"""Bytes without an end after which a stream is no message."""
+"""The number of bytes without a message end after which a stream counts as noise."""
 
 
 class BadFrame(ValueError):
-    """Bytes that are no message; they have been taken out of the buffer."""
+    """Bytes that are not a message; they have been removed from the buffer."""
 
 
 class Framing(Protocol):
-    """Packs messages for the wire and takes them out of what has come."""
+    """Packs messages for the wire and finds messages in the received bytes."""
 
     def pack(self, message: bytes) -> bytes: ...
 
@@ -24,10 +24,8 @@ class Framing(Protocol):
 
 
 class Terminated:
-    """Messages that end with certain bytes, and may begin with certain others.
-
-    What comes between an end and the next beginning is padding if all of it is in ``padding``,
-    else noise.
+    """Messages that end with certain bytes, and may begin with certain others. Bytes between an end and the
+    next beginning are padding if all of them are in ``padding``, otherwise noise.
     """
 
     def __init__(
@@ -71,7 +69,7 @@ class Terminated:
 
 
 class LengthPrefixed:
-    """Messages that are preceded by their length in bytes."""
+    """Messages with their length in bytes in front."""
 
     def __init__(
         self, width: int = 4, *, order: Literal["big", "little"] = "big", limit: int = 16 * LIMIT
@@ -98,8 +96,8 @@ class LengthPrefixed:
 class Checked:
     """Messages of another framing that end with ``width`` bytes of a check sum.
 
-    ``check`` makes the sum of a message. ``outgoing`` is what is sent in its place, for devices
-    that take a wildcard.
+    ``check`` computes the check sum of a message. ``outgoing`` is sent instead of it, for devices that accept
+    a wildcard.
     """
 
     def __init__(

@@ -1,4 +1,5 @@
-"""Devices that answer HTTP, by httpx: loaded when one is opened, since a simulated one has no wire."""
+"""Devices that answer HTTP, with httpx. It is imported when a device is opened, because a simulated device
+has no wire."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class HttpReply:
-    """What the device answered, whatever its status."""
+    """The answer of the device, with any status."""
 
     def __init__(self, status: int, body: bytes, headers: Mapping[str, str], link: str) -> None:
         self.status, self.body, self.headers = status, body, headers
@@ -41,11 +42,9 @@ class HttpReply:
 
 
 class HttpLink(Life):
-    """A device at a base URL. Each answer comes on the connection of its question, so that none
-    is taken for another's; a stop does not wait for the end of a long question. No request is sent
-    twice, and no redirect is followed.
-
-    ``script`` answers in the place of a server.
+    """A device at a base URL. Each answer comes on the connection of its request, so that answers cannot be
+    confused, and a stop does not wait for the end of a long request. No request is sent twice, and no
+    redirect is followed. ``script`` answers instead of a server.
     """
 
     def __init__(
@@ -77,8 +76,8 @@ class HttpLink(Life):
         form: Mapping[str, str] | None = None,
         timeout_s: float = 10.0,
     ) -> HttpReply:
-        """Ask and wait for the whole answer; ``form`` are fields that go with ``files``. Raises NotConnected
-        (nothing was sent), LinkLost, NoReply, HalfReply, Garbled."""
+        """Send a request and wait for the whole answer; ``form`` are the fields that are sent with ``files``.
+        Raises NotConnected (nothing was sent), LinkLost, NoReply, HalfReply, Garbled."""
         with self._in_use() as client:
             request = client.build_request(
                 method,
@@ -115,8 +114,7 @@ class HttpLink(Life):
 
     @contextmanager
     def _in_use(self) -> Iterator[httpx.Client]:
-        """The client, which stays open as long as somebody waits for an answer, whatever becomes of the
-        link meanwhile."""
+        """The client. It stays open as long as a request waits for an answer, even if the link is closed."""
         with self._lock:
             if not self._is_open:
                 self.open()
@@ -176,7 +174,7 @@ class HttpLink(Life):
 
     @contextmanager
     def _translate(self) -> Iterator[None]:
-        """The one door for what httpx says."""
+        """The only place where errors of httpx are translated."""
         import httpx
 
         try:

@@ -1,4 +1,5 @@
-"""What all links share: open, check which device answers, notice a lost connection, connect again."""
+"""The common part of all links: open, check which device answers, notice a lost connection, and connect
+again."""
 
 from __future__ import annotations
 
@@ -15,10 +16,9 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 5.0
 
 
 class Life(ABC):
-    """A connection that is opened when it is needed, and not hammered at while it fails.
-
-    ``_identify`` asks the device who it is each time the link is opened; another answer than
-    ``expected`` (empty: than the first time) is WrongDevice.
+    """A connection that is opened when it is needed, with pauses between attempts. ``_identify`` asks the
+    device for its identity each time the link is opened. An answer other than ``expected`` (empty: other than
+    the first time) raises WrongDevice.
     """
 
     def __init__(self, name: str, identify: Callable[[], str] | None = None, expected: str = "") -> None:
@@ -35,8 +35,7 @@ class Life(ABC):
         return self._is_open
 
     def open(self, patience_s: float = 0.0) -> None:
-        """Connect, trying again for ``patience_s`` with longer and longer pauses. Raises
-        NotConnected, WrongDevice."""
+        """Connect; try again for ``patience_s`` with increasing pauses. Raises NotConnected, WrongDevice."""
         deadline = time.monotonic() + patience_s
         while True:
             try:
@@ -52,7 +51,7 @@ class Life(ABC):
             time.sleep(max(self._not_before - time.monotonic(), 0.0))
 
     def close(self) -> None:
-        """Let go of the device; the next exchange connects again."""
+        """Disconnect from the device; the next exchange connects again."""
         with self._lock:
             if self._is_open:
                 note(self.name, "close")
@@ -65,7 +64,7 @@ class Life(ABC):
 
     @abstractmethod
     def _disconnect(self) -> None:
-        """Raises nothing; called more than once."""
+        """Raises nothing. It may be called more than once."""
 
     def _open_once(self) -> None:
         wait = self._not_before - time.monotonic()
@@ -108,7 +107,7 @@ class Life(ABC):
 
     @contextlib.contextmanager
     def _judge(self) -> Iterator[None]:
-        """Errors are told to the transcript; a connection that is lost is closed."""
+        """Record errors in the transcript, and close a lost connection."""
         try:
             yield
         except LinkError as error:

@@ -1,4 +1,4 @@
-"""A link: questions and answers over a wire that carries bytes."""
+"""A link: questions and answers over a wire for bytes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Answers = Callable[[bytes, bytes], bool]
 class Link(Life):
     """One device at the other end of a wire. May be used from several threads.
 
-    ``answers`` tells the answer to a question from other messages, where the protocol allows it.
-    Without it, a link that has failed to get an answer lets ``late_s`` of silence pass (or, on a
-    wire that forgets, connects anew) before it asks again, so that a late answer is not taken for
-    the next one. ``unasked`` is given what the device says without being asked, and returns
-    whether the message was that. ``identify`` asks the device who it is each time the link is
-    opened; another answer than ``expected`` (empty: than the first time) is WrongDevice.
+    ``answers`` distinguishes the answer to a question from other messages, if the protocol allows it. Without
+    it, after a missing answer, the link waits for ``late_s`` of silence (or connects again, if the wire then
+    discards old bytes) before the next question, so that a late answer is not mistaken for the next one.
+    ``unasked`` is called with each message, and returns true for one that the device sends without a
+    question. ``identify`` asks the device for its identity each time the link is opened. An answer other than
+    ``expected`` (empty: other than the first time) raises WrongDevice.
     """
 
     def __init__(
@@ -48,10 +48,9 @@ class Link(Life):
         self._in_step = True
 
     def exchange(self, question: bytes, timeout_s: float = 5.0, *, answers: Answers | None = None) -> bytes:
-        """Send a message and wait for its answer; connects first if need be.
-
-        Nothing is sent twice. Raises NotConnected (nothing was sent), LinkLost, NoReply, HalfReply,
-        Garbled, StrayReply: then the device may or may not have done what it was asked.
+        """Send a message and wait for its answer; connects first if necessary. Nothing is sent twice. Raises
+        NotConnected (nothing was sent), LinkLost, NoReply, HalfReply, Garbled, StrayReply: in these cases, it
+        is unknown whether the device has carried out the message.
         """
         answers = answers or self._answers
         with self._lock:
@@ -70,16 +69,15 @@ class Link(Life):
                     raise
 
     def send(self, message: bytes, timeout_s: float = 5.0) -> None:
-        """Send a message that has no answer; connects first if need be. Raises NotConnected,
-        LinkLost."""
+        """Send a message that has no answer; connects first if necessary. Raises NotConnected, LinkLost."""
         with self._lock:
             self._make_ready(self._answers)
             with self._judge():
                 self._write(message, timeout_s)
 
     def receive(self, timeout_s: float) -> bytes:
-        """The next message that the device sends, asked or not. Raises as ``exchange`` does; nothing is
-        sent here, and the errors say so."""
+        """The next message of the device, with or without a question. Raises the errors of ``exchange``; they
+        say that nothing was sent."""
         with self._lock:
             if not self._is_open:
                 self.open()
@@ -87,7 +85,7 @@ class Link(Life):
                 return self._next(time.monotonic() + timeout_s)
 
     def drain(self) -> None:
-        """Forget what has come so far, but hand on what was said unasked. Raises LinkLost."""
+        """Discard the received bytes, but pass on messages that came without a question. Raises LinkLost."""
         with self._lock, self._judge(), _report_nothing_sent():
             self._discard(keep_partial=False)
 
@@ -103,7 +101,7 @@ class Link(Life):
         self._wire.close()
 
     def _make_ready(self, answers: Answers | None) -> None:
-        """Connected, in step, and with nothing left over from before."""
+        """Connect, synchronise, and discard old bytes."""
         if not self._is_open:
             self.open()
         with self._judge(), _report_nothing_sent():
@@ -201,7 +199,7 @@ class Link(Life):
 
 @contextmanager
 def _report_nothing_sent() -> Iterator[None]:
-    """Whatever happens to the line meanwhile, no question has been sent."""
+    """Report errors as ones before which no question was sent."""
     try:
         yield
     except LinkError as error:

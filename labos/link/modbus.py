@@ -1,8 +1,7 @@
-"""Modbus over TCP and over serial lines (RTU); the messages are those of pymodbus.
-
-Framing, deadlines and the matching of answers are those of every link here: an answer over TCP bears
-the number of its question. One over a serial line does not, so that after a failure the line must be
-silent for a while before the next question.
+"""Modbus over TCP and over serial lines (RTU), with the messages of pymodbus. Framing, deadlines and the
+matching of answers are as in every link. An answer over TCP contains the number of its question. An answer
+over a serial line does not, so that after a failure the line must be silent for a while before the next
+question.
 
 Source: Modbus Application Protocol 1.1b3, Modbus over Serial Line 1.02, Modbus on TCP/IP 1.0b.
 """
@@ -35,13 +34,13 @@ EXCEPTIONS = {
     11: "it does not answer its gateway",
 }
 UNDECIDED = {4, 5, 11}
-"""Exceptions after which something may have been done."""
+"""Exceptions after which the request may have been carried out."""
 
 
 class ModbusLink:
     """Registers and coils of one unit. Addresses are those on the wire, from 0.
 
-    An answer that refuses is a DeviceError; errors of the wire are LinkErrors.
+    A refusal by the device is a DeviceError; errors of the wire are LinkErrors.
     """
 
     def __init__(
@@ -71,7 +70,7 @@ class ModbusLink:
         late_s: float = 1.0,
         name: str = "",
     ) -> ModbusLink:
-        """A device on a serial line. ``late_s`` is how late an answer may still come."""
+        """A device on a serial line. ``late_s`` is the longest delay of an answer."""
         wire = SerialWire(port, baudrate=baudrate, parity=parity, stopbits=stopbits)
         link = Link(wire, _Rtu(), name=name or f"modbus {wire.name}", late_s=late_s)
         return cls(link, unit)
@@ -157,7 +156,7 @@ class ModbusLink:
         return reply
 
     def _check_echo(self, reply: ModbusPDU, address: int, count: int) -> None:
-        """A write is answered with where and how much was written."""
+        """Check the answer to a write, which contains its address and length."""
         if (reply.address, reply.count) != (address, count):
             raise Garbled(
                 f"{self.name}: {count} values were written to {address}, but the device speaks of "
@@ -174,7 +173,7 @@ def _same_transaction(question: bytes, answer: bytes) -> bool:
 
 
 class _Mbap:
-    """A header of transaction, protocol (0) and length before unit and message."""
+    """A header (transaction, protocol 0, length), then unit and message."""
 
     def pack(self, message: bytes) -> bytes:
         number, body = message[:2], message[2:]
@@ -196,7 +195,7 @@ class _Mbap:
 
 
 class _Rtu:
-    """Unit and message with a check sum; how long a message is follows from its function."""
+    """Unit and message with a check sum. The function determines the length of a message."""
 
     def pack(self, message: bytes) -> bytes:
         return message + crc16(message)

@@ -1,4 +1,4 @@
-"""A wire that replays a transcript: what was once said by a device becomes a test."""
+"""A wire that replays a transcript, so that recorded answers of a device become a test."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from labos.link.transcript import TranscriptLine, read_transcript
 
 
 class OffScript(AssertionError):
-    """What was sent is not what the transcript has next."""
+    """The sent bytes are not the next ones in the transcript."""
 
 
 class ScriptedWire:
-    """Says what the device said, as soon as what was sent before it has been sent again.
-
-    No time passes: a device that said nothing more before the next question is silent at once.
-    ``link`` picks one link of a transcript of several.
+    """Gives the recorded answer of the device as soon as the bytes before it have been sent again. No time
+    passes: if the transcript has no answer before the next question, the read times out at once. ``link``
+    selects one link of a transcript with several.
     """
 
     name = "scripted"
@@ -32,7 +31,7 @@ class ScriptedWire:
 
     @property
     def is_over(self) -> bool:
-        """Whether all that was sent then has been sent again."""
+        """Whether everything in the transcript has been sent again."""
         return not any(record.mark == ">" for record in self._records[self._at :])
 
     def open(self) -> None:
@@ -72,7 +71,7 @@ class ScriptedWire:
 
 
 class ScriptedHttp:
-    """Answers HTTP questions as the transcript has them, in its order."""
+    """Answers HTTP requests from the transcript, in its order."""
 
     def __init__(self, script: str | Path | Iterable[TranscriptLine], *, link: str = "") -> None:
         records = read_transcript(script) if isinstance(script, str | Path) else list(script)
@@ -83,7 +82,7 @@ class ScriptedHttp:
         return not self._records
 
     def answer(self, question: bytes) -> bytes | None:
-        """What was answered; None if nothing ever was. Raises OffScript."""
+        """The recorded answer; None if there was none. Raises OffScript."""
         wanted = self._records.pop(0) if self._records else TranscriptLine(0.0, "", ">")
         if wanted.mark != ">" or wanted.data != question:
             raise OffScript(f"{question!r} was sent; the transcript has {wanted.data!r}.")

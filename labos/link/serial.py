@@ -90,8 +90,8 @@ class SerialWire:
 
     @contextmanager
     def _translate(self, effects: str = "unknown") -> Iterator[serial.Serial]:
-        """The one door for what pyserial and the system say of an open port. ``effects``: what is known
-        of what was sent."""
+        """The only place where errors of pyserial and the system for an open port are translated.
+        ``effects``: what is known about the effects of the sent bytes."""
         if self._device is None:
             raise LinkLost(f"{self.name} is not open.", effects="none")
         try:

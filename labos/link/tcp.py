@@ -1,4 +1,4 @@
-"""TCP connections, as bytes; lines and lengths are a matter of framing."""
+"""TCP connections as streams of bytes, without framing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labos.errors import LinkLost, NotConnected
 
 
 class TcpWire:
-    """A connection to ``host:port``. A connection made anew knows nothing of the old one."""
+    """A connection to ``host:port``. A new connection has no bytes of the old one."""
 
     forgets = True
 

@@ -1,8 +1,7 @@
-"""Every byte on every wire of this process, as text that people read and tests replay.
-
-One record a line, with tabs between: seconds since the start, the link, a mark, the bytes. Marks:
-``open``, ``close``, ``>`` sent, ``<`` received, ``!`` an error. Bytes that do not print are written
-as ``\\xNN``, ``\\r``, ``\\n``, ``\\t``; a backslash is doubled.
+"""A transcript of every byte on every wire of this process, as text for people and for replay in tests. Each
+line is one record with fields between tabs: seconds since the start, the link, a mark, the bytes. Marks:
+``open``, ``close``, ``>`` sent, ``<`` received, ``!`` an error. Bytes that do not print are written as
+``\\xNN``, ``\\r``, ``\\n``, ``\\t``; a backslash is doubled.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import msgspec
 from labos.errors import BadInput
 
 LARGEST = 256 * 1024 * 1024
-"""Characters of a transcript: it may be forgotten, and must not fill the disk."""
+"""The largest number of characters of a transcript, so that a forgotten one does not fill the disk."""
 
 HEADER = "# labos transcript 1"
 Mark = Literal["open", "close", ">", "<", "!"]
@@ -68,8 +67,8 @@ _current: _Recorder | None = None
 
 
 def start_recording(path: str | Path) -> None:
-    """Write down every byte of every link of this process from now on; a file that is there is
-    replaced. Raises BadInput."""
+    """Record every byte of every link of this process from now on; an existing file is replaced. Raises
+    BadInput."""
     global _current
     stop_recording()
     try:
@@ -82,7 +81,7 @@ def start_recording(path: str | Path) -> None:
 
 
 def stop_recording() -> None:
-    """Close the transcript, if one is kept."""
+    """Close the transcript, if there is one."""
     global _current
     if _current is not None:
         _current.close()
@@ -91,7 +90,7 @@ def stop_recording() -> None:
 
 @contextmanager
 def keep_transcript(path: str | Path) -> Iterator[None]:
-    """Keep a transcript as long as the block lasts."""
+    """Record a transcript for the duration of the block."""
     start_recording(path)
     try:
         yield
@@ -100,13 +99,13 @@ def keep_transcript(path: str | Path) -> Iterator[None]:
 
 
 def note(link: str, mark: Mark, data: bytes = b"") -> None:
-    """A link has done or heard something."""
+    """Record what a link has done or received."""
     if _current is not None:
         _current.write(link, mark, data)
 
 
 def read_transcript(path: str | Path) -> list[TranscriptLine]:
-    """What was written down. Raises BadInput, with file and line."""
+    """The lines of a transcript. Raises BadInput, with file and line."""
     lines = Path(path).read_text(encoding="ascii").splitlines()
     records = []
     for number, line in enumerate(lines, 1):
@@ -135,7 +134,7 @@ def escape(data: bytes) -> str:
 
 
 def unescape(text: str) -> bytes:
-    """The bytes that were written so. Raises ValueError."""
+    """The bytes of such a text. Raises ValueError."""
     parts, at = [], 0
     for match in _ESCAPE.finditer(text):
         parts.append(text[at : match.start()].encode("ascii"))

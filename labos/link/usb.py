@@ -1,4 +1,4 @@
-"""USB devices that take and give bytes at bulk endpoints, by pyusb."""
+"""USB devices that receive and send bytes at bulk endpoints, with pyusb."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from labos.errors import LinkLost, NotConnected
 from labos.link.wire import needs
 
 PIECE = 512
-"""Bytes asked for at once; a multiple of every bulk packet's size."""
+"""The number of bytes in one request; a multiple of the size of every bulk packet."""
 INCOMING = 0x80
-"""The bit of an endpoint's address that says that it gives."""
+"""The bit in the address of an endpoint that sends data to the host."""
 
 
 class UsbWire:
-    """The device with these ids; ``serial`` picks one of several alike. Endpoints that are not named are
-    the first of the device. ``backend`` is pyusb's, if it must not be looked for."""
+    """The device with these ids; ``serial`` selects one of several equal devices. By default, the
+    endpoints are the first ones of the device. ``backend`` is a backend of pyusb to use instead of
+    searching for one."""
 
     forgets = False
 
@@ -97,7 +98,7 @@ class UsbWire:
 
     @contextmanager
     def _translate(self) -> Iterator[Any]:
-        """The one door for what pyusb says of an open device."""
+        """The only place where errors of pyusb for an open device are translated."""
         import usb.core
 
         if self._device is None:
@@ -111,5 +112,5 @@ class UsbWire:
 
 
 def _milliseconds(timeout_s: float) -> int:
-    """Zero would mean for ever."""
+    """Never zero, which would mean without limit."""
     return max(round(timeout_s * 1000), 1)

@@ -1,4 +1,4 @@
-"""What carries bytes, and nothing more: no messages, no questions, no answers."""
+"""A wire carries bytes. It does not know messages, questions or answers."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ class Wire(Protocol):
 
     @property
     def name(self) -> str:
-        """How messages and transcripts call it, as ``serial /dev/ttyUSB0``."""
+        """Its name in error messages and transcripts, such as ``serial /dev/ttyUSB0``."""
 
     @property
     def forgets(self) -> bool:
-        """Whether what was under way is gone for good once it has been closed and opened again."""
+        """Whether bytes under way are discarded when it is closed and opened again."""
 
     def open(self) -> None:
         """Raises NotConnected."""
@@ -25,14 +25,14 @@ class Wire(Protocol):
         """Raises LinkLost."""
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, as soon as there is any; empty when the time is up. Raises LinkLost."""
+        """The received bytes, as soon as there are any; empty when the time is up. Raises LinkLost."""
 
     def close(self) -> None:
         """Raises nothing."""
 
 
 def needs(extra: str, error: ImportError) -> NotConnected:
-    """A package that a link needs is not there."""
+    """The error for a missing package that a link needs."""
     return NotConnected(
         f"The Python package {error.name or extra!r} is missing.",
         remedy=f"Install it with: pip install 'labos-sdl[{extra}]'",

@@ -1,5 +1,4 @@
-"""A server of the Model Context Protocol: through it an agent looks, plans and proposes, and nothing more.
-
-``look`` and ``plan`` change nothing. ``propose`` hands in what waits until an operator has approved it.
-There is no tool that starts, approves, cancels or changes anything; whatever the token would allow.
+"""A server for the Model Context Protocol. An agent can use it only to look, plan and propose. ``look`` and
+``plan`` change nothing. ``propose`` submits runs and campaigns that wait until an operator has approved them.
+There is no tool that starts, approves, cancels or changes anything, even if the token would allow it.
 """

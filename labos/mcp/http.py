@@ -1,5 +1,5 @@
-"""The server over HTTP (the protocol's Streamable HTTP, without sessions): each request acts with the token
-that it shows, and with nothing else.
+"""The server over HTTP (the protocol's Streamable HTTP, without sessions): each request has only the rights
+of its own token.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from labos.services.accounts import TOKEN
 
 PATH = "/mcp"
 AT_ONCE = 64
-"""Connections."""
+"""The largest number of connections."""
 LONGEST_TOKEN = 200
 OWN = ("127.0.0.1", "localhost")
 
@@ -49,8 +49,8 @@ def make_app(url: str, home: str | None, listening: Listening) -> ASGIApp:
 
 
 def serve(url: str, home: str | None, listening: Listening, tell: Callable[[str], None]) -> None:
-    """Serve until the process is interrupted; ``tell`` is told the address. Raises BadInput for an address or
-    a certificate that cannot be used."""
+    """Serve until the process is interrupted; ``tell`` is called with the address. Raises BadInput for an
+    address or a certificate that cannot be used."""
     if not is_own_address(listening.host) and not listening.is_secure:
         raise BadInput(
             f"Other computers reach {listening.host}, and tokens would cross the network in clear.",
@@ -80,13 +80,13 @@ def serve(url: str, home: str | None, listening: Listening, tell: Callable[[str]
 class _Server(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Signals belong to the command."""
+        """Do nothing: the command handles signals."""
         yield
 
 
 class _Callers:
-    """Lets service accounts in. What they ask for is asked of the lab with their own tokens: one that is
-    revoked is good for nothing from then on."""
+    """Admits service accounts. Their requests go to the lab with their own tokens, so that a revoked token
+    has no effect any more."""
 
     def __init__(self, app: ASGIApp, url: str, home: str | None, rules: TransportSecuritySettings) -> None:
         self._app, self._url, self._home = app, url, home
@@ -125,8 +125,7 @@ class _Callers:
 
 
 def _read_token(request: Request) -> str:
-    """The token of a request. What else a client might find on this computer is nobody's. Raises
-    NotSignedIn."""
+    """The token of a request. Other credentials on this computer are not used. Raises NotSignedIn."""
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     token = token.strip()
     if scheme.lower() != "bearer" or not token.startswith(TOKEN) or len(token) > LONGEST_TOKEN:

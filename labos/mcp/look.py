@@ -12,21 +12,21 @@ from labos.mcp.pages import LONGEST, cut, encode_answer, page
 from labos.services.times import with_iso_times
 
 ENDED = 20
-"""Ended runs that are listed."""
+"""The number of ended runs in a list."""
 
 NEWEST = 50
-"""Events that are told of the log's end."""
+"""The number of the last events in an answer."""
 
 
 class Look:
-    """What the lab is, holds and does. Changes nothing."""
+    """Tools that show the state of the lab. They change nothing."""
 
     def __init__(self, lab: LabClient) -> None:
         self._lab = lab
 
     def lab(self) -> str:
-        """Tells which lab this is, which workcells it has, who you are to it and what you may do, which of
-        your submissions need an approval, and how many runs and questions are open."""
+        """Shows the lab and its workcells, your user and rights, which of your submissions need an approval,
+        and the number of open runs and questions."""
         health, state = self._lab.health(), self._lab.state(waits=False)
         counts = {name: len(state[name]) for name in ("modules", "runs", "labware", "interventions")}
         asked = [q["text"] for q in state["interventions"][:20]]
@@ -42,23 +42,23 @@ class Look:
         )
 
     def modules(self, after: int = 0) -> str:
-        """Lists the modules (instruments, arms, people) of the lab: what each is, its status and what it does
-        now. `after` is the `next` of the page before."""
+        """Lists the modules (instruments, arms, people) of the lab, with kind, status and present action.
+        `after` is the `next` of the previous page."""
         found = self._lab.state(waits=False)["modules"]
         kept = ("module", "driver", "status", "problem", "out_of_service", "simulated", "doing")
         rows = [{name: module[name] for name in kept} for module in found]
         return page(rows[after:], lambda number: after + number)
 
     def module_actions(self, module: str, after: int = 0) -> str:
-        """Tells what a module can do: its actions with their arguments, units and ranges, as steps of a
-        workflow give them. `module` is its name; `after` is the `next` of the page before."""
+        """Lists the actions of a module with their arguments, units and ranges, as a step of a workflow uses
+        them. `module` is its name; `after` is the `next` of the previous page."""
         found = self._lab.actions(module)
         actions = found.pop("actions")
         return page(actions[after:], lambda number: after + number, module=found["module"])
 
     def bench(self, after: int = 0) -> str:
-        """Lists the stations of the bench: what stands where, and which labware it is. `after` is the `next`
-        of the page before."""
+        """Lists the stations of the bench and the labware on them. `after` is the `next` of the previous
+        page."""
         state = self._lab.state(waits=False)
         labware = {item["id"]: item for item in state["labware"]}
         rows = [
@@ -77,13 +77,12 @@ class Look:
         return page(rows[after:], lambda number: after + number)
 
     def inventory(self) -> str:
-        """Tells what is left of consumables, of which lots, and which run will be the first to find too
-        little."""
+        """Shows the remaining consumables with their lots, and the first run that will have too little."""
         return encode_answer(cut(with_iso_times(self._lab.inventory()), LONGEST))
 
     def runs(self, after: int = 0) -> str:
-        """Lists the runs that wait or are under way, and the last ones that ended. `after` is the `next` of
-        the page before."""
+        """Lists the runs that wait or are under way, and the last ended runs. `after` is the `next` of the
+        previous page."""
         found = self._lab.runs(after=after, ended=0 if after else ENDED)
         rows = [
             {name: run[name] for name in ("id", "workflow", "user", "status", "why")} for run in found["runs"]
@@ -91,15 +90,15 @@ class Look:
         return encode_answer(cut(rows, LONGEST), next=found["position"] if found["more"] else None)
 
     def run(self, run: str, first_step: int = 0) -> str:
-        """Tells how far a run is and what its steps returned: their results and errors. `run` is its id, as
-        R7. Long runs come in pages: `first_step` is the `next` of the page before."""
+        """Shows the progress of a run, with the results and errors of its steps. `run` is its id, such as R7.
+        A long run comes in pages: `first_step` is the `next` of the previous page."""
         found = with_iso_times(msgspec.to_builtins(self._lab.status(run)))
         steps = found.pop("steps", [])
         return page(steps[first_step:], lambda number: first_step + number, run=cut(found))
 
     def why_run_waits(self, run: str) -> str:
-        """Tells why a run does not go on: what its next steps wait for, whether it waits for an approval, and
-        what somebody can do. `run` is its id, as R7."""
+        """Explains why a run does not continue: the reasons why its next steps wait, whether it waits for an
+        approval, and the remedies. `run` is its id, such as R7."""
         state = self._lab.state()
         alive = next((found for found in state["runs"] if found["id"] == run), None)
         if alive is None:
@@ -112,15 +111,15 @@ class Look:
         )
 
     def campaigns(self, after: int = 0) -> str:
-        """Lists the campaigns that have not ended: how far they are and under which terms. `after` is the
-        `next` of the page before."""
+        """Lists the campaigns that have not ended, with their progress and terms. `after` is the `next` of
+        the previous page."""
         found = self._lab.campaigns()
         return page(with_iso_times(found)[after:], lambda number: after + number)
 
     def proposals(self, subject: str = "", after: int = 0) -> str:
-        """Lists what waits for an operator's approval and why; with `subject` (R7, C3, E2), that one: what it
-        asks of the lab, and how it differs from what was approved before. `after` is the `next` of the page
-        before."""
+        """Lists the submissions that wait for an operator's approval, with the reasons. With `subject` (R7,
+        C3, E2), shows only that one: the work and material that it needs, and how it differs from the last
+        approved one. `after` is the `next` of the previous page."""
         if subject:
             return encode_answer(cut(with_iso_times(self._lab.approval_of(subject)), LONGEST))
         found = with_iso_times(self._lab.approvals())
@@ -129,10 +128,10 @@ class Look:
     def log(
         self, after: int = 0, before: int = 0, type: str = "", mentions: str = "", newest: bool = False
     ) -> str:
-        """Reads the log of events, a page of them, the oldest first. `type` selects a kind of event (as
-        `run.failed`, or `run` for all about runs), `mentions` those that name an id. `after` is the `next` of
-        the page before. With `newest` the last events are told, the newest first; then `before` is the `next`
-        of the page before."""
+        """Reads the log of events, a page of them, the oldest first. `type` selects a kind of event (such as
+        `run.failed`, or `run` for all about runs), and `mentions` selects events that name an id. `after` is
+        the `next` of the previous page. With `newest`, the last events come first; `before` is then the
+        `next` of the previous page."""
         if newest and before == 1:
             return page([], lambda number: number)
         last = {"last": NEWEST, "upto": max(before - 1, 0)} if newest else {"after": after}
@@ -147,16 +146,16 @@ class Look:
         return page(rows, lambda number: events[number]["position"] - 1, rest=rest)
 
     def provenance(self, subject: str, after: int = 0) -> str:
-        """Tells what the log says of a piece of labware, a run, an experiment or a campaign, from its
-        beginning on: who did what with it and when. `subject` is its id, as P7 or R1; `after` is the `next`
-        of the page before."""
+        """Shows the history of a piece of labware, a run, an experiment or a campaign from the log: the
+        actions, with user and time. `subject` is its id, such as P7 or R1; `after` is the `next` of the
+        previous page."""
         if not subject.strip():
             raise BadInput("Nothing was named.", remedy="Give an id, as P7 or R1.")
         return self.log(after=after, mentions=subject)
 
     def read_file(self, sha256: str, first: int = 0) -> str:
-        """Reads a file that a step has returned, if it is text. `sha256` is its digest, as it stands in a
-        result; `first` is the `next` of the page before (bytes)."""
+        """Reads a text file that a step has returned. `sha256` is its digest from the result; `first` is the
+        `next` of the previous page (bytes)."""
         size = LONGEST // 2
         content = self._lab.file(sha256, first=first, last=first + size - 1)
         try:

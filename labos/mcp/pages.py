@@ -1,4 +1,4 @@
-"""Answers to an agent: JSON that fits into its reading, with the place from which to go on."""
+"""Answers to an agent: JSON of limited length, with the position of the next page."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import Any
 import msgspec
 
 LONGEST = 24_000
-"""Characters of an answer. What is longer comes in pages."""
+"""Characters of an answer. A longer one comes in pages."""
 
 LONGEST_VALUE = 4_000
-"""Characters of one value in an answer, as JSON; a longer one is cut, and says so."""
+"""Characters of one value in an answer, as JSON. A longer one is cut, with a remark."""
 
 
 MOST_PARTS = 50
-"""Entries of a long table or list that are told."""
+"""Entries of a long table or list in an answer."""
 
 
 def encode_answer(data: Any, **more: Any) -> str:
-    """An answer. What users, devices and programs have written stands under ``data`` alone."""
+    """Encode an answer. Texts of users, devices and programs are only under ``data``."""
     return msgspec.json.encode({**more, "data": data}).decode()
 
 
 def page(items: Sequence[Any], place: Callable[[int], Any], *, rest: Any = None, **more: Any) -> str:
-    """As many items as fit. ``next`` is what to ask with for those behind: by ``place`` of the first that is
-    left out, ``rest`` if none is. One item is told in any case."""
+    """A page with as many items as fit, at least one. ``next`` is the parameter for the next page: ``place``
+    of the first item that was left out, or ``rest`` if there is none."""
     shown: list[Any] = []
     size = 0
     for number, item in enumerate(items):
@@ -38,7 +38,7 @@ def page(items: Sequence[Any], place: Callable[[int], Any], *, rest: Any = None,
 
 
 def cut(value: Any, longest: int = LONGEST_VALUE) -> Any:
-    """The value, with long parts cut: texts to their beginning, tables and lists to a remark."""
+    """The value, with long parts cut: texts keep their beginning, and tables and lists become a remark."""
     if isinstance(value, str):
         return value if len(value) <= longest else f"{value[:longest]}… ({len(value)} characters in all)"
     if len(msgspec.json.encode(value)) <= longest:

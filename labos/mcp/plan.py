@@ -1,4 +1,4 @@
-"""Tools that plan: they check what could be proposed, and change nothing."""
+"""Tools that plan: they check possible proposals and change nothing."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labos.mcp.pages import LONGEST, cut, encode_answer
 
 
 class Plan:
-    """What a workflow or a campaign would ask of the lab."""
+    """Tools that check a workflow or a campaign before it is proposed."""
 
     def __init__(self, lab: LabClient, user: str) -> None:
         self._lab, self._user = lab, user
@@ -24,9 +24,9 @@ class Plan:
         priority: int = 0,
         files: dict[str, str] | None = None,
     ) -> str:
-        """Checks the text of a workflow (YAML) and tells what a run of it would be: its steps, how long they
-        take, what they use up, which are dangerous, why it would wait for an approval. Nothing is submitted.
-        `payload` are its values; `files` are the texts of files that its arguments name, by name."""
+        """Checks the text of a workflow (YAML) and describes a run of it: its steps, their durations and
+        consumption, dangerous steps, and the reason why it would wait for an approval. Nothing is submitted.
+        `payload` are its values; `files` are the texts of the files that its arguments name, by name."""
         checked = self._lab.check(
             workflow_of(workflow, files),
             payload=payload or {},

@@ -1,4 +1,4 @@
-"""Tools that propose: what they hand in waits until an operator has approved it."""
+"""Tools that propose: their submissions wait until an operator has approved them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ WAITS = "It has not begun, and begins only if an operator approves it."
 
 
 class Propose:
-    """Submissions that wait for an approval, whatever the lab's policy and the token would allow."""
+    """Tools for submissions that always wait for an approval, also if the lab's policy and the token do not
+    require it."""
 
     def __init__(self, lab: LabClient, user: str) -> None:
         self._lab, self._user = lab, user
@@ -26,9 +27,9 @@ class Propose:
         files: dict[str, str] | None = None,
         key: str = "",
     ) -> str:
-        """Proposes a run of a workflow (its text, YAML). It waits until an operator has looked at it and
-        approved it; you cannot start it. Check it first with `check_workflow`. The same `key` twice is one
-        proposal."""
+        """Proposes a run of a workflow (its text, YAML). It waits until an operator has approved it; you
+        cannot start it. Check it first with `check_workflow`. Two proposals with the same `key` count as
+        one."""
         run = self._lab.submit(
             workflow_of(workflow, files),
             payload or {},
@@ -49,17 +50,17 @@ class Propose:
         key: str = "",
     ) -> str:
         """Proposes a campaign (its text, YAML): a workflow for each row of a table. It waits until an
-        operator has looked at it and approved it; you cannot start it. Check it first with `check_campaign`.
-        The same `key` twice is one proposal."""
+        operator has approved it; you cannot start it. Check it first with `check_campaign`. Two proposals
+        with the same `key` count as one."""
         answer = self._lab.submit_campaign(
             campaign_of(campaign, workflow, tables, files), user=self._user, request=key, propose=True
         )
         return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)
 
     def propose_clone(self, campaign: str, name: str = "", priority: int | None = None, key: str = "") -> str:
-        """Proposes a campaign once more, with the same rows and workflow; `campaign` is its id, as C3, also
-        of one that has ended, and `name` that of the new one. It waits until an operator has looked at it
-        and approved it; you cannot start it. The same `key` twice is one proposal."""
+        """Proposes a copy of a campaign, with the same rows and workflow. `campaign` is the id of the
+        original, such as C3, which may have ended; `name` is the name of the copy. It waits until an operator
+        has approved it; you cannot start it. Two proposals with the same `key` count as one."""
         answer = self._lab.clone_campaign(
             campaign, self._user, request=key, name=name, priority=priority, propose=True
         )

@@ -1,4 +1,4 @@
-"""The server: who it is signed in as, its tools, and how it is spoken to."""
+"""The server: its user, its tools and its transport."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ LOOK = (
 )
 PLAN = ("check_workflow", "check_campaign")
 PROPOSE = ("propose_run", "propose_campaign", "propose_clone")
-"""The tools by what they may do. There are no others."""
+"""The tools, grouped by what they may do. There are no others."""
 
 
 def sign_in(url: str, home: str | None, *, behalf: str = "", token: str = "") -> LabClient:
-    """A client of the lab, signed in as a service account. Raises BadInput for anybody else: what a person
-    submits need not wait, and what a person approves counts."""
+    """A client of the lab, signed in as a service account. Raises BadInput for any other user, because a
+    person's submissions may not need an approval, and a person can approve."""
     options: dict[str, Any] = {"token": token} if url else {"token": token, "home": home}
     with LabClient(url, **options) as client:
         who = client.identity()
@@ -56,9 +56,8 @@ def sign_in(url: str, home: str | None, *, behalf: str = "", token: str = "") ->
     return LabClient(url, behalf=behalf, **options)
 
 
-def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> MCPServer[Any]:
-    """The server of a lab; ``lab`` may be asked anew for each call, as whose it is. ``user`` is who proposes
-    in a lab without users."""
+def make_server(lab: LabClient | Callable[[], LabClient]) -> MCPServer[Any]:
+    """The server of a lab; ``lab`` may be asked anew for each call, as whose it is."""
     from mcp.server.mcpserver import MCPServer
     from mcp.types import ToolAnnotations
 
@@ -69,8 +68,8 @@ def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> M
     ask = (lambda: lab) if isinstance(lab, LabClient) else lab
     groups: tuple[tuple[Callable[[LabClient], Any], tuple[str, ...], bool], ...] = (
         (Look, LOOK, True),
-        (lambda found: Plan(found, user), PLAN, True),
-        (lambda found: Propose(found, user), PROPOSE, False),
+        (lambda found: Plan(found, USER), PLAN, True),
+        (lambda found: Propose(found, USER), PROPOSE, False),
     )
     for group, names, only_looks in groups:
         for name in names:
@@ -88,8 +87,8 @@ def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> M
 def _make_tool(
     group: Callable[[LabClient], Any], name: str, ask: Callable[[], LabClient], turn: Lock | None
 ) -> Callable[..., str]:
-    """The tool of a group, with what goes wrong as an answer: what it was, and what to do. Calls take turns
-    where they share a client: it remembers what it was told last."""
+    """Make the tool of a group. Errors become answers with the cause and a remedy. Calls that share a client
+    run one after the other, because the client stores the position of the last answer."""
     from mcp.server.mcpserver.exceptions import ToolError
 
     @wraps(getattr(group(cast(LabClient, None)), name))

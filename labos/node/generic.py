@@ -34,7 +34,7 @@ from labos.core.ids import StationName, local
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError
 from labos.node.files import Attachment
-from labos.node.node import ActionMethod, Node, Setup
+from labos.node.node import ActionMethod, Node, Setup, current_together
 from labos.node.world import World, lid_of
 
 SCATTER = 0.1
@@ -109,7 +109,7 @@ class GenericDevice:
         self._is_stopped = False
         self.world.leave(self.name)
 
-    def held(self) -> str:
+    def find_held_plate(self) -> str:
         """What the hand holds, or empty."""
         return self._top(f"hand:{self.name}")
 
@@ -183,6 +183,9 @@ class GenericDevice:
             self.variables |= changed
             self.world.work(self.name, "set", **changed)
             self._move_gates()
+        elif current_together.get():  # it is done to all that stands in the device
+            for place in self._list_taken():
+                self.world.work(self.name, spec.name, place)
         else:
             self.world.work(self.name, spec.name, at)
         return result
@@ -221,8 +224,21 @@ class GenericDevice:
 
     def _own_place(self) -> str:
         """The module's own station where labware stands; empty if there is none."""
-        own = [self._setup.place(s.name) for s in self._description.stations if s.kind != "gripper"]
-        return next((place for place in own if self._top(place)), own[0] if own else "")
+        taken, own = self._list_taken(), self._list_own()
+        return taken[0] if taken else own[0] if own else ""
+
+    def _list_own(self) -> list[str]:
+        return [self._setup.place(s.name) for s in self._description.stations if s.kind != "gripper"]
+
+    def _list_taken(self) -> list[str]:
+        """The module's own stations, and their shelves, where labware stands."""
+        own = self._list_own()
+        shelves = [f"{place}." for place in own]
+        return [
+            place
+            for place, plates in self.world.places().items()
+            if plates and (place in own or place.startswith(tuple(shelves)))
+        ]
 
     def _top(self, place: str) -> str:
         plates = self.world.at(place)

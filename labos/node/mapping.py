@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from labos.spec.about import About, ArgAbout, BadEffect, StationAbout, description_of
     from labos.spec.findings import near
     from labos.spec.parts import Many, Name, Part, Seconds
-    from labos.spec.tables import DriverTable, Flaw, told_by
+    from labos.spec.tables import DriverTable, Flaw, read_table
 
 __all__ = [
     "About",
@@ -28,14 +28,14 @@ __all__ = [
     "StationAbout",
     "description_of",
     "near",
-    "told_by",
+    "read_table",
 ]
 
 _HOMES = {
     "labos.spec.about": ("About", "ArgAbout", "BadEffect", "StationAbout", "description_of"),
     "labos.spec.findings": ("near",),
     "labos.spec.parts": ("Many", "Name", "Part", "Seconds"),
-    "labos.spec.tables": ("DriverTable", "Flaw", "told_by"),
+    "labos.spec.tables": ("DriverTable", "Flaw", "read_table"),
 }
 
 

@@ -31,6 +31,7 @@ import msgspec
 from labos.core.counts import Counter
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, Station
+from labos.core.structs import make_from
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.world import World
 
@@ -151,6 +152,11 @@ current_action: ContextVar[str] = ContextVar("current_action", default="")
 """The id of the action that a method carries out; the server sets it around each action."""
 
 
+current_together: ContextVar[tuple[str, ...]] = ContextVar("current_together", default=())
+"""The ids of all actions that a method carries out in one go; empty if it carries out one. The server sets it
+around each of them."""
+
+
 class Node:
     """Base of every instrument. Subclasses set the class attributes and write actions. What a driver
     offers may follow from a table in the module's configuration (``labos.node.mapping``). ``counters`` are
@@ -241,18 +247,11 @@ class Node:
     @classmethod
     def describe(cls) -> Description:
         """The description that follows from the class."""
-        return Description(
-            driver=cls.driver,
-            version=cls.version,
+        return make_from(
+            Description,
+            cls,
             description=inspect.cleandoc(cls.__doc__ or "").partition("\n")[0],
-            manipulator=cls.manipulator,
-            models=cls.models,
             actions=tuple(describe_action(name, method) for name, method in actions_of(cls)),
-            stations=cls.stations,
-            variables=cls.variables,
-            rest=cls.rest,
-            levels=cls.levels,
-            units=cls.units,
         )
 
 
@@ -292,17 +291,13 @@ def _describe_arg(parameter: inspect.Parameter, hint: Any) -> Arg:
         hint, *extras = typing.get_args(hint)
         param = next((extra for extra in extras if isinstance(extra, Param)), param)
     required = parameter.default is inspect.Parameter.empty
-    return Arg(
+    return make_from(
+        Arg,
+        param,
         name=parameter.name,
         type="station" if param.place else "file" if param.file else _type_name(hint),
         required=required,
         default=None if required else parameter.default,
-        aliases=param.aliases,
-        unit=param.unit,
-        minimum=param.minimum,
-        maximum=param.maximum,
-        choices=param.choices,
-        description=param.description,
     )
 
 

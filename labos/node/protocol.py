@@ -41,9 +41,9 @@ class Message(msgspec.Struct, frozen=True, tag_field="op"):
 
 
 class Start(Message, frozen=True, tag="start"):
-    """Carry out an action. ``position`` is that of its request in the log; ``files`` maps file
-    arguments to blob digests. ``effects`` are what it is to do to labware, which the node only notes: should
-    the log lose its end, they report where labware may be."""
+    """Carry out an action. ``position`` is the position of its request in the log. ``files`` maps file
+    arguments to digests of blobs. ``effects`` are the planned effects on labware. The node only stores them:
+    if the log loses its end, they show where labware may be."""
 
     lab: str
     epoch: int
@@ -57,8 +57,17 @@ class Start(Message, frozen=True, tag="start"):
     effects: tuple[AnyEffect, ...] | None = None
 
 
+class JointStart(Start, frozen=True, tag="start_together", kw_only=True):
+    """Carry out an action ``together`` with others, in one go: these are the names of all of them. The device
+    begins when a start of each has come; else none of them begins. It gets one command, with the arguments of
+    the first, and the outcome holds for each. A node of a version that does not know this refuses it."""
+
+    together: tuple[str, ...]
+
+
 class Ask(Message, frozen=True, tag="ask"):
-    """What became of an attempt? With ``void``, one that was never heard of can never run."""
+    """Ask for the outcome of an attempt. With ``void``, an attempt that the node does not know can never run
+    afterwards."""
 
     lab: str
     epoch: int
@@ -69,20 +78,20 @@ class Ask(Message, frozen=True, tag="ask"):
 
 
 class Acknowledge(Message, frozen=True, tag="acknowledge"):
-    """The log holds the end of every action requested from this node up to ``position``: the
-    node may forget them, and refuses requests that old from now on."""
+    """The log contains the end of every action that was requested from this node up to ``position``. The node
+    may forget these actions, and from now on refuses requests with such a position."""
 
     lab: str
     epoch: int
     position: int
 
 
-ActionMessage = Start | Ask | Acknowledge
+ActionMessage = Start | JointStart | Ask | Acknowledge
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """How an attempt ended. ``effects`` says how much of the declared effects took place;
-    times are the node's own, UTC nanoseconds, 0 where they are not known. ``collided``: something was hit."""
+    """The outcome of an attempt. ``effects`` says how much of the declared effects took place. Times are by
+    the node's clock, in UTC nanoseconds; 0 if not known. ``collided``: there was a collision."""
 
     succeeded: bool
     effects: EffectsDone
@@ -94,20 +103,19 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 class ActionReply(msgspec.Struct, frozen=True):
-    """The node's word about an attempt.
+    """The node's answer about an attempt.
 
-    ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``; also the
-    answer to a start that was over at once.
-    ``refused``: it was not and will not be carried out, ``why`` tells; its journal knows it as
-    void from then on, unless no kernel can have sent it. ``void``: it never ran and can never run.
-    ``unheard``: it never ran, but may yet if it is still on its way. ``interrupted``: the node died
-    while it ran, or its device cannot say how it ended; ``why`` tells.
-    ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab or
-    epoch is not the one this node serves. ``done``: the acknowledgement is kept.
+    ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``; also the answer to a
+    start if the action has already ended. ``refused``: it was not and will not be carried out, for the reason
+    ``why``. The journal then has it as void, unless no kernel can have sent it. ``void``: it never ran and
+    can never run. ``unheard``: it did not run, but the request may still arrive. ``interrupted``: the node
+    ended while the action was under way, or its device cannot report the outcome; ``why`` is the reason.
+    ``forgotten``: it is older than the position that the lab acknowledged. ``fenced``: the lab or epoch of
+    the request is not the one of this node. ``done``: the acknowledgement is stored.
 
-    ``attempt`` is the attempt that the status speaks of: an earlier one than the one asked
-    about, if that one ran; 0 if none. ``transient`` marks a refusal that may not be repeated
-    later (busy, in error), unlike one of a wrong argument.
+    ``attempt`` is the attempt to which the status belongs: an earlier one than the requested one, if the
+    earlier one ran; 0 if none. ``transient``: the reason of the refusal can pass (busy, in error), unlike a
+    wrong argument.
     """
 
     status: Literal[
@@ -130,9 +138,9 @@ class ActionReply(msgspec.Struct, frozen=True):
 
 
 class ResultPublished(msgspec.Struct, frozen=True):
-    """Published when an attempt has ended, unless the answer to its start told so already. It is used as it
-    is if it comes under the key of the module that was asked, and fits the request in journal, attempt and
-    time (``ended_ns`` within 10 s of when it can have been); else the node is asked."""
+    """Published when an attempt has ended, unless the answer to its start already contained the outcome. The
+    kernel uses it if it comes under the key of the requested module, and fits the request in journal, attempt
+    and time (``ended_ns`` within 10 s of the possible time). Otherwise the kernel asks the node."""
 
     action: str
     attempt: int
@@ -141,10 +149,10 @@ class ResultPublished(msgspec.Struct, frozen=True):
 
 
 class StateReport(msgspec.Struct, frozen=True):
-    """The ``state`` operation's answer, and the heartbeat. ``running``, ``finished`` and
-    ``interrupted`` name actions that the lab has not acknowledged, so that a lost result is
-    noticed. ``stopped_at`` (UTC ns, 0: it was not) and ``stopped_by`` report an emergency stop until the
-    module is reset, so that it is recorded even if the log could not be written at the time."""
+    """The ``state`` operation's answer, and the heartbeat. ``running``, ``finished`` and ``interrupted`` list
+    actions that the lab has not acknowledged, so that a lost result is noticed. ``stopped_at`` (UTC ns; 0: no
+    stop) and ``stopped_by`` report an emergency stop until the module is reset, so that it is recorded even
+    if the log could not be written at that time."""
 
     status: NodeStatus
     journal: str
@@ -159,15 +167,15 @@ class StateReport(msgspec.Struct, frozen=True):
 
 
 class ResourcesReport(msgspec.Struct, frozen=True):
-    """The ``resources`` operation's answer: levels as the device itself reports them."""
+    """The ``resources`` operation's answer: the levels that the device itself reports."""
 
     levels: dict[str, float] = {}
     error: str = ""
 
 
 class Unacknowledged(msgspec.Struct, frozen=True):
-    """An action in a node's journal that the lab has not acknowledged. ``handle`` is the
-    device's own id of it, if it has one; ``effects`` what it was to do to labware, null if nobody said."""
+    """An action in a node's journal that the lab has not acknowledged. ``handle`` is the device's own id for
+    it, if there is one. ``effects`` are its planned effects on labware; null if not known."""
 
     action: str
     attempt: int
@@ -198,14 +206,14 @@ def skew_with(protocol: int, other: str, version: str) -> str:
 
 
 class AboutReport(msgspec.Struct, frozen=True):
-    """The ``about`` operation's answer: the driver's description, which device, what is open. ``protocol``
-    is the version of this protocol that the node speaks, ``labos`` its LabOS, ``unit`` the serial number of
-    the device that it is pinned to, ``firmware`` the version that the device tells, ``metrics`` the address
-    (``host:port``) at which Prometheus asks the node; all may be empty.
-    ``digest`` is that of the description. ``epoch`` is that of the kernel that the node obeys;
-    ``acknowledged`` is the position up to which a kernel of epoch ``acknowledged_by`` told it that the
-    log holds the end of everything, so that a log that was put back from an older copy is noticed.
-    ``now_ns`` is the time by the clock of the node's host (UTC ns; 0: not told)."""
+    """The ``about`` operation's answer: the driver's description, the device, and the open actions.
+    ``protocol`` is the node's version of this protocol, ``labos`` its LabOS version, ``unit`` the serial
+    number of the device to which it is bound, ``firmware`` the version that the device reports, and
+    ``metrics`` the address (``host:port``) of the node's metrics for Prometheus. All may be empty. ``digest``
+    is the digest of the description. ``epoch`` is the epoch of the kernel that the node accepts.
+    ``acknowledged`` is the position that a kernel with the epoch ``acknowledged_by`` has acknowledged, so
+    that the lab notices if its log was restored from an older copy. ``now_ns`` is the time by the clock of
+    the node's host (UTC ns; 0: not reported)."""
 
     module: str
     journal: str
@@ -242,16 +250,16 @@ class AdminReply(msgspec.Struct, frozen=True):
 
 
 class SetupRequest(msgspec.Struct, frozen=True):
-    """A starting node asks the kernel what its module is: ``workcell/module``."""
+    """A starting node asks the kernel for the configuration of its module, ``workcell/module``."""
 
     module: str
 
 
 class SetupReply(msgspec.Struct, frozen=True):
-    """The module as the applied workcell describes it; ``unknown`` says why there is none.
-    ``interface`` is how a foreign node is reached, ``about`` the description that the workcell file
-    gives where no driver does, ``extends`` what it says beyond the driver's. ``protocol`` is the version of
-    this protocol that the kernel speaks, ``labos`` its LabOS."""
+    """The module in the applied workcell; ``unknown`` is the reason if there is none. ``interface`` is the
+    protocol of a foreign node. ``about`` is the description from the workcell file if there is no driver, and
+    ``extends`` is the addition to the driver's description. ``protocol`` is the kernel's version of this
+    protocol, and ``labos`` its LabOS version."""
 
     driver: str = ""
     config: dict[str, Any] = {}
@@ -270,14 +278,14 @@ class SetupReply(msgspec.Struct, frozen=True):
 
 
 class FetchFile(Message, frozen=True, tag="fetch"):
-    """A node asks for a part of a file, from ``offset``; ``digest`` is the SHA-256 of the whole."""
+    """A node requests a part of a file, from ``offset``; ``digest`` is the SHA-256 of the whole file."""
 
     digest: str
     offset: int = 0
 
 
 class KeepFile(Message, frozen=True, tag="keep"):
-    """A node hands over a part of a file of ``size`` bytes. An empty part asks how much is there."""
+    """A node sends a part of a file of ``size`` bytes. An empty part asks how many bytes have arrived."""
 
     digest: str
     size: int
@@ -289,8 +297,9 @@ FileRequest = FetchFile | KeepFile
 
 
 class FileReply(msgspec.Struct, frozen=True):
-    """``data`` is what was fetched, of ``size`` bytes in all; ``received`` how many bytes of a file
-    that is handed over are there, all of them once it is kept for good. ``problem`` says why not."""
+    """``data`` is the requested part of a file of ``size`` bytes. ``received`` is the number of bytes that
+    have arrived of a file which a node sends; it is the full size when the file is stored. ``problem`` is the
+    reason of a failure."""
 
     size: int = 0
     data: bytes = b""

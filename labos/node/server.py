@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -24,18 +25,20 @@ from labos.node import arguments
 from labos.node._admin import Admin
 from labos.node._admission import Admission, NotAdmitted
 from labos.node._condition import DeviceCondition
+from labos.node._gathering import Gathering
 from labos.node._name import claim
 from labos.node._outcome import RunBlocking, call, outcome_of, text
 from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
 from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, cut, flaw_of, read
-from labos.node.node import INTERRUPTED, Node, current_action, handle_keeper
+from labos.node.node import INTERRUPTED, Node, current_action, current_together, handle_keeper
 from labos.node.protocol import (
     AboutReport,
     Acknowledge,
     ActionMessage,
     ActionReply,
     Ask,
+    JointStart,
     Keys,
     NodeStatus,
     Outcome,
@@ -55,7 +58,9 @@ STOPPED_BEFORE = "Stopped before it began."
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
-_action_message: msgspec.json.Decoder[ActionMessage] = msgspec.json.Decoder(Start | Ask | Acknowledge)
+_action_message: msgspec.json.Decoder[ActionMessage] = msgspec.json.Decoder(
+    Start | JointStart | Ask | Acknowledge
+)
 _reset_message = msgspec.json.Decoder(Start)
 
 
@@ -110,12 +115,14 @@ class NodeServer:
         self._methods = node.methods()
         self._methods["reset"] = self._reset
         self._running: dict[str, asyncio.Task[None]] = {}
+        self._begun: dict[str, Attempt] = {}
         self._unanswered: set[str] = set()
         self._by_person: set[str] = set()
         self._condition = DeviceCondition(
             node, idle_poll_s=idle_poll_s, changed=self._publish_state, spawn=self._spawn
         )
         self._admission = Admission(self.module, lab, journal)
+        self._gathering = Gathering(journal)
         self._admin = Admin(
             self.module,
             node,
@@ -347,24 +354,49 @@ class NodeServer:
             why, transient = self._why_not_now(spec), True
         except ActionInvalid as error:
             why, transient = str(error), False
+        if spec is not None and not why and isinstance(start, JointStart):
+            joint = spec
+            why = await self._gathering.gather(
+                start,
+                lambda: self._why_not_now(joint),
+                lambda starts: self._begin(starts, joint, kwargs),
+            )
         if why or spec is None:
             journal.void(start.action, start.attempt, start.position)
+            self._gathering.break_up(start.action, why)
             await journal.sync()
             return msgspec.structs.replace(self._reply("refused", why), transient=transient)
-        return await self._accept(start, spec, kwargs)
+        if not isinstance(start, JointStart):
+            self._begin([start], spec, kwargs)
+        return await self._accept(start)
 
-    async def _accept(self, start: Start, spec: ActionSpec, kwargs: dict[str, Any]) -> ActionReply:
-        attempt = self.journal.accept(start.action, start.attempt, start.position, spec.name, start.effects)
+    def _begin(self, starts: Sequence[Start], spec: ActionSpec, kwargs: dict[str, Any]) -> None:
+        """Write starts to the journal, and let the device begin once that is on disk: once for all."""
+        attempts = [
+            self.journal.accept(start.action, start.attempt, start.position, spec.name, start.effects)
+            for start in starts
+        ]
         if spec.exclusive:
-            self._condition.doing = start.action
+            self._condition.doing = starts[0].action
         # The task waits for the sync too: the asker may be gone before it is done.
         task = asyncio.get_running_loop().create_task(
-            self._carry_out(attempt, spec, kwargs, start.files, self._stops)
+            self._carry_out(attempts, spec, kwargs, starts[0].files, self._stops)
         )
-        self._running[start.action] = task
-        if spec.by_person:
-            self._by_person.add(start.action)
-        self._unanswered.add(start.action)
+        for start, attempt in zip(starts, attempts, strict=True):
+            self._begun[start.action] = attempt
+            self._running[start.action] = task
+            if spec.by_person:
+                self._by_person.add(start.action)
+            self._unanswered.add(start.action)
+
+    async def _accept(self, start: Start) -> ActionReply:
+        """The answer to a start that has begun."""
+        attempt = self._begun.get(start.action)
+        if attempt is None or attempt.attempt != start.attempt:
+            await self.journal.sync()
+            told = self._reply_from_journal(start.action, start.attempt, start.position)
+            return told or self._reply("unheard")
+        del self._begun[start.action]
         try:
             await self.journal.sync()
             # It begins now, and may be over at once: then this one message tells all.
@@ -410,6 +442,7 @@ class NodeServer:
         told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         if ask.void and (told is None or (told.attempt and told.attempt != ask.attempt)):
             self.journal.void(ask.action, ask.attempt, ask.position)
+            self._gathering.break_up(ask.action, "the lab has asked for it meanwhile.")
         await self.journal.sync()
         # While that was written, the action may have ended, or its acceptance may have failed.
         told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
@@ -417,81 +450,90 @@ class NodeServer:
 
     async def _carry_out(
         self,
-        attempt: Attempt,
+        attempts: Sequence[Attempt],
         spec: ActionSpec,
         kwargs: dict[str, Any],
         pinned: dict[str, str],
         stops: int,
     ) -> None:
+        """Let the device do what attempts ask for: of several, once for all of them."""
         try:
             await self.journal.sync()
         except JournalError:
             # The asker is told that it was refused: nothing moved, and nothing will.
-            self.journal.withdraw(attempt.action, attempt.attempt)
-            del self._running[attempt.action]
-            self._condition.release(attempt.action)
+            for attempt in attempts:
+                self.journal.withdraw(attempt.action, attempt.attempt)
+                del self._running[attempt.action]
+            self._condition.release(attempts[0].action)
             return
         started_ns = self._clock.now_ns()
         if self._stops != stops:
             outcome = Outcome(False, "none", error=STOPPED_BEFORE)
             await self._conclude(
-                attempt, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops
+                attempts, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops
             )
         else:
             calling = self._call(spec, kwargs, pinned, stops)
-            await self._await_end(attempt, spec, calling, started_ns, stops)
+            await self._await_end(attempts, spec, calling, started_ns, stops)
 
     async def _await_end(
-        self, attempt: Attempt, spec: ActionSpec, calling: Awaitable[Any], started_ns: int, stops: int
+        self,
+        attempts: Sequence[Attempt],
+        spec: ActionSpec,
+        calling: Awaitable[Any],
+        started_ns: int,
+        stops: int,
     ) -> None:
         """Wait for the driver, and record how it ended, if that can be known."""
-        self._tell_driver(attempt)
+        self._tell_driver(attempts)
         try:
             outcome = await outcome_of(
                 spec.name,
                 calling,
                 broken_off=lambda: self._closed,
                 module=self.module,
-                action=attempt.action,
+                action=attempts[0].action,
             )
         except OutcomeUnknown as error:
-            await self._give_up(attempt, str(error))
+            await self._give_up(attempts, str(error))
             return
-        await self._conclude(attempt, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops)
+        await self._conclude(attempts, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops)
 
-    async def _give_up(self, attempt: Attempt, why: str) -> None:
+    async def _give_up(self, attempts: Sequence[Attempt], why: str) -> None:
         """The device cannot report how an action ended: the lab is informed, and no exclusive action begins
         before the device is at rest."""
-        _log.warning("outcome_unknown", module=self.module, action=attempt.action, why=why)
-        self.journal.give_up(attempt, cut(why))
-        self._on_end(attempt.name, None)
-        del self._running[attempt.action]
-        if self._condition.doing in ("", attempt.action):
+        for attempt in attempts:
+            _log.warning("outcome_unknown", module=self.module, action=attempt.action, why=why)
+            self.journal.give_up(attempt, cut(why))
+            self._on_end(attempt.name, None)
+            del self._running[attempt.action]
+        if self._condition.doing in ("", attempts[0].action):
             await self._condition.settle()
         else:
             await self._publish_state()
         await self._sync_if_possible()
 
-    async def _conclude(self, attempt: Attempt, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
+    async def _conclude(
+        self, attempts: Sequence[Attempt], spec: ActionSpec, outcome: Outcome, stops: int
+    ) -> None:
         outcome = msgspec.structs.replace(outcome, ended_ns=self._clock.now_ns())
-        self.journal.end(attempt.action, attempt.attempt, outcome)
-        self._on_end(spec.name, outcome)
-        del self._running[attempt.action]
-        self._condition.release(attempt.action)
+        for attempt in attempts:
+            self.journal.end(attempt.action, attempt.attempt, outcome)
+            self._on_end(spec.name, outcome)
+            del self._running[attempt.action]
+        self._condition.release(attempts[0].action)
         # One that was stopped meanwhile stays in error: only a later recovery ends that.
         stopped = self._stops != stops and self._condition.error
         if not stopped and self._condition.judge(spec, outcome):
             self._admin.note_recovery()
-        if attempt.action not in self._unanswered:
+        told = [attempt for attempt in attempts if attempt.action not in self._unanswered]
+        for attempt in told:
             published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
-            await self._publish(self._keys.result(self.module, attempt.action), lambda: published)
+            key = self._keys.result(self.module, attempt.action)
+            await self._publish(key, partial(_itself, published))
+        if told or self._condition.error or spec.recovers:
             await self._publish_state()
-        elif self._condition.error or spec.recovers:
-            await self._publish_state()
-        try:
-            await self.journal.sync()
-        except JournalError as error:
-            await self._condition.fail(str(error))
+        await self._sync_if_possible()
 
     async def _call(
         self, spec: ActionSpec, kwargs: dict[str, Any], pinned: dict[str, str], stops: int
@@ -507,17 +549,19 @@ class NodeServer:
         result = await call(self._methods[spec.name], kwargs, self._run_blocking)
         return await hand_over(result, self._files)
 
-    def _tell_driver(self, attempt: Attempt) -> None:
+    def _tell_driver(self, attempts: Sequence[Attempt]) -> None:
         """Which action this is, and where to keep a handle that the device gives to it."""
 
         async def keep(handle: str) -> None:
             if flaw_of(handle, limit=TEXT_LIMIT):
                 raise DeviceError(f"The device's own id cannot be kept: it is {cut(repr(handle), 80)}.")
-            self.journal.note_handle(attempt.action, attempt.attempt, handle)
+            for attempt in attempts:
+                self.journal.note_handle(attempt.action, attempt.attempt, handle)
             await self.journal.sync()
 
         handle_keeper.set(keep)
-        current_action.set(attempt.action)
+        current_action.set(attempts[0].action)
+        current_together.set(tuple(attempt.action for attempt in attempts) if len(attempts) > 1 else ())
 
     def _reply_about(self, attempt: Attempt) -> ActionReply:
         why = attempt.why or (INTERRUPTED if attempt.status == "interrupted" else "")
@@ -539,9 +583,9 @@ class NodeServer:
 
     async def _go_on(self, attempt: Attempt, spec: ActionSpec) -> None:
         if not self._condition.connected:
-            await self._give_up(attempt, f"{INTERRUPTED}, and {self._condition.error}")
+            await self._give_up([attempt], f"{INTERRUPTED}, and {self._condition.error}")
             return
-        await self._await_end(attempt, spec, self._take_up(attempt), 0, self._stops)
+        await self._await_end([attempt], spec, self._take_up(attempt), 0, self._stops)
 
     async def _take_up(self, attempt: Attempt) -> Any:
         return await hand_over(await self.node.take_up(attempt.name, attempt.handle), self._files)
@@ -583,3 +627,7 @@ class NodeServer:
         task = asyncio.get_running_loop().create_task(coroutine)
         self._tasks = [*(other for other in self._tasks if not other.done()), task]
         return task
+
+
+def _itself(message: ResultPublished) -> ResultPublished:
+    return message

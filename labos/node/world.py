@@ -325,7 +325,7 @@ class World:
         with self._turn():
             return place in self._shut
 
-    def left(self, device: str, resource: str) -> float | None:
+    def find_level(self, device: str, resource: str) -> float | None:
         """How much of something a device really has; None if nobody ever supplied it."""
         with self._turn():
             return self._supplies.get(device, {}).get(resource)

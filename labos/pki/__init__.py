@@ -1,8 +1,6 @@
-"""Certificates of a lab's bus: who may speak there, and under which name.
-
-``_party`` says who there is, ``_signing`` makes certificates, ``_authority`` keeps a folder of them, and
-``_credentials`` is what one party has of it, ``_lists`` how lists of members are kept where the authority is
-not.
+"""Certificates of a lab's bus: they define who may use it, and under which name. ``_party`` defines the kinds
+of parties, ``_signing`` makes certificates, ``_authority`` manages a folder of them, ``_credentials`` is the
+folder of one party, and ``_lists`` manages lists of members on computers without the authority.
 """
 
 from labos.pki._authority import CA_KEY, Authority

@@ -1,4 +1,4 @@
-"""A lab's own small certificate authority: a folder, and the list of what it issued.
+"""A lab's own small certificate authority: a folder with a list of the issued certificates.
 
 ==================  ==========================================================================
 ``ca.pem``          the certificate of the authority, for everybody; or that of the site
@@ -24,14 +24,15 @@ from labos.clock import Clock, SystemClock
 from labos.errors import BadInput, NotFound, Refused
 from labos.pki._credentials import CA, CERTIFICATE, KEY, MEMBERS, Credentials, Stamp, read_members, stamp_of
 from labos.pki._party import SERVERS, CertificateEntry, Members, PartyIdentity, folder_name
-from labos.private import create_file, make_folder, sync_folder
+from labos.private import make_folder, replace_file, sync_folder
 
 CA_KEY, REVOKED = "ca.key", "crl.pem"
 MOST_ADDRESSES = 32
-"""A container has another name at each start: its certificate must not grow with each."""
+"""A container has another host name at each start; without this limit, its certificate would grow with
+each."""
 
 CA_DAYS, DAYS = 3650, 365
-"""How long an authority and a certificate are valid, unless it is said otherwise."""
+"""The default validity of an authority and of a certificate."""
 
 
 class Authority:
@@ -48,7 +49,7 @@ class Authority:
 
     @property
     def issues(self) -> bool:
-        """Whether it can issue certificates; else the site does."""
+        """Whether it can issue certificates; otherwise the site issues them."""
         return (self.folder / CA_KEY).is_file()
 
     @property
@@ -56,32 +57,33 @@ class Authority:
         return self.folder / MEMBERS
 
     def members(self) -> Members:
-        """Raises NotFound if nobody made the authority, BadInput if its list cannot be read."""
+        """The list of certificates. Raises NotFound if the authority does not exist, BadInput if the list
+        cannot be read."""
         if self.exists and not self.members_file.exists():
             return Members()
         return read_members(self.members_file)
 
     def stamp(self) -> Stamp:
-        """Changes whenever the list of certificates does."""
+        """A value that changes with the list of certificates."""
         return stamp_of(self.members_file)
 
     def not_after(self) -> int:
-        """When its own certificate ends (UTC ns). Raises BadInput."""
+        """The end of its own certificate (UTC ns). Raises BadInput."""
         from labos.pki._signing import end_of, read_certificate
 
         return end_of(read_certificate(_read(self.folder / CA), str(self.folder / CA)))
 
     def private_files(self) -> list[Path]:
-        """What nobody else may read."""
+        """The files that nobody else may read."""
         return [self.folder, self.folder / CA_KEY, *sorted(self.folder.glob(f"issued/**/{KEY}"))]
 
     def credentials(self, identity: PartyIdentity) -> Credentials:
-        """Where the certificate of a party is, or would be."""
+        """The folder of a party's certificate, which may not exist yet."""
         return Credentials(self.folder / "issued" / identity.lab / folder_name(identity))
 
     def ensure(self, identity: PartyIdentity, *, addresses: Sequence[str] = ()) -> Credentials:
-        """The certificate of a party: issued if there is none, renewed if it is due or does not bear all
-        ``addresses``. Raises Refused if the site issues them and has issued none."""
+        """The certificate of a party. It is issued if there is none, and renewed if it is due or does not
+        have all ``addresses``. Raises Refused if the site issues certificates and has issued none."""
         entry = self.members().find(identity)
         if entry is None:
             self.issue(identity, addresses=addresses)
@@ -93,8 +95,8 @@ class Authority:
         return self.credentials(identity)
 
     def find(self, name: str) -> CertificateEntry:
-        """The certificate that a person means: by the name of its folder, ``workcell/module`` or its CN. One
-        that is not revoked goes first. Raises NotFound, BadInput if several labs have one of that name."""
+        """Find a certificate by the name of its folder, ``workcell/module`` or its CN. A valid one takes
+        precedence over a revoked one. Raises NotFound, BadInput if several labs have one of that name."""
         entries = [entry for entry in self.members().entries if name in entry.names]
         valid = [entry for entry in entries if not entry.revoked_at]
         if not entries:
@@ -109,8 +111,8 @@ class Authority:
     # -- changing ----------------------------------------------------------------------------
 
     def init(self, name: str, *, days: int = CA_DAYS, site: Path | None = None) -> None:
-        """Make the authority, or take the certificate of the ``site``'s. Raises Refused if there is one,
-        BadInput."""
+        """Make the authority, or use the certificate of the authority of the ``site``. Raises Refused if
+        there is one, BadInput."""
         from labos.pki._signing import make_ca, read_certificate
 
         make_folder(self.folder)
@@ -125,8 +127,8 @@ class Authority:
                 read_certificate(ca, str(site))
             else:
                 ca, key = make_ca(name, self._clock.now_ns(), days)
-                self._write(self.folder / CA_KEY, key)
-            self._write(self.folder / CA, ca)
+                replace_file(self.folder / CA_KEY, key)
+            replace_file(self.folder / CA, ca)
             self._keep(self.members())
 
     def issue(
@@ -151,8 +153,8 @@ class Authority:
             return entry
 
     def issue_all(self, identities: Iterable[PartyIdentity]) -> None:
-        """Certificates for those that have none; those that are due are renewed. Raises Refused if the site
-        issues them, BadInput, NotFound."""
+        """Issue certificates for parties without one, and renew those that are due. Raises Refused if the
+        site issues them, BadInput, NotFound."""
         now = self._clock.now_ns()
         with self._lock():
             entries = {entry.common_name: entry for entry in self.members().entries}
@@ -170,8 +172,9 @@ class Authority:
     def renew(
         self, entry: CertificateEntry, *, addresses: Sequence[str] = (), days: int = 0
     ) -> CertificateEntry:
-        """A new key and certificate under the same common name; who used the old one opens the bus anew.
-        Without ``addresses`` and ``days``, as it was. Raises Refused, BadInput."""
+        """Make a new key and certificate with the same common name; programs that used the old one have to
+        open the bus again. Without ``addresses`` and ``days``, they stay the same. Raises Refused,
+        BadInput."""
         with self._lock():
             members = self.members()
             if entry.revoked_at:
@@ -192,8 +195,8 @@ class Authority:
             return renewed
 
     def admit(self, identity: PartyIdentity, certificate: Path, key: Path) -> CertificateEntry:
-        """Take over a certificate that the site issued: copy it to the party's folder and let its CN speak
-        for the party. Raises Refused, BadInput."""
+        """Take over a certificate that the site issued: copy it to the party's folder and accept its CN for
+        the party. Raises Refused, BadInput."""
         from labos.pki._signing import entry_of, fits, is_issued_by, read_certificate
 
         cert, private = _read(certificate), _read(key)
@@ -223,7 +226,7 @@ class Authority:
         return entry
 
     def revoke(self, entry: CertificateEntry, why: str) -> CertificateEntry:
-        """Let a certificate speak for nobody any more, and write the list of revoked ones. Raises Refused."""
+        """Revoke a certificate, and write the list of revoked ones. Raises Refused."""
         now = self._clock.now_ns()
         with self._lock():
             members = self.members()
@@ -266,13 +269,13 @@ class Authority:
         is found."""
         folder = self.credentials(identity).folder
         make_folder(folder)
-        self._write(folder / CA, _read(self.folder / CA))
-        self._write(folder / KEY, key)
-        self._write(folder / CERTIFICATE, certificate)
+        replace_file(folder / CA, _read(self.folder / CA))
+        replace_file(folder / KEY, key)
+        replace_file(folder / CERTIFICATE, certificate)
         sync_folder(folder)
 
     def _keep(self, members: Members) -> None:
-        """Write the list, with the next number; signed, where the authority's key is."""
+        """Write the list with the next number. It is signed if the authority's key is here."""
         number = self.members().number + 1
         members = Members(members.entries, number)
         if self.issues:
@@ -286,26 +289,15 @@ class Authority:
 
             revoked = [entry for entry in members.entries if entry.revoked_at and entry.own]
             listed = make_revocation_list(self._ca(), revoked, self._clock.now_ns(), DAYS)
-            self._write(self.folder / REVOKED, listed)
+            replace_file(self.folder / REVOKED, listed)
         for entry in members.admitted:
             if entry.identity.kind in SERVERS:
-                self._write(self.credentials(entry.identity).folder / MEMBERS, text)
-        self._write(self.members_file, text)
-        sync_folder(self.folder)
-
-    @staticmethod
-    def _write(path: Path, data: bytes) -> None:
-        """Replace a file as a whole; private from the first moment."""
-        beside = path.with_name(f".{path.name}.{os.getpid()}")
-        with create_file(beside) as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
+                replace_file(self.credentials(entry.identity).folder / MEMBERS, text)
+        replace_file(self.members_file, text)
 
     @contextmanager
     def _lock(self) -> Iterator[None]:
-        """One at a time: a command, and the kernel that renews."""
+        """A lock between commands and the kernel, which renews certificates."""
         if not self.folder.is_dir():
             raise NotFound(f"There is no authority in {self.folder}.", remedy="Make one: labos pki init")
         handle = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT, 0o600)

@@ -1,4 +1,4 @@
-"""What one party has: a folder with ``ca.pem``, ``cert.pem`` and ``key.pem``."""
+"""The credentials of one party: a folder with ``ca.pem``, ``cert.pem`` and ``key.pem``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Stamp = tuple[int, ...]
 
 
 class Credentials(msgspec.Struct, frozen=True):
-    """One party's folder. It is made by ``labos pki issue``, or by hand from what the site issued."""
+    """One party's folder. ``labos pki issue`` makes it, or a person makes it from the files of the site."""
 
     folder: Path
 
@@ -66,7 +66,7 @@ class Credentials(msgspec.Struct, frozen=True):
         return identity_of(self._read())
 
     def entry(self) -> CertificateEntry:
-        """What stands in the certificate. Raises BadInput."""
+        """The content of the certificate. Raises BadInput."""
         from labos.pki._signing import entry_of
 
         return entry_of(
@@ -74,7 +74,7 @@ class Credentials(msgspec.Struct, frozen=True):
         )
 
     def stamp(self) -> Stamp:
-        """Changes whenever a file is replaced."""
+        """A value that changes whenever a file is replaced."""
         return stamp_of(self.ca, self.certificate, self.key)
 
     def _read(self) -> x509.Certificate:
@@ -89,7 +89,7 @@ class Credentials(msgspec.Struct, frozen=True):
 
 
 def stamp_of(*paths: Path) -> Stamp:
-    """Changes whenever one of the files is replaced."""
+    """A value that changes whenever one of the files is replaced."""
     found: list[int] = []
     for path in paths:
         try:

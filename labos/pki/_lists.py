@@ -1,5 +1,5 @@
-"""Signed, numbered lists of who may speak on a bus: how they are kept where the authority is not, so that an
-older one is never taken back."""
+"""Signed, numbered lists of the parties that may use a bus, on computers without the authority. An older list
+is never accepted after a newer one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LARGEST = 8 * 1024 * 1024
 
 
 _turn = Lock()
-"""One at a time: a number that was written late must not be lower than the one before."""
+"""A lock, so that a number that is written late is not lower than the previous one."""
 
 
 class ReceivedList:
@@ -30,8 +30,8 @@ class ReceivedList:
         self.file = folder / MEMBERS
 
     def read(self) -> Members:
-        """Raises NotFound, and BadInput for one that is older than one that was here, was not signed by the
-        authority, or cannot be read."""
+        """Raises NotFound, and BadInput for a list that is older than an earlier one here, that the authority
+        has not signed, or that cannot be read."""
         with _turn:
             return self._read()
 
@@ -50,8 +50,8 @@ class ReceivedList:
         return found
 
     def offer(self, data: bytes) -> bool:
-        """Keep a list that came over the bus; whether it is newer than the present one. Raises BadInput for
-        one that the authority has not signed."""
+        """Store a list that came over the bus. Returns whether it is newer than the present one. Raises
+        BadInput for a list that the authority has not signed."""
         if len(data) > LARGEST:
             raise BadInput(f"A list of {len(data)} bytes was sent.", remedy="Look who is on the bus.")
         try:
@@ -83,7 +83,7 @@ class ReceivedList:
             )
 
     def _read_known(self) -> int:
-        """The highest number that was here."""
+        """The highest number of the lists that were stored here."""
         file = self.folder / NUMBER
         try:
             return int(file.read_text(encoding="ascii"))
@@ -98,7 +98,7 @@ class ReceivedList:
         return read_members(self.file).number if self.file.is_file() else 0
 
     def _write(self, name: str, data: bytes) -> None:
-        """Replace a file as a whole. Raises BadInput."""
+        """Replace a file completely. Raises BadInput."""
         try:
             replace_file(self.folder / name, data)
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Who may have a certificate, and what is kept of each."""
+"""The parties that may have a certificate, and the data of each certificate."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import msgspec
 Kind = Literal["kernel", "node", "api", "viewer", "stop", "bus"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 SERVERS = ("kernel", "bus")
-"""Who may run a bus, and be connected to."""
+"""The kinds of parties that may run a bus, to which others connect."""
 
 RENEW_PART = 3
-"""A certificate is due for renewal when a third of its time is left."""
+"""A certificate is due for renewal when a third of its validity is left."""
 
 URN = "urn:labos:"
 
@@ -23,9 +23,9 @@ PROCESS_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 
 
 class PartyIdentity(msgspec.Struct, frozen=True):
-    """The party that a certificate is for. ``name`` is ``workcell/module`` of a node, and a name that a
-    person chose for an API process, a viewer and who may stop; ``lab`` is the lab's id, empty for a bus,
-    which may serve several."""
+    """The party for which a certificate is valid. ``name`` is ``workcell/module`` for a node, and a name that
+    a person chose for an API process, a viewer or a party that may only stop modules. ``lab`` is the lab's
+    id; it is empty for a bus, which may serve several labs."""
 
     kind: Kind
     name: str = ""
@@ -33,7 +33,7 @@ class PartyIdentity(msgspec.Struct, frozen=True):
 
     @property
     def uri(self) -> str:
-        """The form in which a certificate bears it."""
+        """The URI in the certificate."""
         return URN + ":".join(quote(part, safe="") for part in (self.kind, self.lab, self.name))
 
     @property
@@ -42,7 +42,7 @@ class PartyIdentity(msgspec.Struct, frozen=True):
 
 
 def identity_in(uri: str) -> PartyIdentity | None:
-    """The identity that a URI tells; None if it tells none."""
+    """The identity in a URI; None if there is none."""
     if not uri.startswith(URN):
         return None
     parts = [unquote(part) for part in uri[len(URN) :].split(":")]
@@ -52,7 +52,8 @@ def identity_in(uri: str) -> PartyIdentity | None:
 
 
 def folder_name(identity: PartyIdentity) -> str:
-    """The folder of a party's certificate. A node's is ``rpl.sealer``, others begin with what they are."""
+    """The folder of a party's certificate. A node's is ``rpl.sealer``; the names of others begin with their
+    kind."""
     name = identity.name.replace("/", ".")
     return name if identity.kind == "node" else f"{identity.kind}.{name}" if name else identity.kind
 
@@ -74,18 +75,18 @@ class CertificateEntry(msgspec.Struct, frozen=True):
 
     @property
     def names(self) -> set[str]:
-        """What a person may call it."""
+        """The names that a person may use for it."""
         return {self.common_name, self.identity.name, folder_name(self.identity)} - {""}
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether it should be renewed."""
+        """Whether it is due for renewal."""
         return self.not_after - now_ns < (self.not_after - self.not_before) // RENEW_PART
 
 
 class Members(msgspec.Struct, frozen=True):
-    """What ``members.json`` holds: every certificate that was issued here, or taken over from the site. Each
-    list has a higher ``number`` than the one before; ``signature`` is that of the authority, in base64
-    (ECDSA, SHA-256, over ``signed_bytes``), and empty where its key is not."""
+    """The content of ``members.json``: every certificate that was issued here, or taken over from the site.
+    Each list has a higher ``number`` than the previous one. ``signature`` is the authority's signature in
+    base64 (ECDSA, SHA-256, over ``signed_bytes``); it is empty on computers without the authority's key."""
 
     entries: tuple[CertificateEntry, ...] = ()
     number: int = 0
@@ -97,9 +98,9 @@ class Members(msgspec.Struct, frozen=True):
 
     @property
     def admitted(self) -> tuple[CertificateEntry, ...]:
-        """Those that are not revoked."""
+        """The certificates that are not revoked."""
         return tuple(entry for entry in self.entries if not entry.revoked_at)
 
     def find(self, identity: PartyIdentity) -> CertificateEntry | None:
-        """The certificate of a party that is not revoked."""
+        """The valid certificate of a party."""
         return next((entry for entry in self.admitted if entry.identity == identity), None)

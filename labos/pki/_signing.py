@@ -1,4 +1,4 @@
-"""Certificates (X.509, EC P-256) and revocation lists, by the cryptography library."""
+"""Certificates (X.509, EC P-256) and revocation lists, with the cryptography library."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from labos.pki._party import SERVERS, CertificateEntry, PartyIdentity, identity_
 
 DAY_NS = 86_400 * 10**9
 BEFORE_NS = 600 * 10**9
-"""Clocks of instruments' computers are often behind: certificates are valid from so long before."""
+"""How long before its issue a certificate becomes valid, because the clocks of instruments' computers are
+often slow."""
 
 LONGEST_COMMON_NAME = 64
 """X.509's own limit (RFC 5280, ub-common-name)."""
@@ -46,8 +47,8 @@ def make_certificate(
     now_ns: int,
     days: int,
 ) -> tuple[bytes, bytes]:
-    """A certificate and its key, as PEM. Only a bus and a kernel, which may run one, can be connected to: at
-    their ``addresses``. Raises BadInput for an address that cannot be."""
+    """A certificate and its key, as PEM. Others can connect only to a bus and to a kernel (which may run
+    one), at their ``addresses``. Raises BadInput for an impossible address."""
     issuer = read_certificate(ca[0], "the authority's certificate")
     key = ec.generate_private_key(ec.SECP256R1())
     serves = identity.kind in SERVERS
@@ -93,7 +94,7 @@ def sign(key: bytes, data: bytes) -> str:
 
 
 def has_signed(authority: bytes, data: bytes, signature: str) -> bool:
-    """Whether a signature is that of the authority with this certificate. Raises BadInput for what is no
+    """Whether the authority with this certificate made a signature. Raises BadInput if it is not a
     certificate."""
     public = read_certificate(authority, "the authority's certificate").public_key()
     if not isinstance(public, ec.EllipticCurvePublicKey):
@@ -119,7 +120,7 @@ def common_name_of(certificate: x509.Certificate) -> str:
 
 
 def identity_of(certificate: x509.Certificate) -> PartyIdentity | None:
-    """The party that a certificate is for, if LabOS issued it."""
+    """The party of a certificate, if LabOS issued it."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
@@ -129,7 +130,7 @@ def identity_of(certificate: x509.Certificate) -> PartyIdentity | None:
 
 
 def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: bool) -> CertificateEntry:
-    """What is kept of a certificate. Raises BadInput if it bears no common name."""
+    """The stored data of a certificate. Raises BadInput if it has no common name."""
     common_name = common_name_of(certificate)
     if not common_name:
         raise BadInput(
@@ -148,12 +149,12 @@ def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: boo
 
 
 def end_of(certificate: x509.Certificate) -> int:
-    """When it ends (UTC ns)."""
+    """The end of its validity (UTC ns)."""
     return _ns(certificate.not_valid_after_utc)
 
 
 def addresses_of(certificate: x509.Certificate) -> tuple[str, ...]:
-    """The addresses at which its owner may be connected to."""
+    """The addresses at which others may connect to its owner."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
@@ -163,7 +164,7 @@ def addresses_of(certificate: x509.Certificate) -> tuple[str, ...]:
 
 
 def fits(certificate: x509.Certificate, key: bytes) -> bool:
-    """Whether a private key is the certificate's own. Raises BadInput if it cannot be read."""
+    """Whether a private key belongs to the certificate. Raises BadInput if it cannot be read."""
     try:
         private = serialization.load_pem_private_key(key, password=None)
     except (ValueError, TypeError) as error:

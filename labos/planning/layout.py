@@ -5,7 +5,7 @@ Everything in flight counts as arrived.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from labos.core.algebra import (
@@ -15,16 +15,26 @@ from labos.core.algebra import (
 )
 from labos.core.bench import Bench, Labware
 from labos.core.binding import check_module
+from labos.core.decide.together import find_planned_wish
 from labos.core.effects import find_labware_used, list_carried
 from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
-from labos.core.model import Plan
+from labos.core.model import Plan, Together
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
 from labos.planning.floor import OTHERS, Actor, Floor, change_claim
 from labos.planning.moves import _go_back, _pile, move
-from labos.planning.paths import Motion, door_key, hold_key, setpoint_key, variable_key
+from labos.planning.paths import (
+    Motion,
+    door_key,
+    hold_key,
+    is_joint,
+    joint_claim,
+    ready_key,
+    setpoint_key,
+    variable_key,
+)
 
 
 def is_down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
@@ -100,6 +110,9 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     bench = state.bench
     prefix = f"{cell}/"
     floor = Floor(held=_find_held(state, cell), values=_values(state, cell))
+    joint = find_joint(state, cell)
+    if joint:
+        floor.held |= _find_ready(state, cell, joint)
     for name in bench.in_cell.get(cell, ()):
         station = bench.stations[name]
         spec = station.spec
@@ -117,6 +130,8 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             floor.arms[name] = spec.module
         if spec.claim:
             floor.claims[name] = spec.claim
+        elif spec.module in joint:
+            floor.claims[name] = joint_claim(spec.module)
         if (spec.claim or spec.access) and spec.module:
             floor.behind[name] = spec.module
     holders = {owner: actor.name for actor in actors for owner in actor.owners}
@@ -161,6 +176,28 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         keep_after_failure(floor, actor, actor.kept)
         let_in(floor, actor)
     return floor
+
+
+def find_joint(state: LabState, cell: str) -> dict[ModuleName, Together]:
+    """What modules of a workcell do for several runs at once."""
+    told = ((name, module.spec.together) for name, module in state.modules.within(cell))
+    return {name: together for name, together in told if together is not None}
+
+
+def _find_ready(
+    state: LabState, cell: str, joint: Mapping[ModuleName, Together]
+) -> dict[str, dict[str, Any]]:
+    """Which runs wait for nothing but what modules do for several of them at once, and what they want
+    done."""
+    found: dict[str, dict[str, Any]] = {}
+    for run in state.runs.inside(cell):
+        plan = state.runs.plan_of(run)
+        for step, at in zip(plan.steps, run.steps, strict=True):
+            if at.status == PENDING and is_joint(joint, step):
+                over = (run.steps[before].status in (IN_FLIGHT, UNKNOWN, *SETTLED) for before in step.after)
+                if all(over):
+                    found.setdefault(ready_key(step.module), {})[str(run.id)] = find_planned_wish(plan, step)
+    return found
 
 
 def let_in(floor: Floor, actor: Actor) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from labos.core.branches import sort_steps
 from labos.core.ids import ModuleName, RunId, StationName, run_owner
+from labos.core.model import Together
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
@@ -19,13 +20,14 @@ def find_way_out(
     claims: Mapping[StationName, str],
     rests: Mapping[ModuleName, Mapping[str, Any]],
     nests: Mapping[ModuleName, tuple[StationName, ...]],
+    joint: Mapping[ModuleName, Together],
 ) -> tuple[Motion, ...]:
-    """The motions of the steps that a leaving run has yet to start. ``claims``, ``rests`` and ``nests``: see
-    a path."""
+    """The motions of the steps that a leaving run has yet to start. ``claims``, ``rests``, ``nests`` and
+    ``joint``: see a path."""
     plan = state.runs.plan_of(run)
     left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
     before = _stand(state, run, claims)
-    motions = motions_of_steps(plan, sort_steps(plan, left), claims, rests, nests, before)
+    motions = motions_of_steps(plan, sort_steps(plan, left), claims, rests, nests, before, joint)
     return tuple(
         motion
         for motion in motions

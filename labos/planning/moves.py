@@ -15,7 +15,17 @@ from labos.core.binding import is_same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.floor import OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim, is_closing
-from labos.planning.paths import Motion, door_key, find_kept_module, guards
+from labos.planning.paths import (
+    JOINT,
+    READY,
+    Motion,
+    door_key,
+    find_kept_module,
+    guards,
+    had_key,
+    joint_claim,
+    ready_key,
+)
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -71,6 +81,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if not motion.target:
         if motion.uses and not may_use(floor, actor, motion.uses):
             return False
+        if motion.joint and not _are_all_ready(floor, actor, motion):
+            return False
         asks = bool(motion.grabs) and not motion.recovers  # a recovery asks nobody
         if asks and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
             return False
@@ -86,6 +98,31 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     return _open_to(floor, actor, module) and (
         module not in floor.claimed or _may_claim(floor, actor, module)
     )
+
+
+def _are_all_ready(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether all who have labware in a module are ready for what an actor wants of it now, or it was done
+    for the actor already, with another one."""
+    if actor.name in floor.held.get(had_key(motion.joint), {}):
+        return True
+    ready, wish = floor.held.get(ready_key(motion.joint), {}), motion.wish
+    inside = _list_inside(floor, motion.joint)
+    return all(who == actor.name or (wish is not None and ready.get(who) == wish) for who in inside)
+
+
+def _becomes_ready(actor: Actor, motion: Motion) -> bool:
+    """Whether nothing else is left before the step for which a motion makes an actor ready. Behind a fork
+    only the order that was planned is known."""
+    left = [other for other in actor.motions[actor.done :] if other.for_step == motion.for_step]
+    if motion not in left:
+        return motion.is_last
+    return all(other.step == motion.step for other in left)
+
+
+def _list_inside(floor: Floor, module: ModuleName) -> list[str]:
+    """The actors with labware in a module that does things for all of them at once."""
+    claimed = floor.claimed.get(joint_claim(module), {})
+    return [who for who, number in claimed.items() if number and who != OTHERS]
 
 
 def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
@@ -167,6 +204,8 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     """Whether nobody else holds it, or everybody wants the same."""
+    if key.startswith(READY):
+        return True
     holders = floor.held.get(key)
     return not holders or all(
         who == actor.name or (value is not None and other == value) for who, other in holders.items()
@@ -188,6 +227,8 @@ def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, 
 
 def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
     """Whether nobody but the actor, and what it may use, stands where a claim is held."""
+    if claim.startswith(JOINT):
+        return True
     holders = floor.claimed.get(claim)
     for who, number in holders.items() if holders else ():
         if not number or who == actor.name:
@@ -206,14 +247,19 @@ def _count_usable(floor: Floor, actor: Actor, claim: str) -> int:
 class ActorBefore(msgspec.Struct):
     """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it,
     which plates have become its own (1), or are not any more (-1), out of which pool, and how much it left
-    to whose pool where, and which of what lies on a stack that was."""
+    to whose pool where, and which of what lies on a stack that was. ``joined`` are the others who had it done
+    with it: what they held for that, who, and the value."""
 
     keys: list[tuple[str, bool, Any]] = []
     values: list[tuple[str, Any]] = []
     lent: Loans = ()
     plates: list[tuple[StationName, Counts, int]] = []
+    joined: list[tuple[str, str, Any]] = []
     given: list[tuple[StationName, Counts, int, list[int]]] = []
 
+
+NOT_HELD = object()
+"""In place of what somebody held, where that was nothing."""
 
 Undo = tuple[Counts, str, Counts | None, Loans] | ActorBefore
 """From which count a motion took its labware, in whose name, from which pool it took over the plate whose
@@ -266,6 +312,11 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Undo | None) ->
     if taken is None:
         return
     if isinstance(taken, ActorBefore):
+        for key, who, value in reversed(taken.joined):
+            if value is NOT_HELD:
+                del floor.held[key][who]
+            else:
+                floor.held[key][who] = value
         for key, before, value in reversed(taken.keys):
             if before:
                 floor.held.setdefault(key, {})[actor.name] = value
@@ -366,10 +417,13 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> ActorBefore | None:
     if not motion.changes_anything:
         return None
     who, before = actor.name, ActorBefore(lent=floor.lent.get(actor.name, ()))
-    for key, value in motion.grabs:
+    is_early = motion.for_step is not None and not _becomes_ready(actor, motion)
+    for key, value in motion.grabs if not is_early else ():
         holders = floor.held.setdefault(key, {})
         before.keys.append((key, who in holders, holders.get(who)))
         holders[who] = value
+    if motion.joint:
+        _join(floor, who, motion, before)
     for key in motion.frees:
         holders = floor.held.get(key, {})
         if who in holders:
@@ -390,6 +444,20 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> ActorBefore | None:
     if motion.heir:
         _leave_all(floor, actor, motion.heir, before)
     return before
+
+
+def _join(floor: Floor, who: str, motion: Motion, before: ActorBefore) -> None:
+    """What a module does for one, it does for all who have labware in it."""
+    ready = floor.held.setdefault(ready_key(motion.joint), {})
+    had = floor.held.setdefault(had_key(motion.joint), {})
+    if who in had:
+        before.joined.append((had_key(motion.joint), who, had.pop(who)))
+        return
+    for other in _list_inside(floor, motion.joint):
+        if other != who:
+            before.joined.append((ready_key(motion.joint), other, ready.pop(other)))
+            before.joined.append((had_key(motion.joint), other, NOT_HELD))
+            had[other] = motion.wish
 
 
 def _leave_all(floor: Floor, actor: Actor, heir: Owner, before: ActorBefore) -> None:

@@ -17,6 +17,7 @@ import msgspec
 
 from labos.core.algebra import ModuleSettings, away_from_rest, find_requirements, settings_after
 from labos.core.branches import Way, ways
+from labos.core.decide.together import find_planned_wish
 from labos.core.effects import (
     NOWHERE,
     Carrying,
@@ -28,7 +29,7 @@ from labos.core.effects import (
     list_carried,
 )
 from labos.core.ids import ModuleName, Owner, StationName
-from labos.core.model import Plan, PlanStep
+from labos.core.model import Plan, PlanStep, Together
 
 END: Final = "end"
 """In place of a step's index: a run's end, at which it lets go of all that it holds."""
@@ -75,6 +76,9 @@ class Motion(msgspec.Struct, frozen=True):
     module asks nobody who holds something. ``back``: it is known how something in flight ended. It failed,
     and its labware is at ``target`` (as before on a stack, if ``new``) instead of at ``source``; or without a
     ``target``, ``source`` need not be kept free for it any more. ``heir``: who has what the run had.
+    ``joint`` is the module that does the step for all whose labware is in it at once: they all have to be
+    ready for the same (``wish``). With a step that makes a run ready ``for_step`` another one, that one is
+    named; ``is_last``: no other step is before that one and after this, in this order.
 
     What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
     asked before any of it is done, so they stand with its first motion: where it needs labware or room
@@ -92,6 +96,10 @@ class Motion(msgspec.Struct, frozen=True):
     keeps: bool = False
     returns: bool = False
     heir: Owner = Owner("")
+    joint: ModuleName = ModuleName("")
+    wish: bytes | None = None
+    for_step: int | None = None
+    is_last: bool = False
     wants: Settings = ()
     sets: Settings = ()
     recovers: bool = False
@@ -176,6 +184,7 @@ class Orders(msgspec.Struct, frozen=True):
     claims: Mapping[StationName, str]
     rests: Mapping[ModuleName, Values]
     nests: Mapping[ModuleName, tuple[StationName, ...]]
+    joint: Mapping[ModuleName, Together] = MappingProxyType({})
     known: dict[tuple[int, ...], tuple[Motion, ...]] = {}
 
     def motions(self, order: tuple[int, ...]) -> tuple[Motion, ...]:
@@ -184,7 +193,7 @@ class Orders(msgspec.Struct, frozen=True):
         if found is None:
             if len(self.known) >= MOST_ORDERS:
                 self.known.clear()
-            found = motions_of_steps(self.plan, order, self.claims, self.rests, self.nests)
+            found = motions_of_steps(self.plan, order, self.claims, self.rests, self.nests, joint=self.joint)
             self.known[order] = found
         return found
 
@@ -207,11 +216,15 @@ def path_of(
     claims: Mapping[StationName, str] = MappingProxyType({}),
     rests: Mapping[ModuleName, Values] = MappingProxyType({}),
     nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
+    joint: Mapping[ModuleName, Together] = MappingProxyType({}),
 ) -> Path:
     """The motions of a plan; steps in an order in which they may run one after the other. ``claims`` says
     which stations hold which claim (empty: none, but they are hands or behind a door), ``rests`` how the
-    modules' doors and lids stand at rest, ``nests`` where they work on labware."""
-    found = [(way, motions_of_steps(plan, way.steps, claims, rests, nests)) for way in ways(plan)]
+    modules' doors and lids stand at rest, ``nests`` where they work on labware, ``joint`` what they do for
+    several runs at once."""
+    found = [
+        (way, motions_of_steps(plan, way.steps, claims, rests, nests, joint=joint)) for way in ways(plan)
+    ]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
     changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
     if len(found) > 1:
@@ -220,7 +233,9 @@ def path_of(
     behind = _find_behind(plan, steps)
     if all(before in behind[index] for before, index in pairwise(steps)):
         return Path(found[0][1], modules, changing)
-    return Path(found[0][1], modules, changing, orders=Orders(plan, steps, behind, claims, rests, nests))
+    return Path(
+        found[0][1], modules, changing, orders=Orders(plan, steps, behind, claims, rests, nests, joint)
+    )
 
 
 def _find_behind(plan: Plan, order: Sequence[int]) -> dict[int, frozenset[int]]:
@@ -275,12 +290,14 @@ def motions_of_steps(
     rests: Mapping[ModuleName, Values],
     nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
     before: RunOnBench | None = None,
+    joint: Mapping[ModuleName, Together] = MappingProxyType({}),
 ) -> tuple[Motion, ...]:
     """What steps do to the bench, carried out in this order. Changes how the run stands."""
     motions: list[Motion] = []
     before = RunOnBench() if before is None else before
     standing, values, held = before.claims, before.doors, before.held
     ever, lent = dict(held), bool(before.lent)
+    behind = _find_joint_behind(plan, order, joint)
     for index in order:
         step = plan.steps[index]
         rest, after = rests.get(step.module, {}), settings_after(step.effects)
@@ -316,13 +333,42 @@ def motions_of_steps(
         motions += carry(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
         for what in moving:
             before.carry(what, claims)
+        if is_joint(joint, step):
+            wish = find_planned_wish(plan, step)
+            motions.append(Motion(index, frees=(ready_key(step.module),), joint=step.module, wish=wish))
         if frees or sets:
             motions.append(Motion(index, frees=frees, sets=sets))
             for key in frees:
                 held.pop(key, None)
+        motions += [_make_ready(plan, index, later, is_last=last) for later, last in behind.get(index, ())]
+    ever.update((ready_key(plan.steps[later].module), True) for each in behind.values() for later, _ in each)
     if ever or lent:  # also of what it has let go of before: steps beside each other may end in any order
         motions.append(Motion(END, frees=tuple(ever), returns=lent))
     return tuple(motions)
+
+
+def _find_joint_behind(
+    plan: Plan, order: Sequence[int], joint: Mapping[ModuleName, Together]
+) -> dict[int, list[tuple[int, bool]]]:
+    """By the steps before them, the steps that modules do for several runs at once, and whether no other step
+    before them comes later in this order."""
+    found: dict[int, list[tuple[int, bool]]] = {}
+    place = {step: position for position, step in enumerate(order)} if joint else {}
+    for index in place:
+        if is_joint(joint, plan.steps[index]):
+            before = sorted(
+                (step for step in plan.steps[index].after if step in place), key=place.__getitem__
+            )
+            for step in before:
+                found.setdefault(step, []).append((index, step == before[-1]))
+    return found
+
+
+def _make_ready(plan: Plan, index: int, later: int, *, is_last: bool) -> Motion:
+    """With a step a run becomes ready for a later one, if all others before that are done."""
+    step = plan.steps[later]
+    grabs = ((ready_key(step.module), find_planned_wish(plan, step)),)
+    return Motion(index, grabs=grabs, for_step=later, is_last=is_last)
 
 
 def _needs(
@@ -356,6 +402,36 @@ def hold_key(module: ModuleName) -> str:
 def guards(module: ModuleName) -> tuple[str, str]:
     """What a run holds that keeps others from reaching into a module: by its door, or by its plan's word."""
     return door_key(module), hold_key(module)
+
+
+JOINT: Final = "joint:"
+"""Before the name of a module: what the stations of one claim that does things for several runs at once.
+Everybody may have labware there."""
+
+READY: Final = "ready:"
+"""Before what runs hold that are ready for such a thing: several may be, also for different ones."""
+
+
+@cache
+def joint_claim(module: ModuleName) -> str:
+    return f"{JOINT}{module}"
+
+
+@cache
+def ready_key(module: ModuleName) -> str:
+    """What a run holds that is ready for what a module does for several runs at once."""
+    return f"{READY}{JOINT}{module}"
+
+
+@cache
+def had_key(module: ModuleName) -> str:
+    """What a run holds for which a module has done it already, together with another one."""
+    return f"{READY}had:{JOINT}{module}"
+
+
+def is_joint(joint: Mapping[ModuleName, Together], step: PlanStep) -> bool:
+    """Whether a module does a step for several runs at once."""
+    return step.module in joint and step.action in joint[step.module].actions
 
 
 def find_kept_module(key: str) -> ModuleName:

@@ -31,6 +31,7 @@ NOT_OVERTAKEN = (
     reasons.NotPending,
     reasons.Gone,
     reasons.StillToCome,
+    reasons.ForOthers,
 )
 """Waits that no other run's start makes longer: for a time, or for the run itself."""
 

@@ -37,12 +37,13 @@ from labos.core.ids import (
     run_owner,
     user_owner,
 )
+from labos.core.model import Together
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Branch, Floor, is_closing
 from labos.planning.forks import find_branches, find_kept, motions_of
-from labos.planning.layout import find_standing, is_down, keep_after_failure, lay_out, let_in
+from labos.planning.layout import find_joint, find_standing, is_down, keep_after_failure, lay_out, let_in
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
 from labos.planning.orders import put_in_order
@@ -411,12 +412,14 @@ Rules = tuple[
     dict[StationName, str],
     dict[ModuleName, Mapping[str, Any]],
     dict[ModuleName, tuple[StationName, ...]],
+    dict[ModuleName, Together],
 ]
 
 
 def _rules(state: LabState, cell: str) -> Rules:
     """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; how its
-    modules' doors and lids stand at rest; and which stations are theirs, as plans name them."""
+    modules' doors and lids stand at rest; which stations are theirs, as plans name them; and what they do for
+    several runs at once."""
     stations = state.bench.stations
     specs = [stations[name].spec for name in state.bench.in_cell.get(cell, ())]
     claims = {spec.name: spec.claim for spec in specs if spec.claim or spec.access or spec.kind == "gripper"}
@@ -427,7 +430,7 @@ def _rules(state: LabState, cell: str) -> Rules:
         name: tuple(dict.fromkeys(map(state.bench.as_planned, state.bench.by_module.get(name, ()))))
         for name, _ in state.modules.within(cell)
     }
-    return claims, rests, nests
+    return claims, rests, nests, find_joint(state, cell)
 
 
 def _find_stuck(actors: Sequence[Actor]) -> frozenset[str]:

@@ -9,7 +9,7 @@ The scheduler keeps nothing that it could not work out again from the state.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import msgspec
 
@@ -17,7 +17,7 @@ from labos.core import reasons
 from labos.core.decide import Command
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
-from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, workcell_of
+from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
@@ -29,6 +29,7 @@ from labos.planning.admission import Admission
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_may_stay
 from labos.planning.choosing import list_changes
+from labos.planning.companions import check_for_others, find_companions, make_command, put_last
 from labos.planning.deadlines import Deadlines
 from labos.planning.elders import Elders
 from labos.planning.own_order import BEFORE_START, OwnOrders
@@ -64,11 +65,18 @@ MOST_BUNDLES = 50
 
 
 class StepStart(msgspec.Struct, frozen=True):
-    """Start this step of this run; ``plan`` is the one to which it binds a run that has several."""
+    """Start this step of this run; ``plan`` is the one to which it binds a run that has several. ``others``
+    are the runs whose steps are carried out together with it."""
 
     run: RunId
     step: int
     plan: str = ""
+    others: tuple[tuple[RunId, int], ...] = ()
+
+    def make_command(self, name_action: Callable[[], ActionId], now: int) -> Command:
+        """The command that asks for it, with a new name for each action."""
+        steps = ((self.run, self.step), *self.others)
+        return make_command([(run, step, name_action()) for run, step in steps], self.plan, now)
 
 
 class Scheduler:
@@ -95,7 +103,7 @@ class Scheduler:
         """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
         one out before it asks for the next."""
         self.ranking.forget()
-        for spot in self.ranking.sort(state, self._wake(state, now), self.patience, now):
+        for spot in put_last(state, self.ranking.sort(state, self._wake(state, now), self.patience, now)):
             if spot.bundle:
                 yield from self._let_in(state, spot.bundle, spot.run, now)
             else:
@@ -103,8 +111,12 @@ class Scheduler:
                 self.sleepers.wake((spot.run.id, spot.step))
                 wait = self.check_start(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
-                    self.patience.count_start(state, spot.run, spot.step, self.sleepers)
-                    yield StepStart(spot.run.id, spot.step)
+                    others = find_companions(state, spot.run, spot.step, now)
+                    for run, step in ((spot.run, spot.step), *others):
+                        self.sleepers.wake((run.id, step))
+                        self.patience.count_start(state, run, step, self.sleepers)
+                    named = tuple((run.id, step) for run, step in others)
+                    yield StepStart(spot.run.id, spot.step, others=named)
                 else:
                     self.sleepers.sleep((spot.run.id, spot.step), wait)
 
@@ -124,10 +136,14 @@ class Scheduler:
         if run is None:
             return Wait(reasons.Gone())
         self.evaluations += 1
-        found = examine(state, run, step, now)
+        companions = find_companions(state, run, step, now)
+        found = examine(state, run, step, now, [other.id for other, _ in companions])
         if isinstance(found, Wait):
             return found
         wait = self._check_time(state, run, step, now)
+        if wait is None:
+            outside = self._list_plans_outside(state, state.runs.plan_of(run).workcell)
+            wait = check_for_others(state, run, step, companions, outside, now)
         is_outside = not run.has_started
         if wait is None and is_outside:
             wait = find_block(state, run)  # let in, it would come to a stand on the bench
@@ -366,6 +382,10 @@ class Scheduler:
     def _list_plans(self, state: LabState, cell: str) -> Iterator[Plan]:
         """Plans of those who are in a workcell, and of some who wait for it: one of each bundle."""
         yield from map(state.runs.plan_of, state.runs.inside(cell))
+        yield from self._list_plans_outside(state, cell)
+
+    def _list_plans_outside(self, state: LabState, cell: str) -> Iterator[Plan]:
+        """Plans of some who wait for a workcell: one of each bundle."""
         for bundle in self.room.within(cell)[:MOST_BUNDLES]:
             run = self.room.anybody(state, bundle)
             if run is not None:

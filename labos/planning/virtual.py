@@ -18,7 +18,7 @@ import msgspec
 from labos.core.actions import Action, ActionRequested, ActionStatus
 from labos.core.campaigns import CampaignStatus
 from labos.core.decide import Command, Rejection, carry_out
-from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
+from labos.core.decide.actions import AcceptAction, FinishAction
 from labos.core.decide.campaigns import SubmitRow
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.work import find_work
@@ -133,6 +133,7 @@ class VirtualLab:
         self._scheduler = Scheduler(OwnOrders(enough=AT_ONCE))
         self._scheduler.sleepers = _ObservedSleepers(self._note_wait)
         self._flying: list[tuple[int, int, ActionId]] = []
+        self._ends: dict[ActionId, int] = {}
         self._asked: dict[tuple[str, str], bool] = {}
         self._count = self._alarms = 0
         self._moved_at = now
@@ -254,17 +255,20 @@ class VirtualLab:
             for command in self._scheduler.due(self.state, self.now):
                 self._ask(command)
             for start in self._scheduler.proposals(self.state, self.now):
-                self._count += 1
-                action = ActionId(f"virtual-{self._count}")
-                self._ask(StartStep(start.run, start.step, action, self.now, start.plan))
-                self.play.steps += 1
-                self.play.begun[start.run, start.step] = self.now
+                self._ask(start.make_command(self._name_action, self.now))
+                for run, step in ((start.run, start.step), *start.others):
+                    self.play.steps += 1
+                    self.play.begun[run, step] = self.now
                 self._moved_at = self.now
                 if self.play.steps >= self._most_steps:
                     self.play.cut = True
                     return
             if self.state.position == before:
                 return
+
+    def _name_action(self) -> ActionId:
+        self._count += 1
+        return ActionId(f"virtual-{self._count}")
 
     def _feed(self) -> bool:
         """Let rows of campaigns become runs; whether any did."""
@@ -312,6 +316,8 @@ class VirtualLab:
             return
         step = self.state.runs.plan_of(run).steps[action.step]
         end = action.requested_at + self._lasts(action, step) + setup_under_way(self.state, action)
+        if action.together:  # its device ends them all at once: with the first of them
+            end = self._ends.setdefault(action.together[0], end)
         if end <= self.now:
             end = self.now + int(OVERDUE * (self.now - action.requested_at)) + 1
         limit = ends_by(self.state, action)

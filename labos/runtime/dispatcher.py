@@ -46,6 +46,7 @@ from labos.node.protocol import (
     ActionReply,
     AdminRequest,
     Ask,
+    JointStart,
     Keys,
     Outcome,
     ResultPublished,
@@ -154,18 +155,7 @@ class Dispatcher:
     # -- to nodes ----------------------------------------------------------------------------
 
     async def _send(self, event: ActionRequested, position: int) -> None:
-        start = Start(
-            lab=self._kernel.lab,
-            epoch=event.epoch,
-            journal=event.journal,
-            action=event.action,
-            attempt=event.attempt,
-            position=position,
-            name=event.name,
-            args=event.args,
-            files=event.files,
-            effects=tuple(e for e in event.effects if isinstance(e, Carrying | Needs)),
-        )
+        start = make_start(event, self._kernel.lab, position)
         self.sent += 1
         if telling := self._telling.get(event.module):  # it has to know first that a person's work has ended
             await asyncio.wait(list(telling.values()), timeout=SETTLED_S)
@@ -407,3 +397,22 @@ class Dispatcher:
 
     def _open(self, name: ActionId) -> Action | None:
         return self._state().actions.open.get(name)
+
+
+def make_start(event: ActionRequested, lab: str, position: int) -> Start:
+    """The message that asks a node for what an event requests."""
+    start = Start(
+        lab=lab,
+        epoch=event.epoch,
+        journal=event.journal,
+        action=event.action,
+        attempt=event.attempt,
+        position=position,
+        name=event.name,
+        args=event.args,
+        files=event.files,
+        effects=tuple(e for e in event.effects if isinstance(e, Carrying | Needs)),
+    )
+    if not event.together:
+        return start
+    return JointStart(**msgspec.structs.asdict(start), together=tuple(event.together))

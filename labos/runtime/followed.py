@@ -53,7 +53,40 @@ class Behind(StoreUnavailable):
     """This process does not know yet what the asker knows."""
 
 
-class FollowedKernel:
+class FoldedLab:
+    """Stands where a kernel stands, and decides nothing: it has the ``state`` that a log was folded to."""
+
+    state: LabState
+
+    @property
+    def durable(self) -> int:
+        """All that is known here is on disk."""
+        return self.state.position
+
+    @property
+    def lab(self) -> LabId:
+        return LabId(self.state.lab.id)
+
+    @property
+    def epoch(self) -> int:
+        return self.state.lab.epoch
+
+    async def flush(self) -> None:
+        """All that is known here is on disk."""
+
+    async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
+        """Raises what a kernel would raise, and what ``submit`` does."""
+        answer = self.submit(command, actor, causation)
+        if isinstance(answer, Rejection):
+            raise error_of(answer)
+        return answer
+
+    def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
+        """What becomes of a command."""
+        raise NotImplementedError
+
+
+class FollowedKernel(FoldedLab):
     """Follows one log. ``open`` reads it; ``follow`` keeps step with it."""
 
     def __init__(self, store: EventStore, clock: Clock, ids: Ids) -> None:
@@ -74,36 +107,13 @@ class FollowedKernel:
     # -- what is read of a kernel ------------------------------------------------------------
 
     @property
-    def durable(self) -> int:
-        """All that is known here is on disk."""
-        return self.state.position
-
-    @property
-    def lab(self) -> LabId:
-        return LabId(self.state.lab.id)
-
-    @property
-    def epoch(self) -> int:
-        return self.state.lab.epoch
-
-    @property
     def scheduler(self) -> Scheduler:
         """One that explains why runs wait; it starts none."""
         if self._scheduler[1] != self.state.position:
             self._scheduler = Scheduler(), self.state.position
         return self._scheduler[0]
 
-    async def flush(self) -> None:
-        """All that is known here is on disk."""
-
     # -- commands ----------------------------------------------------------------------------
-
-    async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
-        """Raises what a kernel would raise, or SendOn if nothing speaks against the command."""
-        answer = self.submit(command, actor, causation)
-        if isinstance(answer, Rejection):
-            raise error_of(answer)
-        return answer
 
     async def scrub(self) -> str:
         """The kernel does it."""

@@ -17,7 +17,6 @@ from labos.clock import Clock, Ids, new_salt
 from labos.core.actions import ActionAccepted
 from labos.core.decide import LABOS, Command, Denied, Rejection, carry_out
 from labos.core.decide.access import GrantAccess
-from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
 from labos.core.decide.limits import BAD_TEXT, fault_of
 from labos.core.decide.nodes import Quarantine
@@ -302,8 +301,7 @@ class Kernel(KernelLog):
     def _start_steps(self, turn: _Turn) -> None:
         now = self.clock.now_ns()
         for start in self.scheduler.proposals(turn.ledger.state, now):
-            action = ActionId(self.ids.new())
-            self._decide_follow_up(StartStep(start.run, start.step, action, now, start.plan), turn)
+            self._decide_follow_up(start.make_command(lambda: ActionId(self.ids.new()), now), turn)
 
     def _carry_out_due(self, turn: _Turn, looked_at: int) -> None:
         """What the time that has come asks for, and the quarantine of modules that fail too often, in the

@@ -27,8 +27,8 @@ ANSWER_S = 3.0
 
 
 class StopReport(msgspec.Struct, frozen=True):
-    """``stopped`` are the modules whose nodes say that they stopped, and when (UTC ns); ``silent``
-    those that did not say so, and why."""
+    """``stopped`` are the modules whose nodes confirmed the stop, with the time (UTC ns). ``silent`` are
+    those that did not, each with a reason."""
 
     stopped: dict[ModuleName, int] = {}
     silent: dict[ModuleName, str] = {}

@@ -13,6 +13,7 @@ from labos.core.experiments import (
 )
 from labos.core.lab import StartsPaused, StartsResumed
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.structs import make_from
 from labos.ports import LogQuery
 from labos.services.log import Log, events
 
@@ -45,8 +46,8 @@ def experiment_histories(log: Log) -> dict[str, ExperimentHistory]:
     for event, head in events(log.select(LogQuery(types=TYPES))):
         match event:
             case ExperimentStarted():
-                told[event.experiment] = ExperimentHistory(
-                    event.experiment, event.name, event.user, event.priority, head.recorded_at
+                told[event.experiment] = make_from(
+                    ExperimentHistory, event, id=event.experiment, started_at=head.recorded_at
                 )
             case ExperimentCancelled():
                 told[event.experiment].status, told[event.experiment].why = "cancelled", event.why

@@ -18,6 +18,7 @@ from labos.core.labware import LabwareHandedOver
 from labos.core.modules import ModuleStatus
 from labos.core.runs import DONE, RunState, in_play, statuses_of
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import PlannedWork
 from labos.planning.scheduler import Scheduler
 from labos.services.history import state_at
@@ -168,7 +169,7 @@ def handover(log: Log, since: int, until: int) -> Handover:
         queued=tuple(_run(state, run, until) for run in queued[:QUEUED_JUDGED]),
         queued_in_all=len(queued),
         ended=tuple(
-            RunEnded(story.id, story.workflow, story.user, story.status, story.ended_at, story.why)
+            make_from(RunEnded, story, run=story.id)
             for story in book.runs.values()
             if story.over and story.ended_at >= since
         ),
@@ -212,15 +213,12 @@ def _run(state: LabState, run: RunState, now: int) -> OpenRun:
 def _question(asked: Intervention) -> OpenQuestion:
     planned = asked.kind == PlannedWork.KIND
     choices = " | ".join(choice.name for choice in asked.choices)
-    return OpenQuestion(
-        id=asked.id,
+    return make_from(
+        OpenQuestion,
+        asked,
         of=local(asked.module) if planned else "",
-        run=asked.run,
-        text=asked.text,
         answer=f"labos confirm {asked.id}" if planned else f"labos resolve {asked.id} {choices}",
         asked_at=asked.requested_at,
-        due_at=asked.due_at,
-        overdue=asked.overdue,
     )
 
 

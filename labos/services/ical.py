@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 from icalendar import Calendar, Event, vRecur
 
 from labos.core.bookings import Booking
 from labos.core.ids import local
-from labos.core.recurrence import zone_of
+from labos.core.recurrence import zone_or_utc
 from labos.core.state import LabState
 
 YEARS = 30
@@ -57,11 +57,7 @@ def _event(state: LabState, booking: Booking) -> Event:
 
 
 def _to_datetime(at: int, zone: str) -> datetime:
-    try:
-        where = zone_of(zone)
-    except ValueError:  # a zone that this computer does not know
-        where = UTC
-    return datetime.fromtimestamp(at // 1_000_000_000, where)
+    return datetime.fromtimestamp(at // 1_000_000_000, zone_or_utc(zone))
 
 
 __all__ = ["ical"]

@@ -15,6 +15,7 @@ from labos.core.interventions import (
 from labos.core.plans import PlanRecorded
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import PlannedWork, UnknownAction
 from labos.ports import LogQuery
 from labos.services.log import Log, events
@@ -123,12 +124,10 @@ def _place(state: LabState, name: LabwareId) -> str:
 
 
 def _begin_history(event: InterventionRequested, workflow: str, at: int) -> InterventionHistory:
-    return InterventionHistory(
+    return make_from(
+        InterventionHistory,
+        event,
         id=event.intervention,
-        kind=event.kind,
-        text=event.text,
-        subject=event.subject,
-        run=event.run,
         workflow=workflow,
         module=local(event.module),
         labware=tuple(event.labware),
@@ -137,7 +136,6 @@ def _begin_history(event: InterventionRequested, workflow: str, at: int) -> Inte
             for choice in event.choices
         ),
         requested_at=at,
-        due_at=event.due_at,
     )
 
 

@@ -13,6 +13,7 @@ from labos.core import steps as st
 from labos.core.envelope import Envelope
 from labos.core.model import MAIN, AnyPart
 from labos.core.registry import Event
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.ports import LogQuery
 from labos.services.catalogue import Catalogue, catalogue_of, teach
@@ -101,16 +102,12 @@ class RunBook:
         plan = self.names.plan_of(event.run) or self.names.plans.get(event.plan)
         if self.keep and event.run != self.keep:
             return
-        self.runs[event.run] = RunHistory(
+        self.runs[event.run] = make_from(
+            RunHistory,
+            event,
             id=event.run,
-            workflow=event.workflow,
             workcell=plan.workcell if plan else "",
-            user=event.user,
-            experiment=event.experiment,
             submitted_at=at,
-            closing=event.closing,
-            campaign=event.campaign,
-            due_at=event.due_at,
             steps=[
                 StepHistory(
                     index,
@@ -125,10 +122,10 @@ class RunBook:
         )
 
 
-def run_histories(log: Log, upto: int | None = None) -> dict[str, RunHistory]:
+def run_histories(log: Log) -> dict[str, RunHistory]:
     """Every run of the log, in order of submission."""
-    book = RunBook(catalogue_of(log, upto))
-    _tell(book, events(log.select(LogQuery(types=FAMILIES, upto=upto))))
+    book = RunBook(catalogue_of(log))
+    _tell(book, events(log.select(LogQuery(types=FAMILIES))))
     return book.runs
 
 
@@ -230,7 +227,7 @@ def _step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int) -> 
         case a.ActionReconciled():
             step.state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
             step.error = "" if step.state == "done" else f"settled by {event.by}"
-    if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+    if isinstance(event, a.ActionEnd):
         step.ended_at = at
         begun = run.flying.pop(event.action, None)
         if begun is not None:

@@ -13,6 +13,7 @@ from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.registry import decode
 from labos.core.runs import RUN_ENDS, RunSubmitted
 from labos.core.signatures import RecordsSigned, RunSigned, digest_of_records
+from labos.core.structs import make_from
 from labos.errors import NotFound, Refused
 from labos.ports import LogQuery
 from labos.services.log import Log
@@ -37,10 +38,10 @@ SIGNED = (RunSigned.TYPE, RecordsSigned.TYPE)
 
 
 class Signature(msgspec.Struct, frozen=True):
-    """One signature, under a run, an experiment or a campaign (``kind``), the ``subject``. ``run`` is the
-    same for a run, else empty; ``runs`` is how many runs belong to it. ``records`` and ``digest`` are what
-    was signed; ``holds`` is whether the record is the same now. ``at`` in UTC ns, ``time`` the same for
-    people."""
+    """One signature for the record of a run, an experiment or a campaign (``kind``), the ``subject``. For a
+    run, ``run`` is the same id, else empty; ``runs`` is the number of runs that belong to it. ``records`` and
+    ``digest`` are the number and the digest of the signed records; ``holds``: the record is still the same.
+    ``at`` is the time in UTC ns, and ``time`` is the same time as text."""
 
     subject: str
     kind: Kind
@@ -149,20 +150,16 @@ def _signature(
         known[subject] = _digest_subject(log, subject, kind)
     runs = event.runs if isinstance(event, RecordsSigned) else 0
     at = record.head.recorded_at
-    return Signature(
+    return make_from(
+        Signature,
+        event,
         subject=subject,
         kind=kind,
         run=subject if kind == "run" else "",
-        by=event.by,
-        meaning=event.meaning,
-        why=event.why,
-        method=event.method,
         at=at,
         time=iso_time(at),
         position=record.head.position,
         runs=runs,
-        records=event.records,
-        digest=event.digest,
         holds=known[subject] == Signed(kind, runs, event.records, event.digest),
     )
 

@@ -271,7 +271,13 @@ class Standstill:
             ):
                 at = self._module_at(next(iter(reason.names), ""))
                 return Cause("person", reason.code.replace("_", " "), at)
-            case reasons.TooEarly() | reasons.RetryLater() | reasons.Booked() | reasons.BookedSoon():
+            case (
+                reasons.TooEarly()
+                | reasons.RetryLater()
+                | reasons.Booked()
+                | reasons.BookedSoon()
+                | reasons.ForOthers()
+            ):
                 return PASSES
             case (
                 # It waits for its owner, for the run it is kept for, or for the run that holds it.
@@ -281,6 +287,7 @@ class Standstill:
                 | reasons.Held()
                 | reasons.Setpoint()
                 | reasons.HandFull()
+                | reasons.InsideToo()
                 | reasons.ModuleBusy()
                 | reasons.ZoneBusy()
                 | reasons.ReachedInto()

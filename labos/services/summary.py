@@ -9,6 +9,7 @@ import msgspec
 from labos.core import actions as a
 from labos.core.envelope import Envelope, Record
 from labos.core.registry import Event
+from labos.core.structs import make_from
 from labos.services.log import events
 from labos.services.runs import RunBook, RunHistory
 from labos.services.twh import Meter, TwhReport
@@ -120,7 +121,7 @@ class _Usage:
                 run.actions += 1
             case a.ActionFailed():
                 module.failed += 1
-        if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+        if isinstance(event, a.ActionEnd):
             self._end_flight(event.action, at)
 
     def finish(self, now: int) -> None:
@@ -141,13 +142,13 @@ class _Usage:
         return module, self.runs.setdefault(event.run, _Use())
 
 
-def summarise(records: Iterable[Record], now: int | None = None, *, explain: bool = True) -> Summary:
-    """The account of a log at ``now`` (UTC ns; by default at its last event). ``explain``
-    works out what runs waited for, unless the log is long. Raises LogTooNew, LogDamaged."""
+def summarise(records: Iterable[Record], now: int | None = None) -> Summary:
+    """The account of a log at ``now`` (UTC ns; by default at its last event). What runs
+    waited for is worked out unless the log is long. Raises LogTooNew, LogDamaged."""
     meter = Meter()
     book = RunBook(meter.names)
     usage = _Usage()
-    waits = WaitBook() if explain else None
+    waits: WaitBook | None = WaitBook()
     last: Envelope | None = None
     for event, head in events(records):
         meter.add(event, head)
@@ -181,13 +182,9 @@ def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSu
     start = run.started_at or end
     flying = [(since, end) for since in run.flying.values()]
     working = union_ns([*run.busy, *flying])
-    return RunSummary(
-        id=run.id,
-        workflow=run.workflow,
-        user=run.user,
-        experiment=run.experiment,
-        status=run.status,
-        done=run.done,
+    return make_from(
+        RunSummary,
+        run,
         steps=run.in_play,
         queued_s=(start - run.submitted_at) / 1e9,
         wall_s=(end - start) / 1e9,
@@ -199,7 +196,6 @@ def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSu
             for step in run.steps
             if step.state != "asleep"
         ),
-        why=run.why,
         waits=tuple(WaitTime(why, ns / 1e9) for why, ns in sorted(waits.items(), key=lambda item: -item[1])),
     )
 

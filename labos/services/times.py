@@ -48,10 +48,10 @@ def parse_time(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
     return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000 + part
 
 
-def parse_until(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
+def parse_until(text: str, now_ns: int) -> int:
     """A time as ``parse_time`` reads it, or how long from now: ``2h``, ``1d12h``. Raises BadInput."""
     ahead = _RELATIVE.fullmatch(f"-{text.strip()}")
-    return 2 * now_ns - parse_time(f"-{text.strip()}", now_ns) if ahead else parse_time(text, now_ns, zone)
+    return 2 * now_ns - parse_time(f"-{text.strip()}", now_ns) if ahead else parse_time(text, now_ns)
 
 
 def parse_due(text: str, now_ns: int) -> int:
@@ -63,11 +63,11 @@ def parse_due(text: str, now_ns: int) -> int:
     return found
 
 
-def parse_moment(text: str, now_ns: int, zone: tzinfo | None = None) -> Moment:
+def parse_moment(text: str, now_ns: int) -> Moment:
     """A whole number is a position, everything else a time. Raises BadInput."""
     if text.strip().isdigit():
         return Moment(position=int(text))
-    return Moment(at_ns=parse_time(text, now_ns, zone))
+    return Moment(at_ns=parse_time(text, now_ns))
 
 
 def show_time(ns: int, zone: tzinfo | None = None) -> str:

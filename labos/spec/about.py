@@ -14,6 +14,7 @@ from pydantic import Field
 
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
+from labos.core.structs import make_from
 from labos.spec.mismatch import plainly
 from labos.spec.parts import Name, Part, Seconds
 
@@ -24,7 +25,8 @@ ArgType = Literal["str", "int", "float", "bool", "list", "dict", "any", "station
 
 
 class ArgAbout(Part):
-    """An argument; ``minimum`` and ``maximum`` in ``unit``. One with a default need not be given."""
+    """An argument; ``minimum`` and ``maximum`` are in ``unit``. An argument with a default may be left
+    out."""
 
     type: ArgType = "any"
     required: bool | None = None
@@ -40,7 +42,8 @@ class ArgAbout(Part):
 class ActionAbout(Part):
     """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``;
     ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``;
-    ``duration_from`` is where the duration is found if arguments decide it, such as ``20 + {seconds}``."""
+    ``duration_from`` is the formula for the duration if it depends on arguments, such as ``20 +
+    {seconds}``."""
 
     description: str = ""
     args: dict[Name, ArgAbout] = {}
@@ -67,7 +70,7 @@ class StationAbout(Part):
 
 
 class About(Part):
-    """What a driver would say of the module."""
+    """The description of the module that a driver would give."""
 
     description: str = ""
     manipulator: bool = False
@@ -80,14 +83,14 @@ class About(Part):
 
 
 class ExtendedAction(ActionAbout):
-    """An action that the driver does not know; or arguments that it does not know of one that it does. One
-    that ``replaces`` the driver's action of that name stands in its place."""
+    """An action that the driver does not have, or further arguments of one that it has. With ``replaces``, it
+    replaces the driver's action of that name."""
 
     replaces: bool = False
 
 
 class Extends(Part):
-    """What the module's own node offers beyond what its driver knows."""
+    """Parts of the module's own node that its driver does not have."""
 
     stations: dict[Name, StationAbout] = {}
     actions: dict[Name, ExtendedAction] = {}
@@ -114,17 +117,13 @@ class BadEffect(ValueError):
 
 def description_of(about: About, driver: str) -> Description:
     """As a driver's description. Raises BadEffect."""
-    return Description(
+    return make_from(
+        Description,
+        about,
         driver=driver,
         version="",
-        description=about.description,
-        manipulator=about.manipulator,
         actions=tuple(_action(name, action) for name, action in about.actions.items()),
         stations=_stations(about.stations),
-        variables=about.variables,
-        rest=about.rest,
-        levels=about.levels,
-        units=about.units,
     )
 
 
@@ -176,35 +175,25 @@ def _stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:
 
 
 def _action(name: str, action: ActionAbout) -> ActionSpec:
-    return ActionSpec(
+    return make_from(
+        ActionSpec,
+        action,
         name=name,
-        description=action.description,
         args=tuple(_arg(key, arg) for key, arg in action.args.items()),
         effects=tuple(_effect(name, index, written) for index, written in enumerate(action.effects)),
         duration_s=action.duration,
-        safe_to_repeat=action.safe_to_repeat,
-        exclusive=action.exclusive,
         aliases=tuple(action.aliases),
-        result=action.result,
-        recovers=action.recovers,
-        returns=action.returns,
-        dangerous=action.dangerous,
-        duration_from=action.duration_from,
     )
 
 
 def _arg(name: str, arg: ArgAbout) -> Arg:
-    return Arg(
+    return make_from(
+        Arg,
+        arg,
         name=name,
-        type=arg.type,
         required=arg.default is None if arg.required is None else arg.required,
-        default=arg.default,
         aliases=tuple(arg.aliases),
-        unit=arg.unit,
-        minimum=arg.minimum,
-        maximum=arg.maximum,
         choices=tuple(arg.choices),
-        description=arg.description,
     )
 
 

@@ -15,18 +15,18 @@ from labos.core.expressions import ExpressionError, names_in, parse_expression
 from labos.core.model import Condition
 from labos.core.viewer import Visibility
 from labos.errors import SpecError
-from labos.spec.findings import FindingList, SpecErrors
+from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part, Seconds
 from labos.spec.rows import TableLine, expand
 from labos.spec.source import Source, parse
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 MOST_ROWS = 100_000
 
 
 class Span(Part):
-    """Numbers from one to another; a Latin hypercube takes some of them; ``whole`` numbers only, if it
-    says so."""
+    """Numbers from one to another, of which a Latin hypercube uses some; with ``whole``, only whole
+    numbers."""
 
     from_: float = Field(alias="from")
     to: float
@@ -34,8 +34,8 @@ class Span(Part):
 
 
 class LatinHypercube(Part):
-    """So many rows that fill a space of parameters evenly: each parameter's span is cut into as many
-    slices as there are rows, and each slice is met once. The same seed gives the same rows."""
+    """Rows that fill a space of parameters evenly: each parameter's span is divided into as many slices as
+    there are rows, and each slice is used once. The same seed gives the same rows."""
 
     samples: int = Field(ge=1, le=MOST_ROWS)
     seed: int
@@ -46,7 +46,7 @@ Values = Annotated[list[Any], Field(min_length=1)]
 
 
 class RowsEntry(Part):
-    """Where the rows come from: exactly one of these. Keys may lead into tables: ``seal.time``."""
+    """The source of the rows: exactly one of these. Keys may lead into tables: ``seal.time``."""
 
     table: str = ""
     list_: list[dict[str, Any]] = Field(default=[], alias="list")
@@ -56,7 +56,7 @@ class RowsEntry(Part):
 
 
 class BudgetEntry(Part):
-    """What it may use at most: runs, module time, and consumables by kind in their own unit."""
+    """The most that the campaign may use: runs, module time, and consumables by kind in their own units."""
 
     runs: int = Field(default=0, ge=0)
     lab_time: Seconds = Field(default=0.0, ge=0)
@@ -64,7 +64,7 @@ class BudgetEntry(Part):
 
 
 class StopAfter(Part):
-    """So many rows may fail; then no further one is submitted."""
+    """After this number of failed rows, no further row is submitted."""
 
     stop_after: int = Field(ge=1)
 
@@ -106,9 +106,7 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
     with all faults of file and table."""
     source = parse(text, name)
     report = FindingList(name)
-    file = validate(CampaignFile, source, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(CampaignFile, source, report)
     terms = Terms(
         priority=file.priority,
         budget=Budget(file.budget.runs, file.budget.lab_time, dict(file.budget.consumables)),

@@ -10,6 +10,7 @@ import msgspec
 
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, Station, StationKind, StationSpec
+from labos.core.structs import make_from
 from labos.errors import SpecError
 from labos.spec.findings import near
 from labos.spec.kinds import warn_of_unknown
@@ -202,14 +203,12 @@ class _StationCompiler:
 
     def _describe(self, module: str, station: Station) -> StationSpec:
         name = self._module(module)
-        return StationSpec(
+        return make_from(
+            StationSpec,
+            station,
             name=StationName(f"{name}.{station.name}"),
-            kind=station.kind,
             module=name,
-            capacity=station.capacity,
-            access=station.access,
             claim=name if station.claim and station.kind in CLAIMED else "",
-            aliases=station.aliases,
         )
 
     def _add(self, place: str, kind: StationKind | None) -> StationSpec:

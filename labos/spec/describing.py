@@ -18,11 +18,11 @@ from labos.spec.description import (
     PlaceEntry,
     VariantEntry,
 )
-from labos.spec.findings import FindingList, SpecErrors, near
+from labos.spec.findings import FindingList, near
 from labos.spec.frames import Frame, frame, slide, spin
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source, read
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
@@ -31,9 +31,7 @@ def load_description(source: Source | str | Path) -> DescriptionFile:
     """Read and check a description. Raises SpecError or SpecErrors."""
     source = source if isinstance(source, Source) else read(source)
     report = FindingList(source.file)
-    file = validate(DescriptionFile, source, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(DescriptionFile, source, report)
     remarks = Remarks(source, report)
     _Check(file, None, remarks).all()
     for name, entry in file.variants.items():

@@ -80,7 +80,7 @@ class MovesEntry(Based):
 
 class PartEntry(Based):
     """A rigid piece of the instrument. Its frame is at ``at_mm``, turned by ``turn_deg`` (about x, then y,
-    then z), in the frame of the part that it is ``on``; a part that moves is there when it moves by 0."""
+    then z), in the frame of the part that it is ``on``; this is the place of a moving part at position 0."""
 
     on: str = BASE
     at_mm: Triple = [0.0, 0.0, 0.0]
@@ -90,16 +90,16 @@ class PartEntry(Based):
 
 
 class EachEntry(Part):
-    """Places that stand in a row: numbers from first to last, and how far it is from one to the next."""
+    """Places in a row: numbers from first to last, and the distance from one to the next."""
 
     from_to: Annotated[list[int], Field(min_length=2, max_length=2)]
     step_mm: Triple
 
 
 class PlaceEntry(Based):
-    """A station, or with ``each`` a row of them that bears a placeholder in its name for each number.
-    ``at_mm`` is the middle of the underside of the labware that stands there, whose long side lies along
-    x; ``approach`` is the side that a hand comes from, ``grips`` the grips it can use."""
+    """A station, or with ``each`` a row of stations, whose name has a placeholder for each number. ``at_mm``
+    is the middle of the underside of the labware there, whose long side lies along x; ``approach`` is the
+    side from which a gripper comes, and ``grips`` are the possible grips."""
 
     kind: StationKind
     on: str = BASE
@@ -112,7 +112,7 @@ class PlaceEntry(Based):
 
 
 class FootprintEntry(Based):
-    """What the instrument takes up at rest: along x and y, about ``middle_mm``, and how high it is."""
+    """The space of the instrument at rest: along x and y, around ``middle_mm``, and its height."""
 
     size_mm: Sizes2
     height_mm: Positive
@@ -120,16 +120,15 @@ class FootprintEntry(Based):
 
 
 class GripEntry(Based):
-    """How a hand holds labware: the width between its fingers, closed on it and open."""
+    """How a gripper holds labware: the width between its fingers, closed on it and open."""
 
     width_mm: Pair
     note: str = ""
 
 
 class ReachEntry(Based):
-    """Where a manipulator's hand can be: at these distances from the z axis of the part that it is ``on``,
-    at these heights above the instrument's own frame. ``rail_mm`` is how far that axis itself travels,
-    along ``rail_axis``."""
+    """The reach of a manipulator's gripper: distances from the z axis of the part that it is ``on``, and
+    heights above the instrument's own frame. ``rail_mm`` is the travel of that axis along ``rail_axis``."""
 
     on: str = BASE
     radius_mm: Pair
@@ -142,7 +141,7 @@ Limit = float | str | list[float]
 
 
 class VariantEntry(Part):
-    """Another size of the same instrument: what is given here stands in place of what the file says."""
+    """Another size of the same instrument: these values replace those of the file."""
 
     models: list[str] = []
     instrument: str = ""
@@ -155,7 +154,7 @@ class VariantEntry(Part):
 
 
 class DescriptionFile(Part):
-    """An instrument as a thing in space. ``sources`` are what ``from`` names."""
+    """The geometry of an instrument. ``sources`` are the names for ``from``."""
 
     labos: Literal[1] = 1
     driver: Name

@@ -15,14 +15,14 @@ from labos.spec.carrying import TransferEnd, TransferReader, add_ends, drop_ends
 from labos.spec.comments import place_comments, read_comments
 from labos.spec.dialects import NOBODYS, Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
-from labos.spec.findings import Finding, FindingList, SpecErrors
+from labos.spec.findings import Finding, FindingList
 from labos.spec.interfaces import is_configured
 from labos.spec.models import LabwareFile, ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.parts import Part
 from labos.spec.serving import match_driver
 from labos.spec.source import Source
 from labos.spec.uses import Use
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 from labos.spec.workcell import CompiledWorkcell, compile_workcell
 
 NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci", "opentrons": "Opentrons"}
@@ -66,9 +66,7 @@ def import_spec(
 def _labware(source: Source) -> Imported:
     report = FindingList(source.file)
     form, dialect = labware_form(source, report)
-    file = validate(LabwareFile, form, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(LabwareFile, form, report)
     text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sort_findings())
     name = PurePath(source.file).stem
     return Imported("labware", dialect, name, text, report.sort_findings(), {"types": len(file.labware)})
@@ -77,9 +75,7 @@ def _labware(source: Source) -> Imported:
 def _workflow(source: Source, moved: Sequence[Moved]) -> Imported:
     report = FindingList(source.file)
     form, dialect = workflow_form(source, report)
-    file = validate(WorkflowFile, form, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(WorkflowFile, form, report)
     file, is_shorter = (file, False) if dialect == "labos" else drop_ends(file, moved)
     notes = {"": ["How labware is gripped stands in the workcell's file."]} if is_shorter else {}
     text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sort_findings(), notes)

@@ -9,12 +9,12 @@ from typing import NamedTuple
 from labos.core.model import LabwareSpec, WellGrid
 from labos.errors import SpecError
 from labos.spec.dialects import find_kind, labware_form
-from labos.spec.findings import FindingList, SpecErrors, make_finding
+from labos.spec.findings import FindingList, make_finding
 from labos.spec.library import SUFFIXES, find_spec, list_specs
 from labos.spec.models import ANY, LabwareFile, LabwareType
 from labos.spec.remarks import Remarks
 from labos.spec.source import MAX_BYTES, Path_, Source, parse, read
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid, validate
 
 LABWARE_SUFFIXES = (*SUFFIXES, ".json")
 """Of the files of a folder that are read: labware of Opentrons is JSON."""
@@ -25,9 +25,7 @@ def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
     source = source if isinstance(source, Source) else read(source)
     report = FindingList(source.file)
     form, _ = labware_form(source, report)
-    file = validate(LabwareFile, form, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(LabwareFile, form, report)
     return dict(file.labware)
 
 

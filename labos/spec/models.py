@@ -16,7 +16,7 @@ from labos.spec.parts import Label, Many, Name, Part, Seconds
 
 
 class Amount(Part):
-    """How much of a consumable, in a unit of its own."""
+    """An amount of a consumable, with a unit."""
 
     amount: float = Field(ge=0)
     unit: str = ""
@@ -27,8 +27,7 @@ OnErrorWord = Literal["fail", "skip", "ask"]
 
 
 class RetryEntry(Part):
-    """A step that failed without doing anything is done again; with ``reset``, its module is reset
-    before."""
+    """A step that failed without any effect is tried again; with ``reset``, its module is reset before."""
 
     times: int = Field(ge=1, le=100)
     delay: Seconds = Field(default=0.0, ge=0)
@@ -36,7 +35,7 @@ class RetryEntry(Part):
 
 
 class SetupChangeEntry(Part):
-    """A change of what a module is set up for that takes another time than most."""
+    """A change of the set-up with its own time."""
 
     from_: Any = Field(alias="from")
     to: Any
@@ -44,20 +43,28 @@ class SetupChangeEntry(Part):
 
 
 class SetupEntry(Part):
-    """What it costs to set a module up for another value of an argument of its actions."""
+    """The time for setting a module up for another value of an argument of its actions."""
 
     by: str = Field(min_length=1)
     takes: Seconds = Field(ge=0)
     changes: list[SetupChangeEntry] = []
 
 
+class TogetherEntry(Part):
+    """Actions that a module carries out for the labware of several runs at once, and how long a run waits for
+    that of others."""
+
+    actions: list[str] = Field(min_length=1)
+    wait: Seconds = Field(default=0.0, ge=0)
+
+
 class ModuleEntry(Part):
-    """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
-    ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
-    where it is whenever it acts. ``retry``, ``timeout`` and ``on_error`` hold for steps on it that do not
-    say. ``interface`` names the adapter of a foreign node, ``about`` describes one that no driver does,
-    ``extends`` what one offers beyond what its driver knows. With ``second_person``, runs that do what is
-    dangerous there wait for an approval. ``setup`` is what it costs to change it to other work."""
+    """An instrument in a workcell. ``model`` or ``driver`` determines the driver; ``coordinates`` are x, y, z
+    in metres and a quaternion, from the workcell's origin; ``zone`` is the zone in which it acts. ``retry``,
+    ``timeout`` and ``on_error`` are defaults for steps on it. ``interface`` names the adapter of a foreign
+    node, ``about`` describes a node without a driver, and ``extends`` adds to the driver's description. With
+    ``second_person``, runs with dangerous steps there wait for an approval. ``setup`` is the time for a
+    change to other work, and ``together`` are its actions for several runs at once."""
 
     name: Name
     model: str = ""
@@ -78,6 +85,7 @@ class ModuleEntry(Part):
     on_error: OnErrorWord | None = None
     second_person: bool = False
     setup: SetupEntry | None = None
+    together: TogetherEntry | None = None
     comment: str = ""
 
 
@@ -85,13 +93,13 @@ MOST_SHELVES = 500
 
 
 class StationEntry(Part):
-    """Overrides what a driver says of a station, or adds one. ``reach`` gives the grips that a
-    manipulator can use there (an empty list: any), or those grips for each labware type.
-    ``rotation`` is how far the nest is turned, ``a1`` how far labware has to be turned in it (degrees).
-    Only one arm at a time is in a ``zone``. What stands at an ``independent`` station keeps nobody from its
-    module. ``observer`` is the module that sees what stands here, ``verify`` when it is asked whether a
-    motion did what its module says. A hotel has ``shelves`` of one piece each, into which arms reach. Where
-    ``transfers`` is false, a transfer that names no module takes nothing away and puts nothing down."""
+    """Changes a station of a driver, or adds one. ``reach`` lists the possible grips of a manipulator there
+    (an empty list: any), or those grips for each labware type. ``rotation`` is the rotation of the nest, and
+    ``a1`` the required rotation of labware in it (degrees). Only one arm at a time is in a ``zone``. Labware
+    at an ``independent`` station does not block its module for other runs. ``observer`` is the module that
+    can see this station, and ``verify`` says when it checks whether a move succeeded. A hotel has ``shelves``
+    for one piece each, into which arms reach. If ``transfers`` is false, transfers that name no module do not
+    use this station."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
@@ -116,7 +124,7 @@ ANY = "any"
 
 
 class ShelfPoses(Part):
-    """Joint values at the first shelf of a hotel, and what is added to them from each shelf to the next."""
+    """Joint values at the first shelf of a hotel, and their increments from each shelf to the next."""
 
     first: list[float]
     step: list[float]
@@ -146,9 +154,10 @@ PoseEntry = Annotated[
 
 
 class TransferEntry(Part):
-    """How labware may be carried where a step names no module: the argument ``source`` of the ``action`` says
-    from where, ``target`` to where, ``args`` what else it is told. Of all ways the one that costs least is
-    taken. ``from`` and ``to`` name the stations for which it stands in place of the others."""
+    """How labware may be moved if a step names no module: ``source`` and ``target`` are the names of the
+    arguments of the ``action`` for the two stations, and ``args`` are further arguments. The way with the
+    least cost is used. ``from`` and ``to`` are the stations for which this entry takes precedence over
+    others."""
 
     module: Name
     action: str = "transfer"
@@ -161,12 +170,12 @@ class TransferEntry(Part):
 
 
 class WorkcellFile(Part):
-    """Modules and stations in fixed positions. ``locations`` holds poses per manipulator and station, and
-    where they differ by labware type: those of types, and ``any`` for all other labware. ``stock`` is what
-    stands where at first: station → labware type → count. ``expired`` says whether packs that are past
-    their date may be used. ``labware`` names files, and folders of files, that define labware types of the
-    lab's own. ``transfers`` are the ways of a transfer that names no module; without them, whatever the
-    modules can."""
+    """Modules and stations in fixed positions. ``locations`` contains poses by manipulator and station; if
+    they differ by labware type, those of the types, and ``any`` for all other labware. ``stock`` is the
+    labware at the start: station → labware type → count. ``expired`` says whether packs may be used after
+    their expiry date. ``labware`` names files, or folders of files, with the lab's own labware types.
+    ``transfers`` are the ways for a transfer that names no module; without them, all that the modules can
+    do."""
 
     labos: Literal[1] = 1
     name: Name
@@ -208,7 +217,7 @@ class Within(Part):
 
 
 class ForEach(Part):
-    """The entry stands once for each element of a list, which it knows as ``payload.<item>``."""
+    """The entry is repeated for each element of a list, which is ``payload.<item>`` in it."""
 
     item: Name
     in_: str | list[Any] = Field(alias="in")
@@ -216,8 +225,8 @@ class ForEach(Part):
 
 
 class RunSteps(Part):
-    """What is done when a step has failed for good: the steps of a file, or those that stand here; and
-    whether the run goes on after them."""
+    """The steps after a step has finally failed, from a file or given here, and whether the run continues
+    after them."""
 
     run: str | list[StepEntry] = Field(min_length=1)
     then: Literal["fail", "go_on"] = "fail"
@@ -292,7 +301,7 @@ class StepEntry(Part):
 
 
 class HoldEntry(Part):
-    """Others stay out of a module from the start of one step to the end of another."""
+    """Reserves a module for the run from the start of one step to the end of another."""
 
     start: str = Field(alias="from")
     until: str
@@ -311,10 +320,10 @@ warning, nothing."""
 
 
 class WorkflowFile(Part):
-    """Steps on modules. ``modules`` lists those the steps use; it may be left out. ``hold`` says
-    how long a module is kept from others, or ``none`` for no longer than it must be. ``windows`` says what
-    follows where a window cannot be kept for all durations of the steps (``warn``). ``on_cancel`` are
-    the steps that bring labware out when a run is cancelled, or a file with such steps."""
+    """Steps on modules. ``modules`` lists the modules of the steps; it may be left out. ``hold`` says how
+    long a module is reserved for the run, or ``none`` for no longer than necessary. ``windows`` is the
+    reaction if a window cannot be kept for all durations of the steps (``warn``). ``on_cancel`` are the steps
+    that clear labware away when a run is cancelled, or a file with such steps."""
 
     labos: Literal[1] = 1
     name: Label
@@ -338,8 +347,8 @@ class Footprint(Part):
 
 
 class Wells(Part):
-    """A grid of wells; ``a1_x_mm`` and ``a1_y_mm`` are the centre of A1 from the left and the
-    back edge, ``volume_ul`` what a well holds."""
+    """A grid of wells. ``a1_x_mm`` and ``a1_y_mm`` are the distances of the centre of A1 from the left and
+    the back edge; ``volume_ul`` is the capacity of a well."""
 
     rows: int = Field(ge=1)
     columns: int = Field(ge=1)
@@ -350,8 +359,8 @@ class Wells(Part):
 
 
 class LabwareType(Part):
-    """A kind of labware; ``grips`` are those by which it can be held (an empty list: any). What is not
-    ``stackable`` is refused at stacks of more than one."""
+    """A kind of labware; ``grips`` are the possible grips (an empty list: any). A type that is not
+    ``stackable`` is refused at stacks of more than one piece."""
 
     description: str = ""
     footprint: Footprint

@@ -10,16 +10,17 @@ from pydantic import Field
 
 from labos.core.campaigns import Budget
 from labos.core.policy import BookingLimits, Policy
+from labos.core.structs import make_from
 from labos.spec.campaign import BudgetEntry
-from labos.spec.findings import FindingList, SpecErrors
+from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part
 from labos.spec.source import parse
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 
 class BookingsEntry(Part):
-    """What users who are no operators may book. ``total_hours`` are those still to come, of all bookings
-    together; 24, or as many as one booking may have."""
+    """Limits for bookings of users who are not operators. ``total_hours`` are all future hours together; the
+    default is 24, or the limit for one booking if that is more."""
 
     hours: float | None = Field(default=None, gt=0, le=8_784)
     total_hours: float | None = Field(default=None, gt=0, le=1_000_000)
@@ -27,7 +28,8 @@ class BookingsEntry(Part):
 
 
 class PolicyFile(Part):
-    """A policy file. What it does not say is as in a lab without one: only what programs submit waits."""
+    """A policy file. The defaults are as in a lab without a policy: only submissions of programs need an
+    approval."""
 
     labos: Literal[1]
     programs: bool = True
@@ -53,9 +55,7 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     """Read a policy file given as text. Raises SpecError, SpecErrors."""
     source = parse(text, name)
     report = FindingList(name)
-    file = validate(PolicyFile, source, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(PolicyFile, source, report)
     if file.trusted and not file.programs:
         place = source.place(("trusted",), key=True)
         what = "Programs need no approval, so none of them can be trusted more."
@@ -67,17 +67,8 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
         report.error(what, place, field="bookings.hours", remedy="Give a larger `total_hours`.")
     report.raise_if_failed()
     above = Budget(file.above.runs, file.above.lab_time, dict(file.above.consumables))
-    policy = Policy(
-        programs=file.programs,
-        trusted=tuple(dict.fromkeys(file.trusted)),
-        newcomers=file.newcomers,
-        dangerous=file.dangerous,
-        above=above,
-        deadlines=file.deadlines,
-        own=file.own,
-        erasure=file.erasure,
-        priority=file.priority,
-        bookings=_limits(booked),
+    policy = make_from(
+        Policy, file, trusted=tuple(dict.fromkeys(file.trusted)), above=above, bookings=_limits(booked)
     )
     return CompiledPolicy(source.digest, policy)
 

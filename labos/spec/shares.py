@@ -1,4 +1,4 @@
-"""Files that say who may have how much of the lab: weights and quotas of groups and users."""
+"""Shares files: weights and quotas of groups and users."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import msgspec
 from pydantic import Field
 
 from labos.core.shares import Group, Member, Quota
-from labos.spec.findings import FindingList, SpecErrors
+from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part
 from labos.spec.source import parse
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 Weight = Annotated[float, Field(gt=0, le=1_000_000)]
 
 
 class QuotaEntry(Part):
-    """What somebody may have at most; what is left out, or 0, is not limited."""
+    """Limits; a value that is left out, or 0, means no limit."""
 
     running: int = Field(default=0, ge=0)
     queued: int = Field(default=0, ge=0)
@@ -34,7 +34,7 @@ class MemberEntry(Part):
 
 
 class GroupEntry(Part):
-    """Users who share one part of the lab, and what they may have together."""
+    """Users who share one part of the lab, with common limits."""
 
     weight: Weight = 1.0
     members: dict[Label, MemberEntry] = Field(min_length=1)
@@ -42,7 +42,7 @@ class GroupEntry(Part):
 
 
 class SharesFile(Part):
-    """A shares file. Who stands in none of it is a group alone, of weight 1."""
+    """A shares file. A user who is not in it forms a group alone, with weight 1."""
 
     labos: Literal[1]
     groups: dict[Label, GroupEntry] = {}
@@ -61,9 +61,7 @@ def parse_shares(text: str, name: str = "") -> CompiledShares:
     """Read a shares file given as text. Raises SpecError, SpecErrors."""
     source = parse(text, name)
     report = FindingList(name)
-    file = validate(SharesFile, source, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(SharesFile, source, report)
     homes: dict[str, str] = {}
     for group, entry in file.groups.items():
         for user in entry.members:

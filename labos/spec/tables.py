@@ -131,7 +131,7 @@ def table_files(source: Source, descriptions: Mapping[str, Description]) -> dict
     return found
 
 
-def told_by(kind: DriverTable, written: Any) -> Any:
+def read_table(kind: DriverTable, written: Any) -> Any:
     """The driver's model of a table as a node is told it, or of the file of that name. Raises BadInput,
     SpecError, SpecErrors."""
     if isinstance(written, str):

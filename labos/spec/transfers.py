@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from labos.core.arguments import names_of
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Description, TransferWay
+from labos.core.structs import make_from
 from labos.errors import SpecError
 from labos.spec.findings import near
 from labos.spec.models import TransferEntry, WorkcellFile
@@ -46,13 +47,10 @@ class _Reader:
     def way(self, entry: TransferEntry, path: Path_) -> TransferWay | None:
         self.has_fault = False
         self._check_action(entry, path)
-        way = TransferWay(
+        way = make_from(
+            TransferWay,
+            entry,
             module=ModuleName(f"{self.file.name}/{entry.module}"),
-            action=entry.action,
-            source=entry.source,
-            target=entry.target,
-            cost=entry.cost,
-            args=entry.args,
             from_stations=self._places(entry.from_, (*path, "from")),
             to_stations=self._places(entry.to, (*path, "to")),
         )

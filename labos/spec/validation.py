@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from labos.spec.findings import MOST, FindingList, near
+from labos.spec.findings import MOST, FindingList, SpecErrors, near
 from labos.spec.mismatch import describe_mismatch
 from labos.spec.source import Source, plain
 
@@ -27,6 +27,14 @@ def validate(model: type[M], source: Source, report: FindingList) -> M | None:
             if not _is_misspelt(error, found):
                 _translate(model, source, report, error)
         return None
+
+
+def expect_valid(model: type[M], source: Source, report: FindingList) -> M:
+    """The same of a file that nothing can be done without. Raises SpecErrors."""
+    file = validate(model, source, report)
+    if file is None:
+        raise SpecErrors(report.sort_findings())
+    return file
 
 
 def _is_misspelt(error: Any, others: Sequence[Any]) -> bool:

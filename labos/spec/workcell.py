@@ -34,10 +34,11 @@ from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of, why_broken
+from labos.spec.together import read_together
 from labos.spec.transfers import transfer_ways
 from labos.spec.units import in_unit
 from labos.spec.uses import Use, read_carriers
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "rest_node": ("rest", rest.flaw_in),
@@ -100,9 +101,7 @@ def compile_workcell(
     workflows make of it, if they are given. Raises SpecError or SpecErrors."""
     report = FindingList(source.file)
     form, dialect = workcell_form(source, report)
-    file = validate(WorkcellFile, form, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(WorkcellFile, form, report)
     remarks, foreign = Remarks(form, report), dialect != "labos"
     file = shelf_by_shelf(file, remarks)
     own = own_labware(file.labware, remarks, sent)
@@ -356,6 +355,7 @@ class _Modules:
             timeout_s=entry.timeout,
             second_person=entry.second_person,
             setup=setup_of(entry),
+            together=read_together(entry, description, stations, path, self.remarks),
         )
 
     def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:

@@ -29,7 +29,7 @@ from labos.spec.remarks import Remarks
 from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
 from labos.spec.unroll import Unroller, with_defaults
-from labos.spec.validation import validate
+from labos.spec.validation import expect_valid
 
 
 class StartingLabware(msgspec.Struct, frozen=True):
@@ -98,9 +98,7 @@ def compile_workflow(
     source = source if isinstance(source, Source) else read_workflow(source)
     report = FindingList(source.file)
     form, dialect = workflow_form(source, report)
-    file = validate(WorkflowFile, form, report)
-    if file is None:
-        raise SpecErrors(report.sort_findings())
+    file = expect_valid(WorkflowFile, form, report)
     finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
     bound = bind_modules(file, workcell, Remarks(form, report))
     report.raise_if_failed()

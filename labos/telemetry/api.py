@@ -10,8 +10,9 @@ from labos.telemetry.signing import Signing
 
 
 class ApiReadings(msgspec.Struct, frozen=True):
-    """How an API process stands. ``here``, ``by_kernel`` and ``away`` count requests by who answered them;
-    ``kernel_s`` is how long the kernel took for its own, in all."""
+    """The state of an API process. ``here``, ``by_kernel`` and ``away`` count requests: answered here,
+    answered by the kernel, and not answered because the kernel was away. ``kernel_s`` is the total time that
+    the kernel took."""
 
     lab: str
     name: str
@@ -43,16 +44,16 @@ class _ApiGroup(MetricGroup):
     def __init__(self) -> None:
         self.info = GaugeMetric(
             "labos_api_info",
-            "1; the labels say which lab and API process it is.",
+            "1; the labels identify the lab and the API process.",
             ("id", "name", "api"),
         )
         self.position = GaugeMetric(
             "labos_api_log_position", "The last position of the log that this API process knows."
         )
-        self.recorded = GaugeMetric(
-            "labos_api_log_time_seconds", "When that was recorded (UNIX time, by the clock of the kernel)."
+        self.recorded_at = GaugeMetric(
+            "labos_api_log_time_seconds", "The time of that event (UNIX time, by the clock of the kernel)."
         )
-        self.kernel = GaugeMetric(
+        self.kernel_there = GaugeMetric(
             "labos_api_kernel_available", "1 while the kernel answers this API process, else 0."
         )
         self.requests = ComputedCounter(
@@ -62,15 +63,12 @@ class _ApiGroup(MetricGroup):
             ("answered_by",),
         )
         self.kernel_s = ComputedCounter(
-            "labos_api_kernel_seconds_total", "How long the kernel took for the requests that it answered."
+            "labos_api_kernel_seconds_total", "Time that the kernel took for the requests that it answered."
         )
 
     def update(self, now: ApiReadings) -> None:
         self.info.set(1, (now.lab, now.name, now.process))
-        self.position.set(now.position)
-        self.recorded.set(now.recorded_at)
-        self.kernel.set(int(now.kernel_there))
+        self.take(now)
         self.requests.set(now.here, ("api",))
         self.requests.set(now.by_kernel, ("kernel",))
         self.requests.set(now.away, ("nobody",))
-        self.kernel_s.set(now.kernel_s)

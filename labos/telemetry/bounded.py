@@ -1,4 +1,4 @@
-"""Names from outside as labels: so many of them, then ``other``."""
+"""Names from outside as labels: a limited number, then ``other``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from labos.telemetry.series import OTHER
 
 
 class BoundedNames:
-    """The first ``most`` names keep theirs as long as the process lives; all later ones are one."""
+    """The first ``most`` names keep their labels as long as the process lives; all later ones share one."""
 
     def __init__(self, most: int) -> None:
         self._most = most

@@ -1,20 +1,20 @@
-"""What has happened, counted while committed events go by: a few table look-ups for each."""
+"""Metrics of past events, counted when events are committed, with a few table look-ups for each."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 
 from labos.core import fold
 from labos.core import runs as r
 from labos.core.actions import (
+    ActionEnd,
     ActionEvent,
     ActionFailed,
     ActionReconciled,
-    ActionRejected,
     ActionRequested,
     ActionSucceeded,
     ActionUnknown,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 assert fold  # it registers the types of events
 
 PLANS_KNOWN = 10_000
-"""Of so many plans it is remembered in which workcell they are carried out."""
+"""The number of plans whose workcell is stored."""
 
 COMMIT_BOUNDS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 TURN_BOUNDS_S = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5)
@@ -64,7 +64,7 @@ class _Alive(msgspec.Struct):
 
 
 class _Busy(msgspec.Struct):
-    """How many actions keep a module busy, since when, and for how long it was before (ns)."""
+    """The number of actions that keep a module busy, the start of this, and the earlier busy time (ns)."""
 
     count: int = 0
     since: int = 0
@@ -72,24 +72,25 @@ class _Busy(msgspec.Struct):
 
 
 class EventMetrics(MetricGroup):
-    """A kernel's listener. ``begin_with`` tells it what is under way; ``state`` gives that when the log was
-    read again. ``workflows`` and ``users`` bound these labels."""
+    """A kernel's listener. ``begin_with`` gives it the work under way; ``state`` returns the state after the
+    log was read again. ``workflows`` and ``users`` limit these labels."""
 
     def __init__(self, state: Callable[[], LabState], workflows: BoundedNames, users: BoundedNames) -> None:
         self._state, self._workflow, self._user = state, workflows, users
         cell, module = ("workcell",), ("workcell", "module")
         self.events = CounterMetric("labos_events_total", "Committed events, by type.", ("type",), most=200)
         self.reopened_log = CounterMetric(
-            "labos_log_reopened_total", "How often the log had to be read again after a failed commit."
+            "labos_log_reopened_total",
+            "The number of times that the log was read again after a failed commit.",
         )
         self.commit_s = Distribution(
             "labos_commit_duration_seconds",
-            "How long the database took to commit a batch of events.",
+            "Time that the database took to commit a batch of events.",
             bounds=COMMIT_BOUNDS_S,
         )
         self.turn_s = Distribution(
             "labos_turn_duration_seconds",
-            "How long the kernel took to decide a command and to plan what follows from it.",
+            "Time that the kernel took to decide a command and to plan the steps that follow.",
             bounds=TURN_BOUNDS_S,
         )
         self.runs_ended = CounterMetric(
@@ -115,7 +116,7 @@ class EventMetrics(MetricGroup):
         )
         self.actions = CounterMetric(
             "labos_actions_total",
-            "Actions that have ended, or of which nobody knows how; outcome is succeeded, failed, rejected "
+            "Actions that have ended, or whose outcome is unknown; outcome is succeeded, failed, rejected "
             "or unknown.",
             (*module, "action", "outcome"),
             most=12_000,
@@ -135,19 +136,19 @@ class EventMetrics(MetricGroup):
         )
         self.busy_s = ComputedCounter(
             "labos_module_busy_seconds_total",
-            "Time in which an action kept the module busy; its rate is the utilisation.",
+            "Time for which actions kept the module busy; its rate is the utilisation.",
             module,
             most=2_000,
         )
         self.user_s = CounterMetric(
             "labos_user_module_seconds_total",
-            "Time of modules that actions of a user's runs have taken.",
+            "Module time that the actions of a user's runs have used.",
             ("user",),
             most=101,
         )
         self.consumed = CounterMetric(
             "labos_resource_consumed_total",
-            "What actions have used up of a resource, in the resource's own unit.",
+            "The amount of a resource that actions have used up, in its own unit.",
             (*module, "resource"),
         )
         self.asked = CounterMetric(
@@ -174,14 +175,9 @@ class EventMetrics(MetricGroup):
             NodeJoined: self._on_joined,
             r.RunSubmitted: self._on_submitted,
             r.RunStarted: self._on_started,
-            r.RunCompleted: self._on_run_ended,
-            r.RunFailed: self._on_run_ended,
-            r.RunCancelled: self._on_run_ended,
+            **dict.fromkeys(get_args(r.RunEnd), self._on_run_ended),
             ActionRequested: self._on_requested,
-            ActionSucceeded: self._on_ended,
-            ActionFailed: self._on_ended,
-            ActionRejected: self._on_ended,
-            ActionReconciled: self._on_ended,
+            **dict.fromkeys(get_args(ActionEnd), self._on_ended),
             ActionUnknown: self._on_unknown,
             ResourceConsumed: self._on_consumed,
             InterventionRequested: self._on_asked,
@@ -199,12 +195,12 @@ class EventMetrics(MetricGroup):
                 handler(event, entry.record.head.recorded_at)
 
     def on_reopened(self) -> None:
-        """What was committed in doubt was not heard of: go by the state that is read now."""
+        """Start again from the present state, because events of a commit in doubt were not reported."""
         self.reopened_log.add()
         self.begin_with(self._state())
 
     def begin_with(self, state: LabState) -> None:
-        """Take what is under way from a state; no later event was seen yet."""
+        """Take the work under way from a state, before later events arrive."""
         self._drivers = {name: m.driver or m.spec.driver for name, m in state.modules.by_name.items()}
         self._cells = OrderedDict((name, known.plan.workcell) for name, known in state.runs.plans.items())
         self._runs.clear()
@@ -222,7 +218,7 @@ class EventMetrics(MetricGroup):
         self._questions = {q.id: (q.kind, q.requested_at) for q in state.interventions.open.values()}
 
     def update(self, now: int) -> None:
-        """Add what is under way at ``now`` (UTC ns) to what has ended."""
+        """Add the busy time of work under way at ``now`` (UTC ns) to that of ended work."""
         self.busy_s.replace(
             {
                 (workcell_of(name), local(name)): (
@@ -307,7 +303,7 @@ class EventMetrics(MetricGroup):
             run.started_at = at
             self.run_wait_s.observe((at - run.submitted_at) / 1e9, (run.workcell,))
 
-    def _on_run_ended(self, event: r.RunCompleted | r.RunFailed | r.RunCancelled, at: int) -> None:
+    def _on_run_ended(self, event: r.RunEnd, at: int) -> None:
         run = self._runs.pop(event.run, None)
         if run is None:
             return

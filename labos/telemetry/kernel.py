@@ -14,11 +14,12 @@ from labos.telemetry.state_metrics import StateMetrics
 from labos.telemetry.unattended_metrics import UnattendedMetrics
 
 WORKFLOWS, USERS = 50, 100
-"""So many workflows and users have series of their own; those that come later are ``other``."""
+"""The numbers of workflows and users with their own series; later ones are ``other``."""
 
 
 class KernelMetrics:
-    """Made once for each kernel; ``of_events`` listens to it. The others are updated at each scrape."""
+    """The metrics of one kernel. ``of_events`` is a listener of the kernel; the others are updated at each
+    scrape."""
 
     def __init__(self, state: Callable[[], LabState]) -> None:
         workflows, users = BoundedNames(WORKFLOWS), BoundedNames(USERS)
@@ -27,9 +28,9 @@ class KernelMetrics:
         self.of_unattended_time = UnattendedMetrics()
         self.of_process = ProcessMetrics()
         self.signing = Signing()
-        self.series = GaugeMetric("labos_metrics_series", "How many series the last answer had.")
+        self.series = GaugeMetric("labos_metrics_series", "The number of series in the last answer.")
         self.took_s = GaugeMetric(
-            "labos_metrics_duration_seconds", "How long it took to make the last answer."
+            "labos_metrics_duration_seconds", "Time that it took to make the last answer."
         )
         groups = (self.of_process, self.of_state, self.of_events, self.of_unattended_time, self.signing)
         families = [family for group in groups for family in group.families]

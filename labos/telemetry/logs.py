@@ -1,4 +1,4 @@
-"""Where log lines go: to stderr, or to the file that stderr is, one line each."""
+"""Log lines go to stderr, or to the file to which stderr goes, one line each."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ ENVIRONMENT = "LABOS_LOG"
 
 
 class _Lines:
-    """Writes lines to a stream, stderr if none is given. A stream that is closed or full must
-    not break what was about to be told."""
+    """Writes lines to a stream, by default stderr. A closed or full stream must not cause an error in the
+    caller."""
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream

@@ -1,6 +1,5 @@
-"""The metrics of a node's process, and the small server at which Prometheus asks for them.
-
-They have no labels of the module: the collector knows which module it asks.
+"""The metrics of a node's process, and the small server for Prometheus. They have no labels for the module,
+because each node has its own address.
 """
 
 from __future__ import annotations
@@ -35,25 +34,25 @@ from labos.version import VERSION
 
 NODE_STATES = ("IDLE", "BUSY", "ERROR")
 PATIENCE_S = 2.0
-"""So long the node may take to say how it is; a node that says nothing shows what it said last."""
+"""The longest time to wait for the node's state; without an answer, the previous state is shown."""
 
 ACTIONS = 200
-"""So many actions of a driver have series of their own."""
+"""The number of a driver's actions with their own series."""
 
 
 class AnsweringNode(Protocol):
-    """A node that can be asked how it is."""
+    """A node that answers with its state."""
 
     def state(self) -> StateReport: ...
 
 
 class NodeMetrics(MetricGroup):
-    """``on_end`` is told by the node's server; how the node is, ``watch`` says where to ask."""
+    """The node's server calls ``on_end``; ``watch`` sets the node to ask for its state."""
 
     def __init__(self, driver: str, version: str, *, simulated: bool) -> None:
         self.info = GaugeMetric(
             "labos_node_info",
-            "1; the labels say what drives the device. bench is real or simulated.",
+            "1; the labels identify the driver. bench is real or simulated.",
             ("driver", "version", "bench", "labos", "python"),
         )
         self.state = GaugeMetric(
@@ -61,10 +60,10 @@ class NodeMetrics(MetricGroup):
             f"1 for the state that the node is in, 0 for the others: {', '.join(NODE_STATES).lower()}.",
             ("state",),
         )
-        self.running = GaugeMetric("labos_node_actions_running", "Actions that the device carries out.")
+        self.running = GaugeMetric("labos_node_actions_running", "Actions that the device is carrying out.")
         self.unacknowledged = GaugeMetric(
             "labos_node_actions_unacknowledged",
-            "Actions that have ended and of which the node does not know yet that the lab's log holds it.",
+            "Ended actions whose end the lab's log has not acknowledged yet.",
         )
         self.actions = CounterMetric(
             "labos_node_actions_total",
@@ -85,7 +84,7 @@ class NodeMetrics(MetricGroup):
         self._ask: Callable[[], StateReport] | None = None
 
     def watch(self, node: AnsweringNode, loop: asyncio.AbstractEventLoop) -> None:
-        """Ask this node how it is, in the loop that it lives in."""
+        """Ask this node for its state, in its own event loop."""
 
         def ask() -> StateReport:
             told: Future[StateReport] = Future()
@@ -95,7 +94,7 @@ class NodeMetrics(MetricGroup):
         self._ask = ask
 
     def on_end(self, action: str, outcome: Outcome | None) -> None:
-        """An action has ended, with None where nobody knows how."""
+        """An action has ended; None: its outcome is unknown."""
         if outcome is None:
             self.actions.add((action, "unknown"))
             return
@@ -104,7 +103,7 @@ class NodeMetrics(MetricGroup):
             self.action_s.observe((outcome.ended_ns - outcome.started_ns) / 1e9, (action,))
 
     def collect(self) -> Iterator[Metric]:
-        """What ``prometheus_client`` asks for."""
+        """The metrics in the form for ``prometheus_client``."""
         if self._ask is not None:
             with contextlib.suppress(TimeoutError, RuntimeError):
                 self._update(self._ask())
@@ -117,10 +116,10 @@ class NodeMetrics(MetricGroup):
 
 
 class MetricsServer:
-    """Serves a node's metrics in a thread of its own, as long as the process lives or until ``close``."""
+    """Serves a node's metrics in its own thread, until ``close`` or the end of the process."""
 
     def __init__(self, metrics: NodeMetrics, host: str, port: int) -> None:
-        """``port`` 0 is a free one. Raises BadInput if the address cannot be used."""
+        """``port`` 0: any free port. Raises BadInput if the address cannot be used."""
         self.metrics = metrics
         registry = CollectorRegistry()
         registry.register(metrics)

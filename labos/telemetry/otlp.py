@@ -1,7 +1,6 @@
-"""Sends spans to a receiver of OpenTelemetry (OTLP over HTTP), with OpenTelemetry's own library.
-
-Sending is done by a thread of that library, with a bounded queue: a receiver that is slow or away costs
-spans, never the lab's time. Headers and certificates are read by the library from its usual variables
+"""Sends spans to an OpenTelemetry receiver (OTLP over HTTP), with OpenTelemetry's own library. A thread of
+that library sends them from a bounded queue. If the receiver is slow or away, spans are lost, but the lab
+does not wait. Headers and certificates are read by the library from its usual variables
 (``OTEL_EXPORTER_OTLP_HEADERS``, ``OTEL_EXPORTER_OTLP_CERTIFICATE``).
 """
 
@@ -17,7 +16,7 @@ from labos.errors import BadInput
 from labos.telemetry.spans import Span
 
 QUEUE = 20_000
-"""So many spans wait for the receiver at most; then new ones are lost."""
+"""The largest number of spans that wait for the receiver; above it, new ones are lost."""
 
 BATCH = 512
 SEND_EVERY_S = 1.0
@@ -27,8 +26,8 @@ PATH = "/v1/traces"
 
 
 def check_receiver(url: str) -> None:
-    """Raises BadInput for what is no address such as ``http://127.0.0.1:4318``, and without the package's
-    extra."""
+    """Raises BadInput if this is not an address such as ``http://127.0.0.1:4318``, or if the package's extra
+    is missing."""
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname:
         raise BadInput(
@@ -45,7 +44,7 @@ def check_receiver(url: str) -> None:
 
 
 class OtlpSender:
-    """``counts`` tells how many spans were offered and how many a receiver has taken."""
+    """``counts`` are the numbers of spans that were offered and that the receiver has accepted."""
 
     def __init__(self, url: str, attributes: Mapping[str, str]) -> None:
         """``url`` is the receiver, ``attributes`` name the lab. Raises BadInput as ``check_receiver``."""
@@ -97,14 +96,14 @@ class OtlpSender:
         )
 
     def close(self) -> None:
-        """Send what waits, and end. A receiver that does not answer is not waited for longer than CLOSE_S."""
+        """Send the waiting spans, and end. Waits at most CLOSE_S for the receiver."""
         ending = threading.Thread(target=self._processor.shutdown, name="otlp-end", daemon=True)
         ending.start()
         ending.join(CLOSE_S)
 
 
 class _Counted:
-    """An exporter that counts what the receiver has taken."""
+    """An exporter that counts the spans which the receiver has accepted."""
 
     def __init__(self, exporter: Any, sender: OtlpSender) -> None:
         self._exporter, self._sender = exporter, sender

@@ -1,4 +1,4 @@
-"""Kernel, log, store, bus and disk as metrics: numbers that somebody else has read."""
+"""Metrics of kernel, log, store, bus and disk, from given readings."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def _collectors() -> CollectorRegistry:
 
 
 def describe_process() -> str:
-    """What the system says of this process, in Prometheus' text format."""
+    """The system's metrics of this process, in Prometheus' text format."""
     return generate_latest(_collectors()).decode()
 
 
 class ProcessReadings(msgspec.Struct, frozen=True):
-    """How the kernel's process stands. ``store_bytes`` is None where the database does not say cheaply.
-    ``decided`` is the last position that was decided, ``durable`` the last one on disk; ``started_at`` in
-    UTC s."""
+    """The state of the kernel's process. ``store_bytes`` is None if the database cannot report it cheaply.
+    ``decided`` is the last decided position, and ``durable`` the last one on disk. ``started_at`` is in UTC
+    s."""
 
     lab: str
     name: str
@@ -55,47 +55,50 @@ class ProcessReadings(msgspec.Struct, frozen=True):
 
 
 class ProcessMetrics(MetricGroup):
-    """The metrics of a kernel's process that do not speak of the bench."""
+    """The metrics of a kernel's process that do not speak of the bench. Most are called as the reading that
+    they show."""
 
     def __init__(self) -> None:
-        self.build = GaugeMetric("labos_build_info", "1; the labels say what runs.", ("version", "python"))
-        self.lab = GaugeMetric(
+        self.build = GaugeMetric(
+            "labos_build_info", "1; the labels give the versions.", ("version", "python")
+        )
+        self.lab_info = GaugeMetric(
             "labos_lab_info",
-            "1; the labels say which lab it is. bench is real or simulated.",
+            "1; the labels identify the lab. bench is real or simulated.",
             ("id", "name", "bench"),
         )
         self.pace = GaugeMetric(
             "labos_lab_pace_ratio",
-            "How much faster than real time simulated instruments run; 1 in a real lab.",
+            "The speed-up factor of simulated instruments; 1 in a real lab.",
         )
         self.epoch = GaugeMetric("labos_kernel_epoch", "The kernel's epoch: one more at each start.")
-        self.started = GaugeMetric(
-            "labos_kernel_start_time_seconds", "When this kernel took the lab (UNIX time)."
+        self.started_at = GaugeMetric(
+            "labos_kernel_start_time_seconds", "The start of this kernel (UNIX time)."
         )
         self.suspended = GaugeMetric(
-            "labos_kernel_suspended", "1 while nothing is started because planning fails: a fault of LabOS."
+            "labos_kernel_suspended", "1 while nothing starts because planning fails: a fault of LabOS."
         )
         self.available = GaugeMetric(
             "labos_log_available", "0 while the log cannot be written and is being read again."
         )
-        self.position = GaugeMetric("labos_log_position", "The position of the last event on disk.")
+        self.durable = GaugeMetric("labos_log_position", "The position of the last event on disk.")
         self.unwritten = GaugeMetric(
-            "labos_log_unwritten_events", "Events that are decided and not yet on disk."
+            "labos_log_unwritten_events", "Events that are decided but not yet on disk."
         )
         self.checked = GaugeMetric(
             "labos_log_checked_events", "Events whose chain was checked since the kernel started."
         )
-        self.damaged = GaugeMetric("labos_log_damaged", "1 if the check of the log has found a damage.")
+        self.damaged = GaugeMetric("labos_log_damaged", "1 if the check of the log has found damage.")
         self.store_bytes = GaugeMetric(
             "labos_store_size_bytes", "Size of the database's files (SQLite only)."
         )
         self.disk_free = GaugeMetric("labos_disk_free_bytes", "Free room on the disk of the lab's folder.")
         self.disk_size = GaugeMetric("labos_disk_size_bytes", "Size of the disk of the lab's folder.")
         self.queries = ComputedCounter(
-            "labos_bus_queries_total", "Questions that the kernel has asked on the bus."
+            "labos_bus_queries_total", "Queries that the kernel has sent on the bus."
         )
         self.unanswered = ComputedCounter(
-            "labos_bus_queries_unanswered_total", "Questions on the bus to which no answer came."
+            "labos_bus_queries_unanswered_total", "Queries on the bus without an answer."
         )
         self.published = ComputedCounter(
             "labos_bus_publications_total", "Messages that the kernel has published on the bus."
@@ -108,10 +111,10 @@ class ProcessMetrics(MetricGroup):
             "Events that were not announced on the bus because it was too slow; they are in the log.",
         )
         self.spans = ComputedCounter(
-            "labos_trace_spans_total", "Spans of traces that were made for a receiver of OpenTelemetry."
+            "labos_trace_spans_total", "Spans of traces that were made for an OpenTelemetry receiver."
         )
         self.spans_sent = ComputedCounter(
-            "labos_trace_spans_sent_total", "Spans of traces that the receiver has taken."
+            "labos_trace_spans_sent_total", "Spans of traces that the receiver has accepted."
         )
         self.faults = ComputedCounter(
             "labos_kernel_faults_total",
@@ -121,29 +124,11 @@ class ProcessMetrics(MetricGroup):
 
     def update(self, now: ProcessReadings) -> None:
         bench = "simulated" if now.simulated else "real"
-        self.lab.replace({(now.lab, now.name, bench): 1.0})
-        self.pace.set(now.pace)
-        self.epoch.set(now.epoch)
-        self.started.set(now.started_at)
-        self.suspended.set(now.suspended)
+        self.lab_info.replace({(now.lab, now.name, bench): 1.0})
+        self.take(now)
         self.available.set(1)
-        self.position.set(now.durable)
         self.unwritten.set(max(now.decided - now.durable, 0))
-        self.checked.set(now.checked)
-        self.damaged.set(now.damaged)
-        if now.store_bytes is not None:
-            self.store_bytes.set(now.store_bytes)
-        self.disk_free.set(now.disk_free)
-        self.disk_size.set(now.disk_size)
-        self.queries.set(now.queries)
-        self.unanswered.set(now.unanswered)
-        self.published.set(now.published)
-        self.dropped.set(now.dropped)
-        self.left_out.set(now.left_out)
-        self.spans.set(now.spans)
-        self.spans_sent.set(now.spans_sent)
-        self.faults.set(now.faults)
 
     def lose(self) -> None:
-        """The log cannot be written: all else is as it was last."""
+        """Record that the log cannot be written; the other metrics keep their values."""
         self.available.set(0)

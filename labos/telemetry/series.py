@@ -1,8 +1,9 @@
-"""Metrics that stay cheap however many series they have: written down when they change, joined when asked.
+"""Metrics that stay fast with many series: a line is made when its value changes, and the lines are joined
+for a scrape.
 
 A lab of a thousand modules has tens of thousands of series, and few of them change between two scrapes. Each
-line of the answer is kept as text and made anew only when its value has changed. The parts of
-``prometheus_client`` serve everything else: a registry can be handed to its exposition and its servers.
+line of the answer is stored as text and made again only when its value has changed. Everything else comes
+from ``prometheus_client``: its exposition and its servers accept a registry of this module.
 """
 
 from __future__ import annotations
@@ -12,25 +13,26 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal
 
+import msgspec
 from prometheus_client import Metric
 
 Labels = tuple[str, ...]
 Kind = Literal["counter", "gauge", "histogram", "summary"]
 
 OTHER = "other"
-"""Stands for every label that had no room any more."""
+"""The label for all sets of labels above the limit."""
 
 MOST = 1000
-"""So many sets of labels a metric has, unless it is said otherwise."""
+"""The default limit of sets of labels of a metric."""
 
 
 ACTION_BOUNDS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0)
-"""The bounds of distributions of how long actions take: from a tenth of a second to an hour."""
+"""The bounds for distributions of the duration of actions: from a tenth of a second to an hour."""
 
 
 class LabMetric:
-    """All series of one metric. ``most`` bounds how many sets of labels there are: what comes later is put
-    together in one whose labels are all ``other``."""
+    """All series of one metric. ``most`` limits the number of sets of labels; later ones share a set whose
+    labels are all ``other``."""
 
     kind: Kind
 
@@ -41,7 +43,7 @@ class LabMetric:
 
     @property
     def width(self) -> int:
-        """How many series one set of labels has."""
+        """The number of series for one set of labels."""
         return 1
 
     def lines(self) -> Iterable[str]:
@@ -53,7 +55,7 @@ class LabMetric:
         raise NotImplementedError
 
     def _labels_of(self, key: Labels) -> Labels:
-        """The set of labels under which a value is kept; its prefix is made when it is new."""
+        """The set of labels under which a value is stored; the prefix of a new set is made here."""
         if key in self._prefixes:
             return key
         if len(self._prefixes) >= self.most and self.labels:
@@ -79,7 +81,7 @@ class _NumberMetric(LabMetric):
 
 
 class CounterMetric(_NumberMetric):
-    """Only goes up, but for a new start of the process."""
+    """A counter only increases, except at a new start of the process."""
 
     kind: Kind = "counter"
 
@@ -90,7 +92,7 @@ class CounterMetric(_NumberMetric):
             self.begin()
 
     def begin(self, key: Labels = ()) -> None:
-        """Let the series come into being: who asks for its increase needs to have seen it at 0."""
+        """Create the series with 0, because a query for its increase needs a first value."""
         self.add(key, 0.0)
 
     def add(self, key: Labels = (), by: float = 1.0) -> None:
@@ -110,7 +112,7 @@ class CounterMetric(_NumberMetric):
 
 
 class GaugeMetric(_NumberMetric):
-    """What is so at the moment. ``replace`` says all of it: series that it does not name are gone."""
+    """A present value. ``replace`` sets all series; those that it does not name are removed."""
 
     kind: Kind = "gauge"
 
@@ -136,7 +138,7 @@ class GaugeMetric(_NumberMetric):
             self.set(rest, self._rest)
 
     def clear(self) -> None:
-        """Nothing is known any more."""
+        """Remove all series."""
         self.replace({})
 
     def lines(self) -> Iterable[str]:
@@ -144,9 +146,9 @@ class GaugeMetric(_NumberMetric):
 
 
 class ComputedCounter(GaugeMetric):
-    """A gauge in the code, a counter for Prometheus: its values are worked out when somebody asks. None goes
-    down: what is under way is counted up to now, and may turn out to have ended a moment before; Prometheus
-    would take that for a new start of the process, and for an enormous rate."""
+    """A gauge in the code and a counter for Prometheus. Its values are computed for each scrape and never
+    decrease. Work under way counts up to now, but it may turn out that it ended a moment before. Prometheus
+    would interpret the decrease as a new start of the process, with an enormous rate."""
 
     kind: Kind = "counter"
 
@@ -158,7 +160,7 @@ class ComputedCounter(GaugeMetric):
 
 
 class _Observations:
-    """What one series of a distribution has seen."""
+    """The observations of one series of a distribution."""
 
     __slots__ = ("counts", "total")
 
@@ -168,7 +170,8 @@ class _Observations:
 
 
 class Distribution(LabMetric):
-    """How values are spread: a histogram with the upper ``bounds``, or, without any, number and sum alone."""
+    """A distribution of values: a histogram with the upper ``bounds``, or, without bounds, only number and
+    sum."""
 
     def __init__(
         self, name: str, help: str, labels: Labels = (), *, bounds: Sequence[float] = (), most: int = MOST
@@ -187,7 +190,7 @@ class Distribution(LabMetric):
         return len(self.bounds) + 3 if self.bounds else 2
 
     def begin(self, key: Labels = ()) -> None:
-        """Let the series come into being, with nothing seen yet."""
+        """Create the series without observations."""
         key = self._labels_of(key)
         if key not in self._heaps:
             self._heaps[key] = _Observations(len(self.bounds))
@@ -232,21 +235,28 @@ class Distribution(LabMetric):
 
 
 class MetricGroup:
-    """Metrics that belong together: those of its attributes that are some, in their order."""
+    """Metrics that belong together: all its attributes that are metrics, in their order."""
 
     @property
     def families(self) -> list[LabMetric]:
         return [value for value in vars(self).values() if isinstance(value, LabMetric)]
 
+    def take(self, readings: msgspec.Struct) -> None:
+        """Each metric that is called as a reading shows it; as before, where that is None."""
+        for name, value in msgspec.structs.asdict(readings).items():
+            metric = getattr(self, name, None)
+            if isinstance(metric, GaugeMetric) and value is not None:
+                metric.set(value)
+
     def clear(self) -> None:
-        """Nothing is known any more of what gauges tell."""
+        """Remove all series of the gauges."""
         for family in self.families:
             if isinstance(family, GaugeMetric):
                 family.clear()
 
 
 class MetricRegistry:
-    """Metrics in the order in which they are shown. ``counts`` is how many series were shown last."""
+    """Metrics in the order in which they are shown. ``counts`` is the number of series at the last scrape."""
 
     def __init__(self, families: Iterable[LabMetric] = ()) -> None:
         self.families: list[LabMetric] = list(families)
@@ -254,7 +264,7 @@ class MetricRegistry:
 
     @property
     def most(self) -> int:
-        """So many series there can be, whatever happens; each metric may have one set of labels more."""
+        """The largest possible number of series; each metric may have one more set of labels."""
         return sum((family.most + 1 if family.labels else 1) * family.width for family in self.families)
 
     def text(self) -> str:
@@ -271,7 +281,7 @@ class MetricRegistry:
         return "\n".join(parts) + "\n" if parts else ""
 
     def collect(self) -> Iterator[Metric]:
-        """The same for ``prometheus_client``: its exposition, its servers, its parsers' tests."""
+        """The same for ``prometheus_client``: its exposition, its servers and the tests of its parsers."""
         for family in self.families:
             metric = Metric(family.name.removesuffix("_total"), family.help, family.kind)
             for name, labels, value in family.samples():

@@ -1,4 +1,4 @@
-"""Who was let in over HTTP, and who was not."""
+"""Accepted and refused sign-ins and requests over HTTP."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ class Signing(MetricGroup):
     def __init__(self) -> None:
         self.tries = CounterMetric(
             "labos_sign_ins_total",
-            "Tries to sign in; outcome is right, wrong or too_many.",
+            "Attempts to sign in; outcome is right, wrong or too_many.",
             ("outcome",),
             most=3,
         )
         self.refused = CounterMetric(
             "labos_requests_refused_total",
-            "Requests that were not let in; reason is not_signed_in or forbidden.",
+            "Refused requests; reason is not_signed_in or forbidden.",
             ("reason",),
             most=2,
         )
@@ -29,6 +29,6 @@ class Signing(MetricGroup):
             self.refused.begin((reason,))
 
     def watch(self, on_try: list[Callable[[str], None]], on_refusal: list[Callable[[str], None]]) -> None:
-        """Count what those who let people in tell."""
+        """Count the results of the parts that admit users."""
         on_try.append(lambda outcome: self.tries.add((outcome,)))
         on_refusal.append(lambda reason: self.refused.add((reason,)))

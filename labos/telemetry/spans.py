@@ -1,22 +1,20 @@
-"""Traces of runs: one trace for each run, made while committed events go by.
-
-A trace has these spans, each inside the one before it:
+"""Traces of runs: one trace for each run, made from committed events. A trace has these spans, each inside
+the previous one:
 
 - ``run WORKFLOW``: from the submission of a run to its end; in it ``wait for start``,
 - ``step KEY``: from a step's first request to its end, retries included,
-- ``MODULE.ACTION``: one sending of an action, from its request to what was recorded of its end,
-- ``commit request``, ``send``, ``device``, ``report`` and ``commit result``: where its time went.
-
-``send`` and ``report`` are the bus and the node's journal. ``device`` ends at the time that the node's clock
-told, if that lies within the action. An action outside of runs has a trace of its own. Ids are derived from
-the lab's id and the names in the log, so that a run's trace is found by the run's name.
+- ``MODULE.ACTION``: one attempt at an action, from its request to the record of its end,
+- ``commit request``, ``send``, ``device``, ``report`` and ``commit result``: the parts of its time. ``send``
+and ``report`` are the bus and the node's journal. ``device`` ends at the time by the node's clock, if this is
+within the action. An action outside of runs has its own trace. Ids are derived from the lab's id and the
+names in the log, so that a run's trace can be found by the run's name.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 
@@ -42,8 +40,8 @@ Attribute = str | int | float | bool
 
 
 class Span(msgspec.Struct, frozen=True):
-    """A stretch of time in a trace; ``start`` and ``end`` in UTC ns, ``parent`` 0 at the top. ``error`` is
-    why it failed; empty if it did not."""
+    """A period of time in a trace. ``start`` and ``end`` are in UTC ns; ``parent`` is 0 at the top. ``error``
+    is the reason of a failure; empty if there was none."""
 
     trace: int
     id: int
@@ -56,7 +54,7 @@ class Span(msgspec.Struct, frozen=True):
 
 
 class _OpenRun(msgspec.Struct):
-    """A run that has not ended, with the keys of its plan's steps and the steps that were begun."""
+    """A run that has not ended, with the keys of its plan's steps and the started steps."""
 
     workflow: str
     attributes: dict[str, Attribute]
@@ -66,7 +64,7 @@ class _OpenRun(msgspec.Struct):
 
 
 class _OpenStep(msgspec.Struct):
-    """When a step was first requested and when its last action ended (UTC ns), and what went wrong then."""
+    """The first request of a step and the end of its last action (UTC ns), with the error of that action."""
 
     start: int
     end: int = 0
@@ -74,7 +72,7 @@ class _OpenStep(msgspec.Struct):
 
 
 class _OpenAction(msgspec.Struct):
-    """One sending of an action; 0 stands for a time that is not known yet."""
+    """One attempt at an action; 0 stands for a time that is not known yet."""
 
     run: RunId
     step: int
@@ -87,7 +85,7 @@ class _OpenAction(msgspec.Struct):
 
 
 class SpanRecorder:
-    """A kernel's listener that hands each span to ``emit`` when it has ended. ``now`` gives UTC ns."""
+    """A kernel's listener that passes each span to ``emit`` when it has ended. ``now`` gives UTC ns."""
 
     def __init__(
         self, state: Callable[[], LabState], now: Callable[[], int], emit: Callable[[Span], None]
@@ -99,9 +97,7 @@ class SpanRecorder:
         self._handlers: dict[type, Callable[[Any, int, int], None]] = {
             r.RunSubmitted: self._on_submitted,
             r.RunStarted: self._on_started,
-            r.RunCompleted: self._on_run_ended,
-            r.RunFailed: self._on_run_ended,
-            r.RunCancelled: self._on_run_ended,
+            **dict.fromkeys(get_args(r.RunEnd), self._on_run_ended),
             ActionRequested: self._on_requested,
             ActionAccepted: self._on_accepted,
             ActionReported: self._on_reported,
@@ -153,9 +149,7 @@ class SpanRecorder:
             trace, parent = self._trace(event.run), self._id("run", event.run)
             self._tell(trace, ("wait", event.run), parent, "wait for start", run.submitted_at, at)
 
-    def _on_run_ended(
-        self, event: r.RunCompleted | r.RunFailed | r.RunCancelled, at: int, durable_at: int
-    ) -> None:
+    def _on_run_ended(self, event: r.RunEnd, at: int, durable_at: int) -> None:
         run = self._runs.pop(event.run, None)
         if run is None:
             return
@@ -176,7 +170,7 @@ class SpanRecorder:
         )
 
     def _keys(self, name: RunId) -> tuple[str, ...]:
-        """The keys of a run's steps; none if the run is over already."""
+        """The keys of a run's steps; none if the run has already ended."""
         runs = self._state().runs
         run = runs.get(name)
         return tuple(step.key for step in runs.plan_of(run).steps) if run is not None else ()
@@ -236,7 +230,7 @@ class SpanRecorder:
                 self._end_step(action.run, run, action.step, run.steps.pop(action.step))
 
     def _on_reconciled(self, event: ActionReconciled, at: int, durable_at: int) -> None:
-        """The action's span ended when nobody knew how it ended; its step goes on to here."""
+        """End the step here. The span of its action ended when the outcome became unknown."""
         run = self._runs.get(event.run)
         step = run.steps.get(event.step) if run is not None else None
         if step is not None:
@@ -246,7 +240,7 @@ class SpanRecorder:
     def _tell_parts(
         self, trace: int, attempt: tuple[object, ...], action: _OpenAction, at: int, end: int
     ) -> None:
-        """Where the time of an action went. What is not known of it is left out."""
+        """Emit the parts of the time of an action. Unknown parts are left out."""
         parent = self._id(*attempt)
 
         def part(name: str, start: int, until: int) -> None:

@@ -1,4 +1,4 @@
-"""How the lab stands now: gauges worked out from the folded state when somebody asks."""
+"""The present state of the lab: gauges computed from the folded state at each scrape."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ MODULE_STATES = ("idle", "busy", "error", "gone", "out_of_service")
 RUN_STATES = ("queued", "active", "paused", "cancelling", "leaving")
 
 APPROVALS = ("run", "campaign", "experiment", "amendment")
-"""Kinds of what waits for an approval."""
+"""The kinds of submissions that wait for an approval."""
 
 KINDS_OF_RUNS, USERS_SEEN, WAITS_SEEN = 150, 101, 500
-"""So many workflows in workcells, users, and reasons to wait are shown as 0 when nothing is left of them."""
+"""The number of workflows in workcells, of users, and of reasons for waiting that are still shown, as 0, when
+none are left."""
 
 CELLS = 250
-"""So many workcells have series of their own."""
+"""The number of workcells with their own series."""
 
 
 class StateMetrics(MetricGroup):
-    """The gauges of a lab's state. ``workflows`` and ``users`` bound these labels."""
+    """The gauges of a lab's state. ``workflows`` and ``users`` limit these labels."""
 
     def __init__(self, workflows: BoundedNames, users: BoundedNames) -> None:
         self._workflow, self._user = workflows, users
@@ -42,14 +43,13 @@ class StateMetrics(MetricGroup):
         self.queue = GaugeMetric("labos_queue_runs", "Runs that wait to be started.", cell, most=CELLS)
         self.queue_age_s = GaugeMetric(
             "labos_queue_oldest_age_seconds",
-            "How long the oldest run that waits to be started has waited; 0 if none does.",
+            "Waiting time of the oldest run that has not started; 0 if no run waits.",
             cell,
             most=CELLS,
         )
         self.waiting = GaugeMetric(
             "labos_waiting_steps",
-            "Steps that wait although it is their turn, by reason; queued runs that wait for the same "
-            "count as one.",
+            "Steps that wait although they are next, by reason; queued runs with one reason count as one.",
             (*cell, "reason"),
         )
         self.user_runs = GaugeMetric(
@@ -57,7 +57,7 @@ class StateMetrics(MetricGroup):
         )
         self.user_share = GaugeMetric(
             "labos_user_share_ratio",
-            "A user's share of the modules' time, as the scheduler counts it: time counts half after a day.",
+            "A user's share of module time as the scheduler counts it; used time counts half after a day.",
             ("user",),
             most=101,
         )
@@ -73,13 +73,13 @@ class StateMetrics(MetricGroup):
         )
         self.occupied = GaugeMetric(
             "labos_module_places_occupied",
-            "Labware at the module's stations, arrivals under way included.",
+            "Labware at the module's stations, including labware that is being moved there.",
             module,
             most=1_000,
         )
         self.labware = GaugeMetric(
             "labos_labware",
-            "Labware on the bench; place is known, or uncertain while nobody knows where a piece is.",
+            "Labware on the bench; place is known, or uncertain for labware whose place is not known.",
             ("place",),
         )
         self.actions = GaugeMetric(
@@ -89,21 +89,21 @@ class StateMetrics(MetricGroup):
         )
         self.level = GaugeMetric(
             "labos_resource_level",
-            "What is left of a resource, in its own unit.",
+            "The remaining amount of a resource, in its own unit.",
             (*module, "resource"),
         )
         self.capacity = GaugeMetric(
-            "labos_resource_capacity", "How much of a resource there can be.", (*module, "resource")
+            "labos_resource_capacity", "The capacity for a resource, in its own unit.", (*module, "resource")
         )
         self.calibration_ends_s = GaugeMetric(
             "labos_calibration_ends_timestamp_seconds",
-            "When the last day is over of the calibration that expires first; none if none does.",
+            "The expiry time of the calibration that expires first; no value if none expires.",
             cell,
             most=CELLS,
         )
         self.questions = GaugeMetric(
             "labos_interventions_open",
-            "Questions and tasks for a person that wait for an answer.",
+            "Open questions and tasks for a person.",
             cell,
             most=CELLS,
         )
@@ -124,15 +124,16 @@ class StateMetrics(MetricGroup):
         self._seen_users: dict[Labels, bool] = {}
         self._seen_waits: dict[Labels, bool] = {}
         self.access = GaugeMetric(
-            "labos_workcell_access", "1 while a person reaches into the workcell.", cell, most=CELLS
+            "labos_workcell_access", "1 while a person has access to the workcell.", cell, most=CELLS
         )
         self.starts_paused = GaugeMetric(
-            "labos_starts_paused", "How many things have their starts paused by somebody: 0 is normal."
+            "labos_starts_paused",
+            "The number of experiments, modules and workcells whose starts somebody has paused; 0 is normal.",
         )
 
         self.bookings = GaugeMetric(
             "labos_bookings",
-            "Bookings that are not over; when is now for those that have begun, else later.",
+            "Bookings that have not ended; when is now for those that have begun, else later.",
             ("when",),
             most=2,
         )
@@ -251,14 +252,14 @@ class StateMetrics(MetricGroup):
         self.waiting.replace(found)
 
     def _remember(self, seen: dict[Labels, bool], found: Counter[Labels], most: int) -> None:
-        """What was there once is shown as 0 when it is gone, in each state."""
+        """Show a former series as 0 in each state."""
         for key in list(found):
             if key not in seen and len(seen) < most * len(RUN_STATES):
                 seen.update({(*key[:-1], state): True for state in RUN_STATES})
 
 
 OWN = "bench"
-"""Stands for the module of a station that belongs to none."""
+"""The module name for stations that belong to no module."""
 
 
 # A factory has thousands of names, and they stay what they are.
@@ -281,7 +282,7 @@ def _place_key(station: StationName, module: ModuleName) -> Labels:
 
 
 def _cell_of(state: LabState, run: str, module: str) -> str:
-    """The workcell that a question is about; empty if it is about the lab."""
+    """The workcell of a question; empty if it concerns the whole lab."""
     found = state.runs.get(run) if run else None
     if found is not None:
         return state.runs.plan_of(found).workcell

@@ -1,5 +1,4 @@
-"""Time without human intervention as metrics; what it is stands in
-``docs/time-without-human-intervention.md``."""
+"""Time without human intervention as metrics; ``docs/time-without-human-intervention.md`` defines it."""
 
 from __future__ import annotations
 
@@ -13,8 +12,8 @@ if TYPE_CHECKING:
 
 
 class UnattendedMetrics(MetricGroup):
-    """The figures of the lab (scope ``lab``, no workcell) and of each workcell. They are there as soon as the
-    log was read from its beginning."""
+    """The figures of the lab (scope ``lab``, no workcell) and of each workcell. They exist as soon as the log
+    was read from its beginning."""
 
     def __init__(self) -> None:
         scope = ("scope", "workcell")
@@ -32,20 +31,23 @@ class UnattendedMetrics(MetricGroup):
         )
         self.working = GaugeMetric(
             "labos_twh_working",
-            "1 while the clock runs: a run goes on and waits for nobody.",
+            "1 while the clock runs: a run is under way and does not wait for a person.",
             scope,
             most=250,
         )
         self.clock_s = ComputedCounter(
-            "labos_twh_clock_seconds_total", "Working time in all, with and without people.", scope, most=250
+            "labos_twh_clock_seconds_total", "Total working time, with and without people.", scope, most=250
         )
         self.planned = ComputedCounter(
-            "labos_planned_touches_total", "What people did by plan: it ends no stretch.", scope, most=250
+            "labos_planned_touches_total",
+            "Planned work of people, which does not end a stretch without intervention.",
+            scope,
+            most=250,
         )
         self.interventions = ComputedCounter(
             "labos_human_interventions_total",
-            "Interventions that ended a stretch, by cause: the kind of question, or the type of event that "
-            "somebody brought about.",
+            "Interventions that ended a stretch, by cause: the kind of question, or the type of the event "
+            "that a person caused.",
             ("cause",),
             most=100,
         )

@@ -1,4 +1,4 @@
-"""A bus in memory that loses, doubles, delays and reorders messages."""
+"""A bus in memory that loses, duplicates, delays and reorders messages."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from labos.testing.faults import Faults
 from labos.testing.loop import PROCESS, Killed, Process, VirtualLoop, context_of
 
 OVERTAKEN_S = 2.0
-"""A message that is to be overtaken waits so long for another one."""
+"""How long a message that is to be overtaken waits for another one."""
 
 
 class Network:
-    """What all endpoints are plugged into."""
+    """The network to which all endpoints are connected."""
 
     def __init__(self, faults: Faults, loop: VirtualLoop) -> None:
         self.faults, self.loop = faults, loop
@@ -25,15 +25,15 @@ class Network:
         self.watchers: list[tuple[Process, re.Pattern[str], AliveListener]] = []
         self.living: dict[str, Process] = {}
         self._held: dict[Process, Callable[[], None]] = {}
-        self.serve_with: Callable[[str, Handler, bytes], Awaitable[bytes]] = _just_serve
-        """How requests reach whoever serves a key: a test may listen there."""
+        self.serve_with: Callable[[str, Handler, bytes], Awaitable[bytes]] = _serve_directly
+        """Delivers requests to the process that serves a key; a test may listen here."""
 
     def endpoint(self, process: Process) -> SimulatedBus:
         process.on_death.append(lambda: self._bury(process))
         return SimulatedBus(self, process)
 
     def _bury(self, process: Process) -> None:
-        """A dead process's tokens vanish; watchers hear of it after a while."""
+        """Remove the tokens of a dead process; watchers are notified after a while."""
         for key in [key for key, owner in self.living.items() if owner is process]:
             self.forget(key)
         for key, servers in list(self.servers.items()):
@@ -49,7 +49,7 @@ class Network:
                     self.deliver(process, listener, key, False)
 
     def deliver(self, process: Process, callback: Callable[..., object], *args: object) -> None:
-        """Call back in a process's context after a delay, if it still lives then."""
+        """Call back in a process's context after a delay, if the process is still alive then."""
         loop, context = self.loop, context_of(process)
         if not self.faults.chance("reordering"):
             loop.call_later(self.faults.delay(), callback, *args, context=context)
@@ -61,7 +61,7 @@ class Network:
         loop.call_later(self.faults.delay(), self.arrive, process, hand_over, context=context_of(None))
 
     def arrive(self, process: Process, hand_over: Callable[[], None]) -> None:
-        """A message is at a process's door; one that is held back there goes in behind the next."""
+        """A message arrives at a process. A message that is held back is delivered after the next one."""
         held = self._held.pop(process, None)
         if held is not None:
             self.faults.tell("reordering")
@@ -70,19 +70,19 @@ class Network:
         elif self.faults.waits_for_next():
             self._held[process] = hand_over
             self.loop.call_later(
-                OVERTAKEN_S, self._not_overtaken, process, hand_over, context=context_of(None)
+                OVERTAKEN_S, self._hand_over_late, process, hand_over, context=context_of(None)
             )
         else:
             hand_over()
 
-    def _not_overtaken(self, process: Process, hand_over: Callable[[], None]) -> None:
+    def _hand_over_late(self, process: Process, hand_over: Callable[[], None]) -> None:
         if self._held.get(process) is hand_over:
             del self._held[process]
             hand_over()
 
 
 def pattern_of(keys: str) -> re.Pattern[str]:
-    """A key expression as a regular expression: ``*`` is one part, ``**`` any number."""
+    """Convert a key expression to a regular expression: ``*`` is one part, ``**`` any number of parts."""
     parts = [".*" if part == "**" else re.escape(part).replace(r"\*", "[^/]*") for part in keys.split("/")]
     return re.compile("/".join(parts))
 
@@ -106,7 +106,7 @@ class SimulatedBus:
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
         faults = self._net.faults
-        await faults.passes(f"{self._role}.before_send")
+        await faults.pass_point(f"{self._role}.before_send")
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         copies = 0 if faults.strikes("loss") else 2 if faults.strikes("duplication") else 1
         for _ in range(copies):
@@ -148,7 +148,7 @@ class SimulatedBus:
 
     async def publish(self, key: str, payload: bytes) -> None:
         faults = self._net.faults
-        await faults.passes(f"{self._role}.before_send")
+        await faults.pass_point(f"{self._role}.before_send")
         for process, pattern, listener in list(self._net.subscribers):
             if not pattern.fullmatch(key) or faults.strikes("loss"):
                 continue
@@ -179,11 +179,11 @@ class SimulatedBus:
         return _Handle(lambda: self._net.watchers.remove(entry) if entry in self._net.watchers else None)
 
     async def close(self) -> None:
-        """Take back everything this process declared."""
+        """Remove everything that this process declared."""
         self._net._bury(self._process)
 
 
-async def _just_serve(key: str, handler: Handler, payload: bytes) -> bytes:
+async def _serve_directly(key: str, handler: Handler, payload: bytes) -> bytes:
     return await handler(payload)
 
 
@@ -192,7 +192,7 @@ async def _serve(
 ) -> None:
     try:
         reply = await net.serve_with(key, handler, payload)
-        await net.faults.passes("node.before_send")
+        await net.faults.pass_point("node.before_send")
         if not net.faults.strikes("loss"):
             net.deliver(asker, _answer, answer, reply)
         net.faults.visit("node.after_send")

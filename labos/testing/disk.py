@@ -1,4 +1,4 @@
-"""Storage in memory that keeps what was synced, and only that, when its process dies."""
+"""Storage in memory. When its process dies, only synced data remain."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ T = TypeVar("T")
 
 
 class SimulatedStore:
-    """The event store port over a list; outlives kernels.
-
-    Time is ``now`` (s), the server's own clock. What was written but not synced stays if its
-    kernel dies, and is gone if the machine loses its power.
+    """The event store port over a list, which outlives kernels. ``now`` is the time (s) of the server's
+    clock. Data that were written but not synced remain if the kernel dies, and are lost in a power cut of the
+    machine.
     """
 
     def __init__(self, now: Callable[[], float] = lambda: 0.0) -> None:
@@ -36,11 +35,11 @@ class SimulatedStore:
         self._unsynced: tuple[Process | None, Head, list[Record]] | None = None
         self._snapshot: tuple[int, bytes, str, bytes] | None = None
         self.process: Process | None = None
-        """Who calls."""
+        """The process that calls."""
         self.dropped = 0
-        """Commits that a power cut took before they were on disk."""
+        """Commits that were lost in a power cut before they were on disk."""
         self.usurped: list[str] = []
-        """Kernels that were replaced although they lived, worked and had renewed their lease in time."""
+        """Kernels that were replaced although they were alive, worked and had renewed their lease in time."""
 
     def head(self) -> Head:
         return self._head
@@ -60,11 +59,11 @@ class SimulatedStore:
         return self._head
 
     def now(self) -> float:
-        """The time by which leases run: the server's, whoever asks."""
+        """The time for leases: always the server's."""
         return self._now()
 
     def is_abandoned(self) -> bool:
-        """Whether the kernel lives, but has let its lease run out: what a standby looks for."""
+        """Whether the kernel is alive, but its lease has expired: a standby then takes over."""
         holder = self._holder
         return holder is not None and holder.alive and self.now() >= self._lease_until
 
@@ -86,7 +85,8 @@ class SimulatedStore:
         return self.sync()
 
     def write(self, expected: Head, records: Sequence[Record]) -> None:
-        """Write behind ``expected``; on disk after ``sync``. Raises Fenced, LogDamaged."""
+        """Write after position ``expected``; the data are on disk after ``sync``. Raises Fenced,
+        LogDamaged."""
         head = self._head
         if (expected.position, expected.hash, expected.epoch) != (head.position, head.hash, head.epoch):
             raise Fenced(f"The log ends at {head.position} of epoch {head.epoch}.")
@@ -101,12 +101,12 @@ class SimulatedStore:
         self._unsynced = (self.process, after, list(records))
 
     def sync(self) -> Head:
-        """Put what was written on disk. Raises Fenced if a successor has ended the transaction."""
+        """Put the written data on disk. Raises Fenced if a successor has ended the transaction."""
         self._check_own()
         return self._keep()
 
     def give_up(self, *, written: bool) -> None:
-        """The connection broke in the midst of a commit, which happened or did not. Raises Fenced."""
+        """Simulate a connection that breaks during a commit, whose outcome is then unknown. Raises Fenced."""
         self._check_own()
         if written:
             self._keep()
@@ -134,8 +134,8 @@ class SimulatedStore:
             self.words[name] = Kept(name, b"", "")
 
     def _settle(self, holder: Process | None) -> None:
-        """Of a dead kernel's last write the system's cache is left, if it had power; a living one's
-        transaction is ended."""
+        """Settle the last write of the previous kernel: if it is dead, the system's cache remains unless the
+        power was cut; if it is alive, its transaction is ended."""
         if self._unsynced is None or holder is None:
             return
         if holder.alive or holder.powerless:
@@ -170,8 +170,8 @@ class SimulatedStore:
 
 
 class SimulatedWriter:
-    """The kernel's writer in virtual time: commits take a while, die, or fail with an unknown
-    outcome."""
+    """The kernel's writer in virtual time: commits take time, may fail with an unknown outcome, and may be
+    interrupted by the end of the process."""
 
     def __init__(self, store: SimulatedStore, faults: Faults, process: Process) -> None:
         self._store, self._faults, self._process = store, faults, process
@@ -196,22 +196,22 @@ class SimulatedWriter:
     def _next(self) -> None:
         if self._queue and not self._busy and self._head is not None:
             self._busy = True
-            self._soon(0.002, self._write, self._head)
+            self._schedule(0.002, self._write, self._head)
 
-    def _soon(self, after_s: float, step: Callable[..., None], *args: Any) -> None:
-        """In the kernel's own thread, whoever asked for the write."""
+    def _schedule(self, after_s: float, step: Callable[..., None], *args: Any) -> None:
+        """Call ``step`` in the kernel's own context after a time, whoever asked for the write."""
         asyncio.get_running_loop().call_later(after_s, step, *args, context=context_of(self._process))
 
     def _write(self, head: Head) -> None:
-        """Take what waits, and hand it to the system."""
+        """Take the waiting batches and pass them to the system."""
         batch, self._queue = self._queue, []
-        if not self._still(head) or not batch:
+        if not self._is_current(head) or not batch:
             self._go_on()
             return
         self._faults.visit("kernel.before_commit")
         if self._process.frozen:
             self._queue = batch
-            self._soon(0.0, self._write, head)
+            self._schedule(0.0, self._write, head)
             return
         self._store.process = self._process
         try:
@@ -220,10 +220,10 @@ class SimulatedWriter:
             self._fail(error)
             return
         self._faults.visit("kernel.unsynced_commit")
-        self._soon(0.002, self._sync, head)
+        self._schedule(0.002, self._sync, head)
 
     def _sync(self, head: Head) -> None:
-        if not self._still(head):
+        if not self._is_current(head):
             self._go_on()
             return
         self._store.process = self._process
@@ -243,8 +243,8 @@ class SimulatedWriter:
         self._busy = False
         self._next()
 
-    def _still(self, head: Head) -> bool:
-        """Whether the kernel has not begun anew meanwhile."""
+    def _is_current(self, head: Head) -> bool:
+        """Whether the kernel has not been opened again meanwhile."""
         return self._head == head
 
     def _fail(self, error: StoreError) -> None:
@@ -265,8 +265,8 @@ class SimulatedWriter:
 
 
 class SimulatedJournalFile:
-    """A node's journal file. Its process may die in the midst of a write and leave a torn last line;
-    if the power fails, any part of what was not synced is gone."""
+    """A node's journal file. If its process dies during a write, the last line may be torn. If the power
+    fails, any part of the data that were not synced may be lost."""
 
     def __init__(self, disk: dict[str, bytes], name: str, faults: Faults, process: Process) -> None:
         self._disk, self._name, self._faults = disk, name, faults
@@ -279,7 +279,7 @@ class SimulatedJournalFile:
 
     async def append(self, data: bytes) -> None:
         await asyncio.sleep(0.001)
-        await self._faults.passes("node.before_journal")
+        await self._faults.pass_point("node.before_journal")
         old = self._synced
         self._disk[self._name] = old + data[: self._faults.rng.randrange(len(data))]
         self._faults.visit("node.torn_journal")
@@ -288,15 +288,15 @@ class SimulatedJournalFile:
 
     async def replace(self, data: bytes) -> None:
         await asyncio.sleep(0.001)
-        await self._faults.passes("node.before_journal")
+        await self._faults.pass_point("node.before_journal")
         self._disk[self._name] = data
         await self._sync()
 
     async def _sync(self) -> None:
-        await self._faults.passes("node.unsynced_journal")
+        await self._faults.pass_point("node.unsynced_journal")
         await asyncio.sleep(0.001)
         self._synced = self._disk[self._name]
-        await self._faults.passes("node.after_journal")
+        await self._faults.pass_point("node.after_journal")
 
     def _lose_unsynced(self) -> None:
         written = self._disk.get(self._name, b"")

@@ -1,4 +1,4 @@
-"""What can go wrong in a simulated lab, drawn from one seed."""
+"""The faults of a simulated lab, drawn from one seed."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ CRASH_POINTS = (
     "node.before_send",
     "node.after_send",
 )
-"""Where processes may die: before and after each durable write and each send, and in the midst of a
-write. Where one is *unsynced* the system has it all and the disk has not."""
+"""The points at which processes may die: before and after each durable write and each send, and during a
+write. At an *unsynced* point, the operating system has all of the data, but the disk does not."""
 
 FAULTS = (
     "loss",
@@ -42,21 +42,20 @@ FAULTS = (
     "clock_jump",
     "mishap",
 )
-"""What else goes wrong, as ``Faults.occurred`` calls it."""
+"""The other faults, by their names in ``Faults.occurred``."""
 
 LONG_S = 0.5
-"""A message that takes longer is a delayed one."""
+"""A message that takes longer than this counts as delayed."""
 
 LONGEST_JUMP_S = 6 * 3600.0
 MENDS_AFTER_S = 900.0
-"""A clock that jumped is put right after so long at most."""
+"""The longest time until a clock that jumped is corrected."""
 
 
 class FaultRates(msgspec.Struct, frozen=True):
     """Probabilities per message (loss, duplication, reordering), per visit of a crash point (crash,
-    kernel_frozen, node_frozen, clock_jump), per commit, per death (power_cut: with its machine's
-    power; both_die: and somebody on the other side with it) or per motion of a hand (mishap); delays
-    in seconds."""
+    kernel_frozen, node_frozen, clock_jump), per commit, per death (power_cut: the machine loses its power;
+    both_die: a process that it talks to dies too) or per motion of a gripper (mishap); delays in seconds."""
 
     loss: float = 0.0
     duplication: float = 0.0
@@ -79,7 +78,7 @@ STORMY = FaultRates(loss=0.03, duplication=0.03, longest_delay_s=1.0, crash=0.00
 
 
 class Faults:
-    """Draws faults; ``at`` kills or freezes the running process at a crash point.
+    """Draws faults; ``visit`` kills or freezes the running process at a crash point.
 
     ``occurred`` and ``deaths`` tell what came of it, with the virtual time of each."""
 
@@ -91,18 +90,18 @@ class Faults:
         self.occurred: list[tuple[str, float]] = []
         self.deaths: list[tuple[str, float]] = []
         self.torn = 0
-        """Journals of which a power cut took some of what was not synced."""
+        """Journals that lost data in a power cut before these were synced."""
         self.only: str = ""
         self.calm = False
         self.on_freeze: Callable[[Process], None] = lambda _: None
         self.on_jump: Callable[[Process], None] = lambda _: None
-        self.other_side: Callable[[Process], Process | None] = lambda _: None
+        self.choose_peer: Callable[[Process], Process | None] = lambda _: None
 
     # -- at crash points ---------------------------------------------------------------------
 
     def visit(self, point: str) -> None:
-        """Perhaps die here: nothing after this line happens in this process. Or freeze: what comes
-        after the next ``await`` happens later."""
+        """Perhaps kill the process here, so that it carries out nothing after this line; or freeze it, so
+        that the code after the next ``await`` runs later."""
         process = PROCESS.get()
         if process is None:
             return
@@ -121,15 +120,15 @@ class Faults:
         if process.clock is not None and self._draw("clock_jump", point):
             self._jump(process)
 
-    async def passes(self, point: str) -> None:
-        """``at``, where a process that freezes does so before the next line."""
+    async def pass_point(self, point: str) -> None:
+        """Like ``visit``, but a process that freezes stops before the next line."""
         self.visit(point)
         process = PROCESS.get()
         if process is not None and process.frozen:
             await asyncio.sleep(0)
 
     def chance(self, fault: str, point: str = "") -> float:
-        """How likely a fault is now."""
+        """The probability of a fault now."""
         rate: float = getattr(self.rates, fault)
         return rate
 
@@ -138,7 +137,7 @@ class Faults:
         powerless = self._draw("power_cut", point)
         if powerless:
             self.tell("power_cut")
-        other = self.other_side(process) if self._draw("both_die", point) else None
+        other = self.choose_peer(process) if self._draw("both_die", point) else None
         process.kill(powerless=powerless)
         if other is not None and other.alive:
             self.tell("both_die")
@@ -153,7 +152,7 @@ class Faults:
         self.on_freeze(process)
 
     def _jump(self, process: Process) -> None:
-        """The clock of its machine is wrong by hours, until somebody puts it right."""
+        """Set the clock of the machine wrong by hours, until somebody corrects it."""
         assert process.clock is not None
         self.tell("clock_jump")
         process.clock.set(self.rng.uniform(-LONGEST_JUMP_S, LONGEST_JUMP_S))
@@ -164,29 +163,30 @@ class Faults:
     # -- anywhere ----------------------------------------------------------------------------
 
     def strikes(self, fault: str) -> bool:
-        """Whether it happens now."""
+        """Whether the fault happens now."""
         if self.calm or self.rng.random() >= self.chance(fault):
             return False
         self.tell(fault)
         return True
 
     def waits_for_next(self) -> bool:
-        """Whether a message is to be overtaken by the next one; whether it is, time will tell."""
+        """Whether a message should wait until the next one has overtaken it."""
         return not self.calm and self._draw("reordering")
 
     def _draw(self, fault: str, point: str = "") -> bool:
-        """Nothing is drawn for what never happens: the labs of a seed stay what they were."""
+        """Draw a random number, unless the probability is 0. In this way, the labs of a seed do not
+        change."""
         chance = self.chance(fault, point)
         return chance > 0 and self.rng.random() < chance
 
     def mishap(self) -> str:
-        """What goes wrong unnoticed with a motion of a hand; empty if nothing does."""
+        """The unnoticed mishap of a gripper's motion; empty if none."""
         if not self.rates.mishap or not self.strikes("mishap"):
             return ""
         return self.rng.choice(MISHAPS)
 
     def delay(self) -> float:
-        """How long a message takes; now and then very long."""
+        """The duration of a message, which is sometimes very long."""
         longest = 0.01 if self.calm else self.rates.longest_delay_s
         takes = self.rng.random() ** 3 * longest + 0.0001
         if takes > LONG_S:
@@ -194,7 +194,7 @@ class Faults:
         return takes
 
     def tell(self, fault: str) -> None:
-        """A fault has occurred."""
+        """Record that a fault has occurred."""
         self.struck[fault] += 1
         self.occurred.append((fault, self.now()))
 

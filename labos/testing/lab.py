@@ -1,8 +1,8 @@
-"""A whole lab in one process: real kernel, real planning, real nodes, on a bad day.
+"""A whole lab in one process, with a real kernel, real planning and real nodes, under many faults.
 
-The bus loses messages, processes die at any durable write and send, commits end unknown; a
-person answers interventions by looking at the simulated bench, as a real one would. What the
-devices did is compared with what the log says.
+The bus loses messages, processes die at any durable write and send, and commits have unknown outcomes. A
+simulated person looks at the bench and answers interventions. At the end, the actions of the devices are
+compared with the log.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from labos.testing.people import LOOK_S, People
 from labos.testing.processes import Conditions
 from labos.testing.stand import Job, Meddle, Stand, make_cancellers
 
-__all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "bare_rule", "make_cancellers"]
+__all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "make_bare_scheduler", "make_cancellers"]
 
 ALL_DAY_S = 14 * 24 * 3600.0
-"""Virtual time after which a lab that has not finished is given up."""
+"""The virtual time after which an unfinished lab counts as stalled."""
 
 
 def _stands_at(station: StationName, state: LabState) -> bool:
@@ -40,13 +40,13 @@ def _stands_at(station: StationName, state: LabState) -> bool:
 
 
 class _Trusting(Safety):
-    """Lets everything start that the rules allow."""
+    """Planning that starts everything that the rules allow."""
 
     def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
         return []
 
 
-def bare_rule() -> Scheduler:
+def make_bare_scheduler() -> Scheduler:
     """The paper's rule alone: a transfer starts when its source is occupied and its target is
     empty."""
     scheduler = Scheduler()
@@ -55,10 +55,10 @@ def bare_rule() -> Scheduler:
 
 
 class SimulatedLab(People):
-    """One lab under one seed. Modules in ``dead`` have no node from the start; those in
-    ``doomed`` lose theirs after so many seconds, for good unless somebody mends them after so many more
-    (``mended``); ``stops`` are emergency stops: a module, and after how many seconds. With ``still_s``
-    the lab is left as soon as nothing has happened for so long. The rest: see ``Conditions``."""
+    """One lab under one seed. Modules in ``dead`` never have a node. Modules in ``doomed`` lose their node
+    after the given seconds, and get it back after the seconds in ``mended``, if given there. ``stops`` are
+    emergency stops: a module, and the seconds after which it is stopped. With ``still_s``, the simulation
+    ends when nothing has happened for this time. The other fields are those of ``Conditions``."""
 
     def __init__(
         self,
@@ -89,9 +89,9 @@ class SimulatedLab(People):
         self.still_s = still_s
         self.meddles = meddles
         self.remembered = ""
-        """The hash of what the kernel had in memory when the day was over."""
+        """The hash of the kernel's state in memory at the end of the simulation."""
         self.answers_all = False
-        """Whether the day is over only when no question is open any more."""
+        """Whether the simulation ends only when no question is open."""
 
     # -- running -----------------------------------------------------------------------------
 
@@ -103,7 +103,7 @@ class SimulatedLab(People):
         return state
 
     def run_for(self, jobs: Sequence[Job], limit_s: float) -> LabState:
-        """Run until all jobs have ended or the time is over; returns the folded log."""
+        """Run until all jobs have ended or the given time has passed; returns the folded log."""
         asyncio.set_event_loop(self.loop)
         try:
             return self.loop.run_until_complete(asyncio.wait_for(self._run(jobs), limit_s))
@@ -113,8 +113,8 @@ class SimulatedLab(People):
             asyncio.set_event_loop(None)
 
     def close(self) -> None:
-        """Forget the world. What is still suspended is thrown away: its ports are dead, so that
-        nothing of it shows."""
+        """Discard the world. Suspended code is discarded too; because its ports are closed, it has no
+        effect."""
         for process in self._everybody:
             process.on_death.clear()
             process.alive = False
@@ -138,16 +138,16 @@ class SimulatedLab(People):
         self._start_kernel()
         await self._set_up()
         self.faults.calm = False
-        self._people.append(self.loop.create_task(self._person()))
+        self._people.append(self.loop.create_task(self._act_as_person()))
         for name, after_s in self.doomed.items():
             self.loop.call_later(after_s, self._bury, name)
         for name, after_s in self.stops:
             self._people.append(self.loop.create_task(self._stop(ModuleName(name), after_s)))
         for meddle in self.meddles:
             self._people.append(self.loop.create_task(self._meddle(meddle)))
-        users = [self.loop.create_task(self._user(job)) for job in jobs]
+        users = [self.loop.create_task(self._act_as_user(job)) for job in jobs]
         if self.still_s:
-            await self._until_still(users)
+            await self._await_stillness(users)
         if not all(user.done() for user in users) and self.still_s:
             for user in users:
                 user.cancel()
@@ -159,12 +159,12 @@ class SimulatedLab(People):
         self.faults.calm = True
         state = self.fold_log()
         while not self._is_over(state):
-            await self._until(self._is_over)
-            await self._until_written()
+            await self._await(self._is_over)
+            await self._await_written()
             state = self.fold_log()
             if not self._is_over(state):  # a kernel that was replaced knows less, until it is told
                 await asyncio.sleep(1.0)
-        await self._until_written()
+        await self._await_written()
         assert self.kernel is not None
         self.remembered = state_hash(self.kernel.state)
         return self.fold_log()
@@ -173,8 +173,8 @@ class SimulatedLab(People):
         asked = self.answers_all and (state.interventions.open or self._cleared)
         return not (state.actions.open or state.runs.active or state.runs.queued or asked)
 
-    async def _until_still(self, users: Sequence[asyncio.Task[None]]) -> None:
-        """Until all users are done, or nothing but restarts has happened for long."""
+    async def _await_stillness(self, users: Sequence[asyncio.Task[None]]) -> None:
+        """Wait until all users are done, or nothing but restarts has happened for ``still_s``."""
         position, since = 0, self.loop.time()
         while not all(user.done() for user in users):
             await asyncio.wait(users, timeout=600.0)
@@ -198,18 +198,18 @@ class SimulatedLab(People):
                 self.world.work("person", "seal", local(load.station))
             await self._insist(load, partial(_stands_at, load.station))
         alive = [m.name for m in self.stand.workcell.modules if local(m.name) not in self.dead]
-        await self._until(
+        await self._await(
             lambda state: all(state.modules.by_name[name].status == ModuleStatus.IDLE for name in alive)
         )
 
     # -- judging -----------------------------------------------------------------------------
 
     def differences(self, state: LabState) -> list[str]:
-        """Where the bench and the log disagree; empty if they agree in every plate."""
+        """The differences between the bench and the log; empty if they agree on every plate."""
         return differences(self.world, state, self.store.records)
 
     def report(self) -> str:
-        """Where a lab that does not end hangs."""
+        """What a lab that does not end is waiting for."""
         state = self.fold_log()
         kernel = self.kernel
         waits = []
@@ -230,9 +230,9 @@ class SimulatedLab(People):
         )
 
     def save(self, path: Path) -> None:
-        """Keep the log as a file that ``labos replay`` steps through."""
+        """Store the log as a file for ``labos replay``."""
         write_segment(path, self.store.records)
 
     def fingerprint(self) -> str:
-        """The same seed gives the same."""
+        """A hash of the result; the same seed gives the same hash."""
         return state_hash(self.fold_log())

@@ -1,8 +1,8 @@
 """A deterministic world of processes: virtual time, and processes that can be killed.
 
-Everything runs on one asyncio loop whose clock jumps to the next timer instead of waiting. Code
-belongs to the process in whose context it was started; when a process is killed, nothing of it
-runs again, not even its ``finally`` blocks' effects: its ports are dead.
+Everything runs on one asyncio loop whose clock jumps to the next timer instead of waiting. Code belongs to
+the process in whose context it was started. After a process was killed, none of its code has an effect, not
+even its ``finally`` blocks, because its ports are closed.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 BASE_NS = 1_800_000_000 * 1_000_000_000
-"""Where virtual wall time starts (UTC ns)."""
+"""The start of virtual wall time (UTC ns)."""
 
 
 class Killed(BaseException):
-    """The process died at this very line."""
+    """The process died at this line."""
 
 
 class Stalled(Exception):
-    """Nothing is left to happen, but somebody still waits."""
+    """Something still waits, but nothing more can happen."""
 
 
 class Process:
@@ -31,17 +31,17 @@ class Process:
     def __init__(self, name: str, clock: VirtualClock | None = None) -> None:
         self.name = name
         self.clock = clock
-        """Its machine's."""
+        """The clock of its machine."""
         self.alive = True
         self.frozen = False
         self.powerless = False
-        """It died because its machine lost its power: what was not synced is gone."""
+        """Whether it died in a power cut of its machine, so that unsynced data are lost."""
         self.tasks: set[asyncio.Task[Any]] = set()
-        self._thaw: list[Callable[[], object]] = []
+        self._after_thaw: list[Callable[[], object]] = []
         self.on_death: list[Callable[[], None]] = []
 
     def kill(self, *, powerless: bool = False) -> None:
-        """Nothing of this process runs any more."""
+        """Kill the process: none of its code runs any more."""
         if self.alive:
             self.alive = False
             self.powerless = powerless
@@ -49,24 +49,25 @@ class Process:
                 notice()
 
     def freeze(self) -> None:
-        """It keeps its memory, and its timers run out; what they, or others, call waits for ``thaw``."""
+        """Freeze the process. It keeps its memory, and its timers expire, but all calls wait until
+        ``thaw``."""
         self.frozen = True
 
     def thaw(self) -> None:
         self.frozen = False
-        waiting, self._thaw = self._thaw, []
+        waiting, self._after_thaw = self._after_thaw, []
         for run in waiting:
             run()
 
-    def later(self, run: Callable[[], object]) -> None:
-        self._thaw.append(run)
+    def call_after_thaw(self, run: Callable[[], object]) -> None:
+        self._after_thaw.append(run)
 
 
 PROCESS: contextvars.ContextVar[Process | None] = contextvars.ContextVar("process", default=None)
 
 
 class _Selector(selectors.SelectSelector):
-    """Lets time pass instead of waiting."""
+    """A selector that advances virtual time instead of waiting."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -116,7 +117,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 
 def context_of(process: Process | None) -> contextvars.Context:
-    """For what a process does, or nobody."""
+    """The context for the code of a process, or for code of no process."""
     context = contextvars.copy_context()
     context.run(PROCESS.set, process)
     return context
@@ -137,7 +138,7 @@ def _run_guarded(
         return
     if process.frozen:
         same = contextvars.copy_context() if context is None else context
-        process.later(lambda: loop.call_soon(callback, *args, context=same))
+        process.call_after_thaw(lambda: loop.call_soon(callback, *args, context=same))
         return
     try:
         callback(*args)
@@ -165,15 +166,15 @@ def _ignore_the_dead(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -
 
 
 class VirtualClock:
-    """The clock port in virtual time: one for each machine. ``jump_ns`` is how far its wall clock is off;
-    waiting knows nothing of that."""
+    """The clock port in virtual time: one for each machine. ``jump_ns`` is the error of its wall clock, which
+    does not affect waiting."""
 
     def __init__(self, loop: VirtualLoop) -> None:
         self._loop = loop
         self.jump_ns = 0
 
     def set(self, off_s: float) -> None:
-        """The wall clock jumps: it is ``off_s`` fast now."""
+        """Make the wall clock jump: afterwards it is ``off_s`` fast."""
         self.jump_ns = int(off_s * 1e9)
 
     def now_ns(self) -> int:
@@ -184,7 +185,7 @@ class VirtualClock:
 
 
 class CountedIds:
-    """Ids that are the same in every run of a seed."""
+    """Ids that are the same in every simulation of a seed."""
 
     def __init__(self, prefix: str) -> None:
         self._prefix = prefix

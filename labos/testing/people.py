@@ -1,4 +1,5 @@
-"""The people of a simulated lab: users who submit, and a person who walks by, looks and answers."""
+"""The people of a simulated lab: users who submit runs, and a person who regularly looks at the bench and
+answers questions."""
 
 from __future__ import annotations
 
@@ -38,14 +39,14 @@ LOOK_S = 10.0
 """How often users and persons look (virtual seconds)."""
 
 ANSWER_S = 5.0
-"""How long people wait for a kernel to answer: one that dies meanwhile never does."""
+"""How long people wait for the answer of a kernel, because a kernel that dies never answers."""
 
 LATE = 0.7
-"""How often a person who walks by leaves planned work for the next time."""
+"""The probability that the person leaves planned work for the next visit."""
 
 
 class People(Processes):
-    """Processes, and people who want something of them."""
+    """The processes of a lab and the people who use it."""
 
     def __init__(self, stand: Stand, seed: int, rates: FaultRates, conditions: Conditions) -> None:
         super().__init__(stand, seed, rates, conditions)
@@ -53,29 +54,29 @@ class People(Processes):
         self.resets = 0
         self.emptied = 0
         self.refills = False
-        """Whether a person fills up what runs wait for."""
+        """Whether the person refills resources that runs wait for."""
         self.tidies = False
-        """Whether a person takes away what a failed run has left in others' way."""
+        """Whether the person removes labware of failed runs that blocks other runs."""
         self.asks_access = False
-        """Whether a person asks for access before touching the bench, and waits until it is granted."""
+        """Whether the person asks for access before touching the bench, and waits until it is granted."""
         self.late = 0.0
-        """How often a person who walks by has no time to look at anything."""
+        """The probability that the person has no time on a visit."""
         self.done_jobs: set[str] = set()
         self._seen: int | None = None
-        self._untold: dict[tuple[str, str], str] = {}
-        """What a person has put right on the bench, and no kernel has heard yet."""
+        self._unreported: dict[tuple[str, str], str] = {}
+        """The person's changes on the bench that were not reported to a kernel yet."""
         self._inside = False
-        """Whether a person may have access that has not ended yet."""
+        """Whether the person may still have access."""
         self._cleared: set[StationName] = set()
-        """Where a person takes everything away, and no kernel has heard of it yet."""
+        """Stations that the person clears and has not reported to a kernel yet."""
         self._people: list[asyncio.Task[None]] = []
 
     async def _tell(self, kernel: Kernel, command: Command) -> None:
         await self._ask(kernel, kernel.execute(command, "person"))
 
     async def _ask(self, kernel: Kernel, work: Coroutine[Any, Any, Any]) -> None:
-        """Have a kernel do something in its own process: one that is frozen does it later, a dead one
-        never. Raises TimeoutError if it does not answer."""
+        """Run a request in the process of a kernel. A frozen kernel carries it out later, a dead one never.
+        Raises TimeoutError if it does not answer."""
         task = self.loop.start(self._process_of[kernel], work)
         done, _ = await asyncio.wait({task}, timeout=ANSWER_S)
         if not done:
@@ -98,7 +99,7 @@ class People(Processes):
                 pass
             await asyncio.sleep(0.5)
 
-    async def _until(self, holds: Callable[[LabState], bool], look_s: float = LOOK_S) -> None:
+    async def _await(self, holds: Callable[[LabState], bool], look_s: float = LOOK_S) -> None:
         while True:
             kernel = self.kernel
             if kernel is not None:
@@ -109,9 +110,9 @@ class People(Processes):
                     pass
             await asyncio.sleep(look_s)
 
-    async def _until_written(self) -> None:
-        """Until all that the kernel knows is on disk, and it knows all that is: one that was replaced does
-        not, before its successor answers."""
+    async def _await_written(self) -> None:
+        """Wait until the kernel and the disk have the same events. A replaced kernel does not have all of
+        them, so its successor has to answer first."""
         while True:
             kernel = self.kernel
             try:
@@ -124,7 +125,7 @@ class People(Processes):
                 pass
             await asyncio.sleep(0.5)
 
-    async def _user(self, job: Job) -> None:
+    async def _act_as_user(self, job: Job) -> None:
         await asyncio.sleep(job.after_s)
         experiment = ExperimentId("")
         if job.experiment is not None:
@@ -140,14 +141,14 @@ class People(Processes):
             command = msgspec.structs.replace(run, **changes)
             await self._insist(command, lambda state, r=request: r in state.runs.requests)  # type: ignore[misc]
             name = self.fold_log().runs.requests[request]
-            await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
+            await self._await(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
         if experiment:
             await self._insist(EndExperiment(experiment), lambda state: _is_closed(state, experiment))
-            await self._until(lambda state: experiment not in state.experiments.open)
+            await self._await(lambda state: experiment not in state.experiments.open)
         self.done_jobs.add(job.name)
 
     async def _refill(self, kernel: Kernel) -> None:
-        """Somebody sees what runs wait for, and fills it up."""
+        """Refill the resources that runs wait for."""
         if self._seen == kernel.durable:
             return  # nothing has happened since
         self._seen = kernel.durable
@@ -166,7 +167,7 @@ class People(Processes):
             await self._reload(kernel, StationName(stack))
 
     async def _tidy(self, kernel: Kernel) -> None:
-        """Somebody takes away what stands in the way of runs and belongs to no run any more."""
+        """Remove labware that blocks runs and does not belong to a run any more."""
         state, now = kernel.state, kernel.clock.now_ns()
         runs = [*state.runs.active.values(), *list(state.runs.queued.values())[:1]]
         whys = [wait.reason for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
@@ -176,24 +177,25 @@ class People(Processes):
         if not state.runs.active and any(isinstance(why, reasons.NoWayOut) for why in whys):
             known = state.bench.stations
             places = {n: True for n, s in known.items() if s.labware and not s.spec.is_storage}
-        self._cleared |= {place for place in places if _is_left(state, place)}
-        await self._tell_cleared(kernel)
+        self._cleared |= {place for place in places if _is_left_behind(state, place)}
+        await self._report_cleared(kernel)
 
-    async def _tell_cleared(self, kernel: Kernel) -> None:
-        """Take away what stands at the cleared places, and say so; again, if no kernel has heard it."""
+    async def _report_cleared(self, kernel: Kernel) -> None:
+        """Remove the labware at the cleared places and report it; repeat the report until a kernel has
+        received it."""
         for place in sorted(self._cleared):
             if not await self._may_touch(kernel):
                 return
             self._reach_in(kernel)
-            if _is_left(kernel.state, place):
-                with self._in_peace():
+            if _is_left_behind(kernel.state, place):
+                with self._suspend_faults():
                     for plate in self.world.at(bench_name(kernel.state.bench.stations[place].spec)):
                         self.world.carry(plate, "")
                     await self._tell(kernel, UnloadStation(place, "person"))
             self._cleared.discard(place)
 
     async def _reload(self, kernel: Kernel, stack: StationName) -> None:
-        """Somebody fills a stack with what it held at first."""
+        """Fill a stack with its first content."""
         station = kernel.state.bench.stations[stack]
         kind = next(kind for name, kind, _ in self.stand.stock if name == stack)
         count = station.spec.capacity - station.count
@@ -202,8 +204,8 @@ class People(Processes):
             self.world.stock(local(stack), kind, count)
             await self._tell(kernel, LoadStation(stack, kind, count))
 
-    async def _person(self) -> None:
-        """Walks by now and then, looks at the bench and answers."""
+    async def _act_as_person(self) -> None:
+        """The person: from time to time looks at the bench and answers questions."""
         while True:
             await asyncio.sleep(2 * LOOK_S)
             kernel = self.kernel
@@ -223,7 +225,7 @@ class People(Processes):
                     if self.is_moving(question.module):
                         continue  # nobody reaches into that
                     unknown = isinstance(question.topic, UnknownAction)
-                    if unknown and not await self._rests(kernel, question.module):
+                    if unknown and not await self._is_over_for(kernel, question.module):
                         continue  # it may go on when its node is back
                     if not await self._may_touch(kernel):
                         break  # what fell first is asked about first
@@ -237,9 +239,9 @@ class People(Processes):
             except (LabosError, TimeoutError, Killed):
                 continue
 
-    async def _rests(self, kernel: Kernel, name: str) -> bool:
-        """Whether what a module was doing is over, as far as a person can see. What will never come back is
-        switched off."""
+    async def _is_over_for(self, kernel: Kernel, name: str) -> bool:
+        """Whether the module has a node or is out of service. The person takes a module out of service whose
+        node will never come back."""
         module = kernel.state.modules.by_name[ModuleName(name)]
         lost = local(name) in self.dead and local(name) not in self.mended
         if module.status == ModuleStatus.GONE and lost and not module.out_of_service:
@@ -247,7 +249,8 @@ class People(Processes):
         return module.status != ModuleStatus.GONE or bool(module.out_of_service)
 
     async def _may_touch(self, kernel: Kernel) -> bool:
-        """Ask for access, if this person does, and wait a while until it is granted; it stays asked for."""
+        """Ask for access, if this person does so, and wait some time until it is granted. The request remains
+        open."""
         cell = self.stand.workcell.name
         if not self.asks_access:
             return True
@@ -262,7 +265,7 @@ class People(Processes):
         return False
 
     async def _come_out(self) -> None:
-        """Out again, once all that was put right is told."""
+        """End the access when all changes were reported."""
         kernel, cell = self.kernel, self.stand.workcell.name
         if kernel is None:
             return
@@ -271,36 +274,36 @@ class People(Processes):
         if not self._inside and (access is None or access.by != "person"):
             return
         asked = {(question.kind, question.subject) for question in kernel.state.interventions.open.values()}
-        self._untold = {about: choice for about, choice in self._untold.items() if about in asked}
-        if not any(self._untold.values()):
+        self._unreported = {about: choice for about, choice in self._unreported.items() if about in asked}
+        if not any(self._unreported.values()):
             await self._insist(EndAccess(cell, "person"), lambda state: cell not in state.lab.access)
             self._inside = False
 
     def _reach_in(self, kernel: Kernel) -> None:
-        """Who touches the bench asks for access first, and a kernel that was replaced can grant none: what
-        it shows is not so any more. Raises Fenced."""
+        """Get access before the bench is touched. A replaced kernel cannot grant it, because its state is out
+        of date. Raises Fenced."""
         if kernel.epoch != self.store.head().epoch:
             raise Fenced("This kernel was replaced.")
 
     async def _answer(self, kernel: Kernel, question: Intervention) -> None:
-        """Look at the bench, and say what is so. What was put right is remembered until it is told: of what
-        is done by hand and never told no log can know."""
+        """Look at the bench and answer truthfully. Changes by hand are stored until they were reported,
+        because the log cannot know unreported changes."""
         self._reach_in(kernel)
         about = (question.kind, question.subject)
         before = self.world.last_motion()
-        remembered = self._untold.pop(about, "")
+        remembered = self._unreported.pop(about, "")
         choice = remembered or look(self.world, kernel.state, question)
         moved = bool(remembered) or self.world.last_motion() > before
         try:
-            with self._in_peace(moved):
+            with self._suspend_faults(moved):
                 await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
         except (LabosError, TimeoutError, Killed):
-            self._untold[about] = choice if moved else ""
+            self._unreported[about] = choice if moved else ""
             raise
 
     @contextmanager
-    def _in_peace(self, moved: bool = True) -> Iterator[None]:
-        """Nothing fails while somebody who has ``moved`` something tells it."""
+    def _suspend_faults(self, moved: bool = True) -> Iterator[None]:
+        """No fault is drawn while somebody who has ``moved`` something reports it."""
         calm = self.faults.calm
         self.faults.calm = calm or moved
         try:
@@ -319,14 +322,14 @@ class People(Processes):
                 self.emptied += 1
 
     async def _stop(self, module: ModuleName, after_s: float) -> None:
-        """Somebody sees something and stops a module; no kernel is asked."""
+        """Stop a module in an emergency, without a kernel."""
         await asyncio.sleep(after_s)
         bus = self.network.endpoint(Process("person"))
-        await stop_modules(bus, await self._lab_id(), [module], "person")
+        await stop_modules(bus, await self._await_lab_id(), [module], "person")
 
     async def _meddle(self, meddle: Meddle) -> None:
-        """Somebody does something about a run when one of its steps has begun."""
-        await self._until(lambda _: meddle.request in self.fold_log().runs.requests)
+        """Interfere with a run when one of its steps has started."""
+        await self._await(lambda _: meddle.request in self.fold_log().runs.requests)
         name = self.fold_log().runs.requests[meddle.request]
 
         def has_begun(state: LabState) -> bool:
@@ -336,7 +339,7 @@ class People(Processes):
             # A kernel that another one has ended may have given this name to a shorter run.
             return meddle.step < len(run.steps) and run.steps[meddle.step].status != PENDING
 
-        await self._until(has_begun, look_s=1.0)  # a picture takes five
+        await self._await(has_begun, look_s=1.0)  # a picture takes five
         for after_s, deed in meddle.deeds(name):
             await asyncio.sleep(after_s)
             if isinstance(deed, str):
@@ -345,7 +348,7 @@ class People(Processes):
                 await self._insist(deed)
 
     async def _reset(self, kernel: Kernel, module: ModuleName) -> None:
-        """Ask for a reset, unless one that was asked for is still to come."""
+        """Ask for a reset, unless one is already requested."""
         step = PlanStep("reset", module, "reset", recovers=True)
         plan = Plan(f"do {local(module)}.reset", self.stand.workcell.name, (step,))
         runs = kernel.state.runs
@@ -359,7 +362,7 @@ def _is_closed(state: LabState, experiment: ExperimentId) -> bool:
     return found is None or found.status == "closing"
 
 
-def _is_left(state: LabState, place: StationName) -> bool:
-    """Whether what stands at a place belongs to no run any more."""
+def _is_left_behind(state: LabState, place: StationName) -> bool:
+    """Whether the labware at a place does not belong to a run any more."""
     left = [item for item in state.bench.labware.values() if item.station == place]
     return bool(left) and all(item.owner.startswith(("user:", SHARED)) for item in left)

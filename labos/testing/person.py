@@ -1,4 +1,4 @@
-"""A person in a simulated lab: looks at the bench and answers, as a real one would."""
+"""A person in a simulated lab, who looks at the bench and answers like a real person."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from labos.node.world import FLOOR, World, lid_of
 from labos.services.truth import bench_name
 
 UNDONE_BY = (("pick_pipette", "place_pipette"), ("create_sample", "dispose_tip"))
-"""Actions that undo each other: which of them was the last one is to be seen."""
+"""Pairs of actions that undo each other. The bench shows which of them was the last."""
 
 
 def look(world: World, state: LabState, question: Intervention) -> str:
-    """Look at the bench, put right what is in the way, and choose an answer."""
+    """Look at the bench, remove obstacles, and choose an answer."""
     if isinstance(question.topic, UnknownAction):
         action = state.actions.open[ActionId(question.subject)]
         for effect in action.effects:
@@ -46,7 +46,7 @@ def look(world: World, state: LabState, question: Intervention) -> str:
 
 
 def _do_work(world: World, state: LabState, question: Intervention) -> str:
-    """Do what a workflow planned, unless it was done before: an earlier word of it may be lost."""
+    """Do the planned work of a workflow, unless it was done before; the earlier report may have been lost."""
     for effect in state.actions.open[ActionId(question.subject)].effects:
         if isinstance(effect, Move):
             station = state.bench.stations[effect.source]
@@ -73,8 +73,8 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
 
 
 def _pick_up(world: World, device: str) -> bool:
-    """Take away what a device has let fall, the first first: there is a question about each. Whether there
-    was anything."""
+    """Remove the first piece that a device has dropped; there is a question about each piece. Returns whether
+    there was one."""
     fallen = [m.plate for m in world.motions("drop") if m.device == device]
     here = [plate for plate in world.at(FLOOR) if plate in fallen]
     for plate in here[:1]:
@@ -116,7 +116,7 @@ def _is_used_meanwhile(state: LabState, question: Intervention, effect: Move) ->
 
 
 def _slot(state: LabState, effect: Move) -> str:
-    """The slot that labware was stored in, where its device had chosen and told it."""
+    """The slot in which labware was stored, if its device chose and reported the slot."""
     labware, module = state.bench.labware.get(effect.labware), state.bench.stations[effect.source].spec.module
     slot = labware.variables.get("slot") if labware is not None else ""
     return f"{local(module)}.{slot}" if slot and local(effect.source) == f"{local(module)}.slots" else ""
@@ -151,14 +151,16 @@ def _look_at_device(world: World, state: LabState, action: Action) -> str:
     plates = [plate for nest in nests for plate in world.at(nest)]
     if action.name in ("seal", "peel") and plates:
         return "done" if world.last(plates[-1], "seal", "peel") == action.name else "not_done"
+    if action.name == "spin" and plates:
+        return "done" if all(world.history(plate, action.name) for plate in plates) else "not_done"
     if undone := [pair for pair in UNDONE_BY if action.name in pair]:
         did = [m.verb for m in world.motions() if m.device == local(action.module) and m.verb in undone[0]]
         return "done" if did[-1:] == [action.name] else "not_done"
-    told = [m.facts for m in world.motions(action.name) if m.device == local(action.module)]
-    if not told and any(isinstance(effect, Claims) for effect in action.effects):
-        return "not_done"  # nor was it ever told anything
-    if told and any(told[-1].get(name, value) != value for name, value in action.args.items()):
-        return "not_done"  # the device shows what it was told before
+    noted = [m.facts for m in world.motions(action.name) if m.device == local(action.module)]
+    if not noted and any(isinstance(effect, Claims) for effect in action.effects):
+        return "not_done"  # it has never been set
+    if noted and any(noted[-1].get(name, value) != value for name, value in action.args.items()):
+        return "not_done"  # the device shows the setting before this one
     if action.name in ("open_lid", "close_lid"):
         return "done" if any(map(world.is_shut, nests)) == (action.name == "close_lid") else "not_done"
     return "done"

@@ -1,6 +1,5 @@
-"""The processes of a simulated lab: one kernel, a node for each module, and what they stand on.
-
-Whoever dies is started again after a while, as by a supervisor.
+"""The processes of a simulated lab: one kernel, a node for each module, and their bus and store. A process
+that dies is started again after a while, as by a supervisor.
 """
 
 from __future__ import annotations
@@ -42,11 +41,11 @@ from labos.testing.stand import Stand
 HEARTBEAT_S = 30.0
 
 MACHINES = ("one", "another")
-"""Where kernels run."""
+"""The machines on which kernels run."""
 
 
 class SlipperyWorld(World):
-    """A bench on which hands lose what they hold, as often as the faults say."""
+    """A bench on which grippers lose labware with the probability of the faults."""
 
     def __init__(self, faults: Faults) -> None:
         super().__init__()
@@ -60,8 +59,8 @@ class SlipperyWorld(World):
 
 
 class NotedFiles(Files):
-    """The files of a lab without a disk: what a node leaves behind is noted and let go, and what it is given
-    is no more than a name."""
+    """The files of a lab without a disk: the names of output files are recorded without their content, and an
+    input file is only a name."""
 
     async def send(self, attachment: Attachment) -> dict[str, Any]:
         content = attachment.content
@@ -73,9 +72,9 @@ class NotedFiles(Files):
 
 
 class Conditions(msgspec.Struct, frozen=True):
-    """How a lab is run. Modules in ``dead`` have no node; those in ``mended`` get theirs back so many
-    seconds after they lost it. With ``standby`` somebody looks, now and then, whether the kernel has let
-    its lease of ``lease_s`` run out, and starts another one on another machine."""
+    """How a lab is run. Modules in ``dead`` have no node; those in ``mended`` get theirs back after the given
+    seconds. With ``standby``, another kernel is started on another machine when the lease of the kernel
+    (``lease_s``) has expired."""
 
     dead: Sequence[str] = ()
     mended: Mapping[str, float] = {}
@@ -85,7 +84,7 @@ class Conditions(msgspec.Struct, frozen=True):
     lease_s: float = 1e9
     standby: bool = False
     most_kernels: int = 100_000
-    """One that does not stay up is given up after so many starts."""
+    """The number of starts after which a process that keeps failing is not started again."""
     snapshot_every: int = 300
 
 
@@ -101,7 +100,7 @@ class Processes:
         self.faults = conditions.make_faults(rates, self.rng)
         self.faults.calm = True
         self.faults.on_freeze = self.faults.on_jump = self._watch_over
-        self.faults.other_side = self._other_side
+        self.faults.choose_peer = self._choose_peer
         self.network = Network(self.faults, self.loop)
         self.store = SimulatedStore(self.loop.time)
         self.world = SlipperyWorld(self.faults)
@@ -121,21 +120,21 @@ class Processes:
         self.before_restart: Callable[[], None] = lambda: None
 
     def files_of(self, bus: Bus) -> Files:
-        """Where a node leaves its files."""
+        """The place for the files of a node."""
         return NotedFiles(bus, "", Path())
 
     @property
     def processes(self) -> list[Process]:
-        """All that there ever were."""
+        """All processes that ever existed."""
         return self._everybody
 
     def is_moving(self, module: str) -> bool:
-        """Whether anybody can see a module's device move."""
+        """Whether a module's device is visibly moving."""
         node = self._devices.get(module)
         return bool(getattr(getattr(node, "device", node), "moving", False))
 
     def fold_log(self) -> LabState:
-        """The state that the log amounts to, folded from nothing."""
+        """The state of the log, folded from the first event."""
         state = LabState()
         fold(state, self.store.read())
         return state
@@ -157,7 +156,7 @@ class Processes:
     def ids(self, name: str) -> CountedIds:
         return self._ids.setdefault(name, CountedIds(name))
 
-    def _on_machine(self, name: str, machine: str) -> Process:
+    def _make_process(self, name: str, machine: str) -> Process:
         """A new process, with the clock of its machine."""
         clock = self._clocks.setdefault(machine, VirtualClock(self.loop))
         process = Process(name, clock)
@@ -166,39 +165,39 @@ class Processes:
 
     def _start_kernel(self, machine: str = MACHINES[0]) -> None:
         self.kernels += 1
-        process = self._on_machine(f"kernel{self.kernels}", machine)
-        process.on_death.append(lambda: self._kernel_died(process, machine))
-        self.loop.start(process, self._or_die(process, self._kernel_main(process)))
+        process = self._make_process(f"kernel{self.kernels}", machine)
+        process.on_death.append(lambda: self._on_kernel_death(process, machine))
+        self.loop.start(process, self._run_or_die(process, self._kernel_main(process)))
 
-    def _kernel_died(self, process: Process, machine: str) -> None:
+    def _on_kernel_death(self, process: Process, machine: str) -> None:
         if self.kernel is not None and self._process_of[self.kernel] is process:
-            self.kernel = self._latest()
+            self.kernel = self._find_latest_kernel()
         self.before_restart()
-        if not self._kernels_alive() and self.kernels < self.conditions.most_kernels:
-            self._later(self._start_kernel, machine)
+        if not self._list_living_kernels() and self.kernels < self.conditions.most_kernels:
+            self._schedule_restart(self._start_kernel, machine)
 
-    def _latest(self) -> Kernel | None:
-        """The kernel that people talk to: of several the one that was started last."""
+    def _find_latest_kernel(self) -> Kernel | None:
+        """The kernel that people use: the one that was started last."""
         living = [kernel for kernel in self._serving if self._process_of[kernel].alive]
         return max(living, key=self.opened.index, default=None)
 
-    def _kernels_alive(self) -> list[Process]:
+    def _list_living_kernels(self) -> list[Process]:
         return [process for process in self._everybody if process.alive and is_kernel(process)]
 
-    def _other_side(self, process: Process) -> Process | None:
-        """Somebody whom a process talks to."""
+    def _choose_peer(self, process: Process) -> Process | None:
+        """A process with which a process communicates."""
         if not is_kernel(process):
-            return next(iter(self._kernels_alive()), None)
+            return next(iter(self._list_living_kernels()), None)
         nodes = [other for other in self._everybody if other.alive and not is_kernel(other)]
         return self.rng.choice(nodes) if nodes else None
 
     def _watch_over(self, process: Process) -> None:
-        """A kernel may be away: its standby looks at the lease for a while."""
+        """Watch the lease of a kernel, as its standby does."""
         if self.conditions.standby and is_kernel(process):
             self._look_at_lease(process, self.loop.time() + self.conditions.lease_s / 2)
 
     def _look_at_lease(self, process: Process, until: float) -> None:
-        if self._kernels_alive() != [process]:
+        if self._list_living_kernels() != [process]:
             return
         machine = MACHINES[self._clocks[MACHINES[0]] is process.clock]
         # Asked from the standby's machine: its clock must not matter.
@@ -210,8 +209,8 @@ class Processes:
             outside = contextvars.Context()
             self.loop.call_later(1.0, self._look_at_lease, process, until, context=outside)
 
-    async def _or_die(self, process: Process, main: Coroutine[Any, Any, None]) -> None:
-        """A program that ends with an error is started again like one that was killed."""
+    async def _run_or_die(self, process: Process, main: Coroutine[Any, Any, None]) -> None:
+        """Run a program. If it ends with an error, it is started again like a killed one."""
         try:
             await main
         except LabosError:
@@ -239,12 +238,12 @@ class Processes:
         Verifier(kernel, bus).start()
         self._serve(kernel)
         self._serving.append(kernel)
-        self.kernel = self._latest()
+        self.kernel = self._find_latest_kernel()
         await kernel.failed
         process.kill()
 
     def _serve(self, kernel: Kernel) -> None:
-        """What else a kernel's process does: nothing, but in labs that say so."""
+        """Further work of a kernel's process; there is none by default."""
 
     def _bury(self, name: str) -> None:
         self.dead.add(name)
@@ -261,12 +260,12 @@ class Processes:
     def _start_node(self, name: str) -> None:
         if local(name) in self.dead:
             return
-        process = self._on_machine(f"node:{name}", name)
-        process.on_death.append(lambda: self._later(self._start_node, name))
-        process.on_death.append(lambda: self._stand_still(name))
-        self.loop.start(process, self._or_die(process, self._node_main(process, name)))
+        process = self._make_process(f"node:{name}", name)
+        process.on_death.append(lambda: self._schedule_restart(self._start_node, name))
+        process.on_death.append(lambda: self._forget_device(name))
+        self.loop.start(process, self._run_or_die(process, self._node_main(process, name)))
 
-    def _stand_still(self, name: str) -> None:
+    def _forget_device(self, name: str) -> None:
         self._devices.pop(name, None)
 
     async def _node_main(self, process: Process, name: str) -> None:
@@ -284,7 +283,7 @@ class Processes:
             seed=self.seed,
         )
         node = self._devices[name] = self.stand.node_class(spec)(setup)
-        lab = await self._lab_id()
+        lab = await self._await_lab_id()
         assert process.clock is not None
         server = NodeServer(
             node,
@@ -299,13 +298,13 @@ class Processes:
         )
         await server.start()
 
-    async def _lab_id(self) -> str:
+    async def _await_lab_id(self) -> str:
         while not self.store.head().lab:
             await asyncio.sleep(0.01)
         return self.store.head().lab
 
-    def _later(self, start: Callable[..., None], *args: str) -> None:
-        """Somebody starts a process again after a while; the dead one's context is no part of it."""
+    def _schedule_restart(self, start: Callable[..., None], *args: str) -> None:
+        """Start a process again after a while, outside the context of the dead process."""
         low, high = self.faults.rates.restart_s
         self.loop.call_later(self.rng.uniform(low, high), start, *args, context=contextvars.Context())
 

@@ -1,4 +1,4 @@
-"""What a simulated lab is built of, and what people want of it."""
+"""The parts of a simulated lab, and the jobs of its users."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from labos.node.protocol import SetupReply
 
 
 class Stand(msgspec.Struct, frozen=True):
-    """What a lab is built of: a workcell, what stands there at first, its node classes by driver; and what
-    a person brings before the first run."""
+    """The parts of a lab: a workcell, the labware there at the start, its node classes by driver, and the
+    labware that a person brings before the first run."""
 
     workcell: Workcell
     stock: tuple[tuple[StationName, str, int], ...]
@@ -28,16 +28,16 @@ class Stand(msgspec.Struct, frozen=True):
     loads: tuple[LoadStation, ...] = ()
 
     def node_class(self, module: ModuleSpec) -> type[Node]:
-        """The class of a module's node, which its workcell file may have described."""
+        """The class of a module's node, which the workcell file may describe."""
         about, extends = (module.config.get(key, {}) for key in ("about", "extends"))
         if not about and not extends:
             return self.nodes[module.driver]
-        told = SetupReply(driver=module.driver, simulated=True, about=about, extends=extends)
-        return own_class(module.name, told, self.nodes.get(module.driver))
+        setup = SetupReply(driver=module.driver, simulated=True, about=about, extends=extends)
+        return own_class(module.name, setup, self.nodes.get(module.driver))
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What a user submits after ``after_s``: an experiment of one or more runs in sequence."""
+    """A job that a user submits after ``after_s``: an experiment of one or more runs in sequence."""
 
     name: str
     user: str
@@ -47,8 +47,8 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Meddle(msgspec.Struct, frozen=True):
-    """What somebody does about a run (job/number) as soon as one of its steps has begun: commands, or
-    modules that are stopped, each so many seconds after the one before."""
+    """An interference with a run (job/number) as soon as one of its steps has started: commands or emergency
+    stops of modules, each the given seconds after the previous one."""
 
     request: str
     step: int
@@ -56,5 +56,5 @@ class Meddle(msgspec.Struct, frozen=True):
 
 
 def make_cancellers(cancels: Mapping[str, int]) -> list[Meddle]:
-    """Users who cancel runs, each when the step named has begun."""
+    """Make users who cancel runs, each when the named step has started."""
     return [Meddle(name, step, lambda run: [(0.0, CancelRun(run))]) for name, step in cancels.items()]

@@ -1,12 +1,10 @@
-"""One suite for every driver: what it does to them, and the badge that they come away with.
-
-The driver's node runs in a process of its own, on a real bus, and is killed there. Its simulated device
-stands at the far end of a real line, with a relay in between that is cut and spoiled. Both are asked what
-happened: the node by its answers, the device by the bench's own motion log.
+"""One test suite for every driver, which determines its badge. The driver's node runs in its own process on a
+real bus, and is killed there. Its simulated device is at the far end of a real line. A relay in between cuts
+and spoils the line. The suite compares the answers of the node with the motion log of the simulated bench.
 """
 
 from labos.torture.report import MEANING, RANKS, Badge, Finding, Report
-from labos.torture.suite import CHECKS, declaration, is_person, says, torture
+from labos.torture.suite import CHECKS, describe_check, find_declaration, is_person, torture
 
 __all__ = [
     "CHECKS",
@@ -15,8 +13,8 @@ __all__ = [
     "Badge",
     "Finding",
     "Report",
-    "declaration",
+    "describe_check",
+    "find_declaration",
     "is_person",
-    "says",
     "torture",
 ]

@@ -1,6 +1,5 @@
-"""The bench of one driver under torture: what somebody puts there, and what really happened.
-
-The world's motion log is written by devices and people only. What a node says is held against it.
+"""The bench of one driver under torture: the labware that is put there, and the true motions. Only devices
+and people write the motion log of the world. The reports of a node are compared with it.
 """
 
 from __future__ import annotations
@@ -38,25 +37,26 @@ GATES = ("shut", "open")
 POLL_S = 0.02
 
 Deeds = Counter[tuple[str, str]]
-"""How often each (verb, place) happened."""
+"""The number of times of each (verb, place)."""
 
 
 class Bench:
-    """What stands around the module ``name``."""
+    """The stations and labware around the module ``name``."""
 
     def __init__(self, world: World, name: str, about: Description) -> None:
         self.world, self.name, self.about = world, name, about
         self._setup = Setup(name=name, workcell="torture")
 
     def place(self, station: str) -> str:
-        """A station as the world names it: another module's in full, a hand as one."""
+        """The name of a station in the world: the full name for a station of another module; a gripper has
+        one name."""
         if station == "gripper":
             return f"hand:{self.name}"
         return station if "." in station or ":" in station else self._setup.place(station)
 
     def effects(self, case: Case, spec: ActionSpec) -> tuple[AnyEffect, ...]:
-        """The action's effects with the case's arguments filled in. Those that cannot be worked out
-        without a workflow (files, lists of volumes) are left out."""
+        """The effects of the action with the arguments of the case. Effects that need a workflow (files,
+        lists of volumes) are left out."""
         args = {arg.name: arg.default for arg in spec.args if not arg.required}
         args.update({find_name(spec, name): value for name, value in case.args.items()})
         found = []
@@ -70,13 +70,13 @@ class Bench:
     # -- people ------------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Somebody takes all plates away, and lets no lid lie."""
+        """Somebody takes all plates and lids away."""
         for plates in self.world.places().values():
             for plate in plates:
                 self.world.carry(plate, "")
 
     def lay(self, case: Case, spec: ActionSpec) -> None:
-        """Somebody puts what the action needs where it is needed, and nothing else."""
+        """Put only the labware on the bench that the action needs."""
         self.clear()
         for station, kind in case.stock.items():
             self._stock(station, kind)
@@ -96,7 +96,7 @@ class Bench:
                 case Move(source=place) | Take(stack=place):
                     self._stock(place, plate)
                 case Needs(station=here):
-                    self._stock(here or self._own(), plate)
+                    self._stock(here or self._find_own_station(), plate)
         for effect in effects:
             if isinstance(effect, Requires) and effect.of == "labware" and effect.variable == "sealed":
                 for full in self.world.places() if effect.value else ():
@@ -112,7 +112,7 @@ class Bench:
         else:
             self.world.stock(where, kind)
 
-    def _own(self) -> str:
+    def _find_own_station(self) -> str:
         return next((s.name for s in self.about.stations if s.kind != "gripper"), "default")
 
     # -- what happened -----------------------------------------------------------------------
@@ -122,16 +122,16 @@ class Bench:
         return self.world.last_motion()
 
     def motions(self, since: int) -> list[Motion]:
-        """What the module's device did after a mark."""
+        """The motions of the module's device after a mark."""
         return [m for m in self.world.motions(after=since) if m.device not in PEOPLE]
 
-    def deeds(self, since: int, *, gates: bool) -> Deeds:
-        """What it did that matters: plates and liquids moved, work done; doors if they are the deed."""
+    def list_deeds(self, since: int, *, gates: bool) -> Deeds:
+        """Count what it did: plates and liquids moved, work done; with ``gates`` doors, too."""
         passed_over = SCENERY if gates else SCENERY + GATES
         return Counter((m.verb, m.place) for m in self.motions(since) if m.verb not in passed_over)
 
-    async def quiet(self, still_s: float, limit_s: float = 60.0) -> bool:
-        """Wait until nothing has moved for so long; False if it never comes to rest."""
+    async def await_quiet(self, still_s: float, limit_s: float = 60.0) -> bool:
+        """Wait until nothing has moved for this time; False if the device never comes to rest."""
         began = since = time.monotonic()
         seen = self.mark()
         while (now := time.monotonic()) - since < still_s:
@@ -144,8 +144,8 @@ class Bench:
 
     # -- where labware is --------------------------------------------------------------------
 
-    def subject(self, effect: AnyEffect) -> str:
-        """The plate, or lid, that an effect is about to move, by where it lies."""
+    def find_subject(self, effect: AnyEffect) -> str:
+        """The plate or lid that an effect will move, found by its place."""
         match effect:
             case Unlid(source=source):
                 plates = self.world.at(self.place(source))
@@ -156,15 +156,15 @@ class Bench:
                 return plates[-1] if plates else ""
         return ""
 
-    def where(self, plate: str) -> str:
-        """Where a plate lies now; empty if it is out of the lab."""
+    def find_place(self, plate: str) -> str:
+        """The place of a plate; empty if it is out of the lab."""
         return next((place for place, plates in self.world.places().items() if plate in plates), "")
 
     def find_misplaced(self, case: Case, effect: AnyEffect, plate: str) -> str:
-        """What is wrong with where a plate is, after an action that moved it; empty if nothing."""
+        """The error in the place of a plate after an action that moved it; empty if there is none."""
         if not plate or not isinstance(effect, Carrying):
             return ""
-        here, target = self.where(plate), self.place(case.ends or effect.target)
+        here, target = self.find_place(plate), self.place(case.ends or effect.target)
         if effect.lid == "on":
             beneath = self.world.at(target)
             target = lid_of(beneath[0]) if beneath else target
@@ -174,18 +174,18 @@ class Bench:
 
 
 def find_name(spec: ActionSpec, name: str) -> str:
-    """An argument's declared name, by that or an alias."""
+    """The declared name of an argument, found by this name or an alias."""
     return next((arg.name for arg in spec.args if name == arg.name or name in arg.aliases), name)
 
 
 def is_unresolved(effect: AnyEffect) -> bool:
-    """Whether place-holders are left in an effect that its arguments should have filled in."""
+    """Whether an effect still has placeholders that the arguments should have replaced."""
     values = msgspec.structs.asdict(effect).values()
     return any(isinstance(v, str) and "{" in v and not is_reported(v) for v in values)
 
 
 def describe_deeds(deeds: Mapping[tuple[str, str], int]) -> str:
-    """Deeds in words."""
+    """The motions as text."""
     words = [
         f"{verb}{f' at {place}' if place else ''}{f' ({n} times)' if n > 1 else ''}"
         for (verb, place), n in sorted(deeds.items())
@@ -193,8 +193,8 @@ def describe_deeds(deeds: Mapping[tuple[str, str], int]) -> str:
     return ", ".join(words) or "nothing"
 
 
-def as_seen(value: Any) -> bool | None:
-    """What a sensor's word says of a place: something, nothing, or that it cannot tell."""
+def read_presence(value: Any) -> bool | None:
+    """What a sensor reports of a place: something there, nothing there, or None if it cannot tell."""
     if value is None:
         return None
     return bool(value)

@@ -1,4 +1,5 @@
-"""Which calls of a driver are tried: those that its author gives, else what follows from ``about``."""
+"""The calls of a driver that are tried: those that its author gives, otherwise those that follow from
+``about``."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ PLACES = {"source": "bench.source", "target": "bench.target"}
 
 
 def cases_of(about: Description, torture: Torture, folder: Path) -> list[Case]:
-    """At least one for each action but ``reset``, in the order of the description."""
+    """At least one case for each action except ``reset``, in the order of the description."""
     found: list[Case] = []
     for spec in about.actions:
         if spec.name == "reset":
@@ -29,7 +30,7 @@ def cases_of(about: Description, torture: Torture, folder: Path) -> list[Case]:
 
 
 def find_unknown_cases(about: Description, torture: Torture) -> list[str]:
-    """Actions of given cases that the driver does not offer."""
+    """The actions in given cases that the driver does not have."""
     return [case.action for case in torture.cases if about.action(case.action) is None]
 
 
@@ -37,14 +38,18 @@ def _fill(case: Case, spec: ActionSpec, folder: Path) -> Case:
     files = {name: _write(folder / file, text) for name, (file, text) in case.files.items()}
     given = {find_name(spec, name) for name in (*case.args, *files)}
     args = {
-        **{arg.name: _example(arg, folder) for arg in spec.args if arg.required and arg.name not in given},
+        **{
+            arg.name: _make_example(arg, folder)
+            for arg in spec.args
+            if arg.required and arg.name not in given
+        },
         **case.args,
         **files,
     }
     return msgspec.structs.replace(case, action=spec.name, args=args)
 
 
-def _example(arg: Arg, folder: Path) -> Any:
+def _make_example(arg: Arg, folder: Path) -> Any:
     if arg.choices:
         return arg.choices[0]
     match arg.type:
@@ -70,17 +75,17 @@ def _write(path: Path, text: str) -> str:
     return str(path)
 
 
-def wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Calls that must be refused, each with what is wrong with it."""
+def list_wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Calls that must be refused, each with its error."""
     args = {find_name(spec, name): value for name, value in case.args.items()}
     yield "an argument that there is none of", {**args, "no_such_argument": 1}
     for arg in spec.args:
         if arg.required:
             yield f"{arg.name} left out", {name: v for name, v in args.items() if name != arg.name}
         if arg.minimum is not None:
-            yield f"{arg.name} below its minimum", {**args, arg.name: _beyond(arg, arg.minimum, -1)}
+            yield f"{arg.name} below its minimum", {**args, arg.name: _exceed_limit(arg, arg.minimum, -1)}
         if arg.maximum is not None:
-            yield f"{arg.name} above its maximum", {**args, arg.name: _beyond(arg, arg.maximum, 1)}
+            yield f"{arg.name} above its maximum", {**args, arg.name: _exceed_limit(arg, arg.maximum, 1)}
         if arg.choices:
             yield f"{arg.name} that is none of its choices", {**args, arg.name: "none of these"}
         if (wrong := _OTHER_TYPES.get(arg.type)) is not None:
@@ -99,7 +104,7 @@ _OTHER_TYPES: dict[str, Any] = {
 }
 
 
-def _beyond(arg: Arg, limit: float, side: int) -> float:
+def _exceed_limit(arg: Arg, limit: float, side: int) -> float:
     return int(limit) + side if arg.type == "int" else limit + side * max(abs(limit), 1.0) * 0.01
 
 
@@ -108,5 +113,6 @@ def moves_labware(spec: ActionSpec) -> bool:
 
 
 def works_a_gate(spec: ActionSpec) -> bool:
-    """Whether what the action does shows in a variable of the module, as a lid's position."""
+    """Whether the effect of the action is visible in a variable of the module, such as the position of a
+    lid."""
     return any(isinstance(effect, Sets) and effect.of == "module" for effect in spec.effects)

@@ -1,4 +1,4 @@
-"""Bronze: the driver says what it is, does what it says, and refuses what it cannot do."""
+"""Bronze: the driver describes itself, does what it describes, and refuses what it cannot do."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from labos.core.model import ActionSpec, Arg
 from labos.node.protocol import Outcome, StateReport
 from labos.node.torture import Case
 from labos.torture.bench import describe_deeds, find_name, is_unresolved
-from labos.torture.cases import find_unknown_cases, moves_labware, wrong_args
-from labos.torture.session import END_S, TRIES, Done, Failed, LeftOut, Session, case_key
+from labos.torture.cases import find_unknown_cases, list_wrong_args, moves_labware
+from labos.torture.session import END_S, TRIES, Attempt, Failed, LeftOut, Session, key_of
 
 
-async def about(on: Session) -> None:
-    """about is complete: everything is described, bounded and named once."""
-    flaws = [*_names(on), *_find_undescribed(on), *_not_there(on)]
+async def check_about(on: Session) -> None:
+    """about is complete: everything has a description and limits, and each name is used once."""
+    flaws = [*_find_ambiguous_names(on), *_find_undescribed(on), *_find_undeclared(on)]
     if flaws:
         raise Failed("; ".join(flaws))
     report = await on.kernel.about()
@@ -25,8 +25,8 @@ async def about(on: Session) -> None:
         raise Failed(f"about says simulated = {report.simulated}")
 
 
-def _names(on: Session) -> list[str]:
-    """Names that mean nothing, or two things."""
+def _find_ambiguous_names(on: Session) -> list[str]:
+    """Names that are unknown, ambiguous or missing."""
     about = on.about
     flaws = [
         f"TORTURE has a case for {name}, which is no action" for name in find_unknown_cases(about, on.torture)
@@ -48,11 +48,15 @@ def _find_undescribed(on: Session) -> list[str]:
             flaws.append(f"{spec.name} has no description or no duration")
         if not spec.exclusive and any(isinstance(e, Carrying | Consumes | Needs) for e in spec.effects):
             flaws.append(f"{spec.name} may run beside other work, but moves or uses something")
-        flaws += [f"{spec.name}: argument {arg.name} {flaw}" for arg in spec.args if (flaw := _flaw(arg))]
+        flaws += [
+            f"{spec.name}: argument {arg.name} {flaw}"
+            for arg in spec.args
+            if (flaw := _find_argument_flaw(arg))
+        ]
     return flaws
 
 
-def _flaw(arg: Arg) -> str:
+def _find_argument_flaw(arg: Arg) -> str:
     if arg.type == "any":
         return "has no type"
     if arg.type in ("int", "float") and not arg.unit:
@@ -66,8 +70,8 @@ def _flaw(arg: Arg) -> str:
     return "has a default that it would refuse" if outside else ""
 
 
-def _not_there(on: Session) -> list[str]:
-    """Effects that speak of stations, variables and resources that the driver does not have."""
+def _find_undeclared(on: Session) -> list[str]:
+    """Effects that name stations, variables and resources that the driver does not have."""
     about = on.about
     stations = {name for station in about.stations for name in (station.name, *station.aliases)}
     flaws = []
@@ -91,15 +95,17 @@ def _not_there(on: Session) -> list[str]:
     return list(dict.fromkeys(flaws))
 
 
-async def happy(on: Session) -> None:
-    """Each action does what its effects say, once, and the module is idle again."""
+async def check_happy_path(on: Session) -> None:
+    """Each action has exactly its declared effects, once, and the module is then idle again."""
     for case in on.cases:
         spec = on.spec(case)
         await on.fulfil(case)
         on.lay(case)
         effects = on.bench.effects(case, spec)
-        plates = [(effect, on.bench.subject(effect)) for effect in effects]
-        used = {name: on.bench.world.left("device", name) for name in {**on.about.levels, **on.about.units}}
+        plates = [(effect, on.bench.find_subject(effect)) for effect in effects]
+        used = {
+            name: on.bench.world.find_level("device", name) for name in {**on.about.levels, **on.about.units}
+        }
         began = on.now()
         done = await on.ask_for(case)
         outcome = await on.learn(done)
@@ -109,23 +115,23 @@ async def happy(on: Session) -> None:
             continue
         if not outcome.succeeded:
             raise Failed(f"{case.action} fails: {outcome.error}")
-        deeds = on.deeds(done)
+        deeds = on.list_deeds(done)
         if spec.exclusive:
-            await on.at_rest()
-            if (later := on.deeds(done)) != deeds:
+            await on.await_rest()
+            if (later := on.list_deeds(done)) != deeds:
                 raise Failed(
                     f"{case.action} says that it is done, but its device goes on: "
                     f"{describe_deeds(later - deeds)}"
                 )
-        on.reference[case_key(case)] = deeds
+        on.reference[key_of(case)] = deeds
         if moves_labware(spec) and not deeds:
             raise Failed(f"{case.action} says that it has moved something, but nothing moved on the bench")
         for effect, plate in plates:
             if wrong := on.bench.find_misplaced(case, effect, plate):
                 raise Failed(f"{case.action}: {wrong}; it did {describe_deeds(deeds)}")
         _check_consumed(on, spec, effects, used)
-        await _variables(on, case.action, effects)
-        await on.idle()
+        await _check_variables(on, case.action, effects)
+        await on.await_idle()
 
 
 def _check_declined(name: str, why: str, outcome: Outcome) -> None:
@@ -136,38 +142,38 @@ def _check_declined(name: str, why: str, outcome: Outcome) -> None:
 def _check_consumed(
     on: Session, spec: ActionSpec, effects: tuple[AnyEffect, ...], before: dict[str, float | None]
 ) -> None:
-    """Each resource is used up as the effects say, and no other. Nothing is said where an amount stands in a
-    file. Raises Failed."""
+    """Check that resources are used up as the effects declare, and no others. An amount from a file is not
+    checked. Raises Failed."""
     spends = [effect for effect in effects if isinstance(effect, Consumes)]
     if sum(isinstance(effect, Consumes) for effect in spec.effects) > len(spends):
         return
     for resource, had in before.items():
         amounts = [effect.amount for effect in spends if effect.resource == resource]
         said = [float(amount) for amount in amounts if isinstance(amount, int | float)]
-        left = on.bench.world.left("device", resource)
+        left = on.bench.world.find_level("device", resource)
         if had is None or left is None or len(said) < len(amounts) or abs(had - left - sum(said)) < 1e-6:
             continue
         raise Failed(f"{spec.name} says that it uses {sum(said):g} {resource}; it used {had - left:g}")
 
 
-async def set_points(on: Session) -> str:
-    """The device's own record has the speeds, times, temperatures and volumes that were asked for."""
+async def check_set_points(on: Session) -> str:
+    """The device's own record has the requested speeds, times, temperatures and volumes."""
     tried = [case for case in on.cases if case.record is not None and not case.refused]
     for case in tried:
-        for args in (case.args, _other_numbers(on, case)):
+        for args in (case.args, _vary_set_points(on, case)):
             varied = msgspec.structs.replace(case, args=args)
             done = await on.begin(varied)
             outcome = await on.end(done)
             if not outcome.succeeded:
                 raise Failed(f"{case.action} {args} fails: {outcome.error}")
             _check_recorded(on, done)
-            await on.idle()
-    numbers = sorted({f"{case.action} {name}" for case in on.cases for name in _numbers(on, case)})
+            await on.await_idle()
+    numbers = sorted({f"{case.action} {name}" for case in on.cases for name in _list_set_points(on, case)})
     unseen = [name for name in numbers if name.partition(" ")[0] not in {case.action for case in tried}]
     return f"not seen in a record: {', '.join(unseen)}" if unseen else ""
 
 
-def _numbers(on: Session, case: Case) -> list[str]:
+def _list_set_points(on: Session, case: Case) -> list[str]:
     """The arguments of a case that are free numbers with a unit."""
     units = {
         arg.name
@@ -177,11 +183,11 @@ def _numbers(on: Session, case: Case) -> list[str]:
     return [name for name in case.args if find_name(on.spec(case), name) in units]
 
 
-def _other_numbers(on: Session, case: Case) -> dict[str, Any]:
+def _vary_set_points(on: Session, case: Case) -> dict[str, Any]:
     """The arguments of a case with other numbers, each a tenth or more away and within its limits."""
     args = dict(case.args)
     by_name = {arg.name: arg for arg in on.spec(case).args}
-    for place, name in enumerate(_numbers(on, case)):
+    for place, name in enumerate(_list_set_points(on, case)):
         arg, value = by_name[find_name(on.spec(case), name)], args[name]
         for share in (0.8 - 0.1 * place, 1.2 + 0.1 * place):
             other = round(value * share) if arg.type == "int" else value * share
@@ -192,26 +198,26 @@ def _other_numbers(on: Session, case: Case) -> dict[str, Any]:
     return args
 
 
-def _check_recorded(on: Session, done: Done) -> None:
+def _check_recorded(on: Session, done: Attempt) -> None:
     """Raises Failed."""
     assert done.case.record is not None
     wanted = done.case.record(done.case.args)
     noted = [motion.facts for motion in on.bench.motions(done.since)]
     for fact, value in wanted.items():
         found = [facts[fact] for facts in noted if fact in facts]
-        if not found or not all(_is_about(value, other) for other in found):
+        if not found or not all(_is_close(value, other) for other in found):
             noted_ = ", ".join(map(str, found)) or "nothing"
             asked = f"{done.case.action} {done.case.args}"
             raise Failed(f"{asked}: the device's record should have {fact} = {value}; it has {noted_}")
 
 
-def _is_about(wanted: Any, found: Any) -> bool:
+def _is_close(wanted: Any, found: Any) -> bool:
     if isinstance(wanted, int | float) and isinstance(found, int | float):
         return abs(wanted - found) <= max(0.005 * abs(wanted), 1e-9)
     return bool(wanted == found)
 
 
-async def _variables(on: Session, name: str, effects: tuple[Any, ...]) -> None:
+async def _check_variables(on: Session, name: str, effects: tuple[Any, ...]) -> None:
     reply = await on.kernel.admin("observe")
     if not reply.done:
         raise Failed(f"after {name}, observe fails: {reply.why}")
@@ -226,10 +232,10 @@ async def _variables(on: Session, name: str, effects: tuple[Any, ...]) -> None:
             )
 
 
-async def invalid(on: Session) -> None:
-    """Wrong arguments and unknown actions are refused for good, and nothing moves."""
+async def check_invalid_arguments(on: Session) -> None:
+    """Wrong arguments and unknown actions are refused permanently, and nothing moves."""
     since = on.bench.mark()
-    calls = [(case.action, *wrong) for case in on.cases for wrong in wrong_args(case, on.spec(case))]
+    calls = [(case.action, *wrong) for case in on.cases for wrong in list_wrong_args(case, on.spec(case))]
     for name, what, args in [*calls, ("no_such_action", "an action that there is none of", {})]:
         reply = await on.kernel.send(on.kernel.request(name, args))
         if reply.status != "refused":
@@ -239,14 +245,14 @@ async def invalid(on: Session) -> None:
             raise Failed(
                 f"{name} refuses {what} as if it could be asked again: {reply.why or 'without a word'}"
             )
-    if deeds := on.bench.deeds(since, gates=False):
+    if deeds := on.bench.list_deeds(since, gates=False):
         raise Failed(f"it did {describe_deeds(deeds)} when asked with wrong arguments")
 
 
-async def duplicate(on: Session) -> None:
-    """The same attempt asked for again, while it runs and after, is carried out once."""
-    case = on.motion()
-    done = await on.midway(case, 0.2)
+async def check_duplicate_id(on: Session) -> None:
+    """An attempt that is requested again, while it runs and afterwards, is carried out only once."""
+    case = on.choose_motion()
+    done = await on.begin_to_middle(case, 0.2)
     again = await on.kernel.send(done.start)
     if again.status not in ("running", "accepted", "finished"):
         raise Failed(f"asked for again while it runs, it answers {again.status}: {again.why}")
@@ -254,15 +260,15 @@ async def duplicate(on: Session) -> None:
     late = await on.kernel.send(done.start)
     if (late.status, late.outcome) != ("finished", outcome):
         raise Failed(f"asked for again after its end, it answers {late.status} and not what it said before")
-    await on.at_rest()
+    await on.await_rest()
     await on.judge(done, outcome)
     if not outcome.succeeded:
         raise Failed(f"{case.action} fails when it is asked for twice: {outcome.error}")
 
 
-async def busy(on: Session) -> None:
-    """While it works it says so, refuses other work for the time being, and answers questions."""
-    case = on.motion()
+async def check_busy(on: Session) -> None:
+    """While it works, it reports BUSY, refuses other work for the time being, and answers queries."""
+    case = on.choose_motion()
     done, state, other = await _ask_while_it_works(on, case)
     if other.reply.status != "refused" or not other.reply.transient:
         raise Failed(f"asked for {case.action} while it works, it answers {other.reply.status}")
@@ -284,13 +290,13 @@ async def busy(on: Session) -> None:
         raise Failed("what was refused may still run later")
 
 
-async def _ask_while_it_works(on: Session, case: Case) -> tuple[Done, StateReport, Done]:
-    """A motion, its node's state in it, and what came of asking for another: all three for sure while the
-    first was under way, for it still is afterwards. Raises Failed."""
+async def _ask_while_it_works(on: Session, case: Case) -> tuple[Attempt, StateReport, Attempt]:
+    """Start a motion, ask for the node's state, and request another motion, all while the first is certainly
+    under way. Raises Failed."""
     for _ in range(TRIES):
-        done = await on.midway(case, 0.2)
+        done = await on.begin_to_middle(case, 0.2)
         state, other = await on.kernel.state(), await on.ask_for(case)
-        if await on.runs(done):
+        if await on.is_running(done):
             return done, state, other
         await on.end(done)
         if other.reply.status != "refused":
@@ -299,7 +305,7 @@ async def _ask_while_it_works(on: Session, case: Case) -> tuple[Done, StateRepor
     raise Failed(f"{case.action} is over before anything else can be asked: name a longer `motion`")
 
 
-def needs_a_wire(on: Session) -> None:
+def require_wire(on: Session) -> None:
     """Raises LeftOut."""
     if not on.is_wired:
         raise LeftOut("no wire: the driver drives only a device inside the node, so nothing can be unplugged")

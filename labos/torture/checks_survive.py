@@ -1,5 +1,5 @@
-"""Silver: whatever happens to the device, the line and the node, the driver never says what is not so, and
-comes back."""
+"""Silver: whatever happens to the device, the line and the node, the driver's reports are true, and it
+works again afterwards."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from labos.node.protocol import Outcome
 from labos.torture.bench import describe_deeds
-from labos.torture.checks_speak import needs_a_wire
+from labos.torture.checks_speak import require_wire
 from labos.torture.observation import observe_bench
-from labos.torture.session import END_S, REST_S, TRIES, Done, Failed, LeftOut, Session, case_key
+from labos.torture.session import END_S, REST_S, TRIES, Attempt, Failed, LeftOut, Session, key_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,26 +20,27 @@ if TYPE_CHECKING:
     from labos.torture.relay import Mode, Relay
 
 HELD_S = 20.0
-"""A reply that is held back arrives after this long, if the driver has not given it up before."""
+"""The delay of a reply that is held back, if the driver has not stopped waiting before."""
 
 STOP_S = 10.0
 
 MOST_ORDERS = 4
-"""Of what a driver says in a motion and not at rest, the reply to so many is spoiled, one at a time. That to
-the order that begins it is among them."""
+"""The number of messages that a driver sends only during a motion and whose replies are spoiled, one at a
+time. The order that starts the motion is one of them."""
 
 MENDED_S = 10.0
-"""What went wrong in mid-motion is put right after so long, if the motion has not ended by then."""
+"""The time after which a fault during a motion is repaired, if the motion has not ended by then."""
 
 SLOWNESS = 4.0
-"""A device that is to move for longer than its node needs to start again is so much slower, at least."""
+"""The least factor by which a device is slowed down, so that its motion takes longer than a restart of the
+node."""
 
 IDLE_TOO_SOON = "ready for new work while its device still moves"
 
 
-async def state_is_true(on: Session) -> None:
-    """Levels that it reports are those on the bench; what it observes without having moved is so."""
-    case = on.motion()
+async def check_true_state(on: Session) -> None:
+    """Levels that it reports are those on the bench, and so is what it observes at rest."""
+    case = on.choose_motion()
     done = await on.begin(case)
     await on.end(done)
     await observe_bench(on, done)
@@ -48,7 +49,7 @@ async def state_is_true(on: Session) -> None:
     if report.error:
         raise Failed(f"resources: {report.error}")
     for resource, level in report.levels.items():
-        left = on.bench.world.left("device", resource)
+        left = on.bench.world.find_level("device", resource)
         if resource not in on.about.levels and resource not in on.about.units:
             raise Failed(f"resources tells of {resource}, which about does not name")
         if left is not None and abs(left - level) > max(0.02 * left, 10):
@@ -58,11 +59,11 @@ async def state_is_true(on: Session) -> None:
         raise Failed(f"at rest, its state is {state.status} {state.error} {state.running}")
 
 
-async def device_error(on: Session) -> None:
-    """An error of the device is reported as one, with what is known of its effects; a reset ends it."""
+async def check_device_error(on: Session) -> None:
+    """An error of the device is reported as an error, with the known effects; a reset ends it."""
     if not on.torture.faults:
         raise LeftOut("TORTURE names no fault of the device")
-    case = on.motion()
+    case = on.choose_motion()
     for fault in on.torture.faults:
         await on.fulfil(case)
         on.lay(case)
@@ -73,16 +74,16 @@ async def device_error(on: Session) -> None:
             raise Failed(f"{fault.name}: {case.action} says that it succeeded")
         on.mend(fault)
         await on.recover()
-        await on.works_again(case)
+        await on.check_works_again(case)
         await _strike_in_motion(on, case, (fault,))
     if len(on.torture.faults) > 1:
         await _strike_in_motion(on, case, on.torture.faults[:2])
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
 async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) -> None:
-    """What is said of a motion in which something goes wrong is so, and it can be put right."""
-    done = await on.midway(case)
+    """The report about a motion with a fault is true, and the fault can be repaired."""
+    done = await on.begin_to_middle(case)
     for fault in faults:
         on.strike(fault)
     await on.kernel.outcome(done.start, MENDED_S)
@@ -93,9 +94,10 @@ async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) ->
     await on.recover()
 
 
-async def _end_by_person(on: Session, done: Done) -> None:
-    """What waits for a person, also after it was put right, says so; it is stopped then. Raises Failed."""
-    if await on.kernel.outcome(done.start, MENDED_S) is not None or not await on.runs(done):
+async def _end_by_person(on: Session, done: Attempt) -> None:
+    """An action that waits for a person, also after the repair, must report this; it is then stopped. Raises
+    Failed."""
+    if await on.kernel.outcome(done.start, MENDED_S) is not None or not await on.is_running(done):
         return
     state = await on.kernel.state()
     if state.status != "ERROR" or not state.error:
@@ -103,25 +105,26 @@ async def _end_by_person(on: Session, done: Done) -> None:
     await on.kernel.admin("stop", STOP_S, by="torture")
 
 
-async def stop(on: Session) -> None:
-    """A stop in mid-motion ends it, or says that it cannot; what is said of the motion is so."""
-    await _check_stop(on, "stop")
+async def check_stop(on: Session) -> None:
+    """A stop during a motion ends the motion, or reports that this is impossible; the report about the motion
+    is true."""
+    await _check_stopping(on, "stop")
 
 
-async def estop(on: Session) -> None:
-    """An emergency stop in mid-motion is reported until a reset, and nothing begins before."""
-    await _check_stop(on, "estop")
+async def check_emergency_stop(on: Session) -> None:
+    """An emergency stop during a motion is reported until a reset, and nothing starts before the reset."""
+    await _check_stopping(on, "estop")
 
 
-async def _check_stop(on: Session, command: str) -> None:
-    case = on.motion()
-    expected = on.reference[case_key(case)]
+async def _check_stopping(on: Session, command: str) -> None:
+    case = on.choose_motion()
+    expected = on.reference[key_of(case)]
     done, reply, outcome = await _stop_midway(on, case, command)
     await observe_bench(on, done)
     if not reply.done and not reply.why:
         raise Failed(f"{command} fails without a word")
-    if outcome.succeeded and on.deeds(done) != expected:
-        raise Failed(f"{case.action} says that it succeeded; it did {describe_deeds(on.deeds(done))}")
+    if outcome.succeeded and on.list_deeds(done) != expected:
+        raise Failed(f"{case.action} says that it succeeded; it did {describe_deeds(on.list_deeds(done))}")
     if command == "estop":
         state = await on.kernel.state()
         if state.status != "ERROR" or not state.stopped_at:
@@ -130,19 +133,19 @@ async def _check_stop(on: Session, command: str) -> None:
         if other.reply.status != "refused":
             raise Failed(f"after an emergency stop it takes {case.action}")
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
-async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Done, AdminReply, Outcome]:
-    """A motion that was stopped, what the stop said, and how it ended, with the device at rest. One that
-    ended well although it is said to be stopped has gone on if the bench shows it; else it was over
-    before the stop came, and is begun again. Raises Failed."""
+async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Attempt, AdminReply, Outcome]:
+    """Stop a motion; returns the motion, the answer to the stop and the outcome, with the device at rest. If
+    the motion succeeded although the node reports that it was stopped, the bench shows whether it continued
+    after the stop. If it had ended before the stop, the check is repeated. Raises Failed."""
     for _ in range(TRIES):
-        done = await on.midway(case)
+        done = await on.begin_to_middle(case)
         reply = await on.kernel.admin(command, STOP_S, by="torture")
         stopped = on.bench.mark()
         outcome = await on.end(done)
-        await on.at_rest()
+        await on.await_rest()
         if not (reply.done and outcome.succeeded) or on.spec(case).by_person:
             return done, reply, outcome
         if on.bench.motions(stopped):
@@ -152,8 +155,9 @@ async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Done, Adm
 
 
 async def unplug_before(on: Session) -> None:
-    """Unplugged: an action fails, nothing has moved, and the driver says so; plugged in, it works."""
-    case, relay = on.motion(), _line(on)
+    """With the line unplugged, an action fails without motion, and the driver reports this. With the line
+    plugged in, it works."""
+    case, relay = on.choose_motion(), _require_relay(on)
     await on.fulfil(case)
     relay.unplug()
     on.lay(case)
@@ -164,20 +168,22 @@ async def unplug_before(on: Session) -> None:
             f"unplugged, {case.action} says effects = {outcome.effects}: {outcome.error or 'success'}"
         )
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
 async def unplug_during(on: Session) -> None:
-    """Unplugged in mid-motion: the action ends, as failed or unknown; plugged in, it works."""
-    case, relay = on.motion(), _line(on)
-    done = await on.midway(case)
+    """If the line is unplugged during a motion, the action ends as failed or unknown. With the line plugged
+    in, it works."""
+    case, relay = on.choose_motion(), _require_relay(on)
+    done = await on.begin_to_middle(case)
     relay.unplug()
     await _settle(on, done, await on.end(done))
 
 
 async def unplug_after(on: Session) -> None:
-    """Unplugged while it rests: the node lives and answers; plugged in, it works."""
-    case, relay = on.motion(), _line(on)
+    """If the line is unplugged at rest, the node stays alive and answers. With the line plugged in, it
+    works."""
+    case, relay = on.choose_motion(), _require_relay(on)
     await on.act(case)
     relay.unplug()
     for _ in range(3):
@@ -186,30 +192,31 @@ async def unplug_after(on: Session) -> None:
         await on.kernel.resources()
     relay.plug()
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
 async def lose_reply(on: Session) -> None:
-    """A reply that is lost, at the beginning or in mid-motion, is no success that nobody saw."""
+    """When a reply is lost, at the beginning or in mid-motion, the driver reports no success that it did not
+    see."""
     await _spoil_reply(on, "lose")
 
 
 async def garble_reply(on: Session) -> None:
-    """Noise is never taken for an answer."""
+    """The driver never accepts noise as an answer."""
     await _spoil_reply(on, "garble")
 
 
-async def half_reply(on: Session) -> None:
-    """Nor is half a reply."""
+async def cut_reply(on: Session) -> None:
+    """Half a reply is never taken for an answer."""
     await _spoil_reply(on, "cut")
 
 
-async def late_reply(on: Session) -> None:
-    """A reply that comes late is not taken for the answer to a later question."""
-    case, relay = on.motion(), _line(on)
+async def delay_reply(on: Session) -> None:
+    """A late reply is not mistaken for the answer to a later question."""
+    case, relay = on.choose_motion(), _require_relay(on)
     for in_motion in (False, True):
         if in_motion:
-            done = await on.midway(case)
+            done = await on.begin_to_middle(case)
             relay.spoil("hold")
         else:
             await on.fulfil(case)
@@ -217,27 +224,27 @@ async def late_reply(on: Session) -> None:
             relay.spoil("hold")
             done = await on.ask_for(case)
         await on.kernel.outcome(done.start, HELD_S)
-        _did_spoil(relay)
+        _check_spoiled(relay)
         relay.restore()
         await _settle(on, done, await on.end(done))
 
 
 async def say_unasked(on: Session) -> str:
-    """What the device says without having been asked is not taken for an answer."""
-    case = on.motion()
-    needs_a_wire(on)
+    """A message that the device sends without a question is not mistaken for an answer."""
+    case = on.choose_motion()
+    require_wire(on)
     if not on.torture.unasked:
         return "its device says nothing unasked"
     for stray in on.torture.unasked:
-        for order in await _orders(on):
-            await _one_spoiled(on, "precede", order, stray)
-    await on.works_again(case)
+        for order in await _find_orders(on):
+            await _spoil_one_reply(on, "precede", order, stray)
+    await on.check_works_again(case)
     return ""
 
 
-async def _orders(on: Session) -> list[bytes]:
-    """What its driver says in a motion and not at rest, the first first. Raises LeftOut, Failed."""
-    case, relay = on.motion(), _line(on)
+async def _find_orders(on: Session) -> list[bytes]:
+    """What its driver sends in a motion and not at rest, in order. Raises LeftOut, Failed."""
+    case, relay = on.choose_motion(), _require_relay(on)
     if on.orders is None:
         await on.fulfil(case)
         on.lay(case)
@@ -252,163 +259,165 @@ async def _orders(on: Session) -> list[bytes]:
     return on.orders
 
 
-async def _one_spoiled(on: Session, mode: Mode, order: bytes, stray: bytes = b"") -> None:
-    """Spoil the reply to one order, as soon as the driver gives it."""
-    case, relay = on.motion(), _line(on)
+async def _spoil_one_reply(on: Session, mode: Mode, order: bytes, stray: bytes = b"") -> None:
+    """Spoil the reply to one message, as soon as the driver sends the message."""
+    case, relay = on.choose_motion(), _require_relay(on)
     await on.fulfil(case)
     on.lay(case)
     relay.spoil(mode, times=1, to=order, stray=stray)
     done = await on.ask_for(case)
     outcome = await on.end(done)
     relay.restore()
-    await on.at_rest()
+    await on.await_rest()
     await on.judge(done, outcome)
     await observe_bench(on, done)
     await on.recover()
 
 
 async def _spoil_reply(on: Session, mode: Mode) -> None:
-    case, relay = on.motion(), _line(on)
+    case, relay = on.choose_motion(), _require_relay(on)
     await on.fulfil(case)
     on.lay(case)
     relay.spoil(mode, times=1)
     done = await on.ask_for(case)
     outcome = await on.end(done)
-    _did_spoil(relay)
+    _check_spoiled(relay)
     await _settle(on, done, outcome)
-    done = await on.midway(case)
+    done = await on.begin_to_middle(case)
     relay.spoil(mode)
     ends = asyncio.create_task(on.kernel.outcome(done.start, END_S))
-    await on.at_rest()
-    _did_spoil(relay)
+    await on.await_rest()
+    _check_spoiled(relay)
     relay.restore()
     await ends
     await _settle(on, done, await on.end(done))
-    for order in await _orders(on):
-        await _one_spoiled(on, mode, order)
-    await on.works_again(case)
+    for order in await _find_orders(on):
+        await _spoil_one_reply(on, mode, order)
+    await on.check_works_again(case)
 
 
-def _did_spoil(relay: Relay) -> None:
-    """Raises LeftOut: a check of what happens to replies is none where there are none."""
-    if not relay.spoiled:
+def _check_spoiled(relay: Relay) -> None:
+    """Raises LeftOut if the device gave no reply that could be spoiled."""
+    if not relay.spoiled_count:
         raise LeftOut("its device said nothing that could be spoiled")
 
 
-async def _settle(on: Session, done: Done, outcome: Outcome) -> None:
-    """After a fault of the line: it is put right, no more was done than is said, the driver looks, is reset,
-    and works."""
-    relay = _line(on)
+async def _settle(on: Session, done: Attempt, outcome: Outcome) -> None:
+    """After a fault of the line: repair it, compare the outcome with the bench, let the driver observe and
+    reset, and check that it works."""
+    relay = _require_relay(on)
     relay.restore()
     relay.plug()
-    await on.at_rest()
+    await on.await_rest()
     await on.judge(done, outcome)
     await observe_bench(on, done)
     await on.recover()
-    await on.works_again(done.case)
+    await on.check_works_again(done.case)
 
 
 async def power_cycle(on: Session) -> None:
-    """The device loses its power, at rest and in mid-motion, and comes back."""
-    case = on.motion()
-    needs_a_wire(on)
+    """The device loses its power, at rest and during a motion, and comes back."""
+    case = on.choose_motion()
+    require_wire(on)
     on.switch_off()
     on.switch_on()
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
     done = await on.interrupt(case, on.switch_off)
     await on.end(done)
     on.switch_on()
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
-async def restart(on: Session) -> None:
-    """The device restarts in mid-motion, as by its watchdog, and answers again at once: that it rests is no
-    success."""
-    case = on.motion()
-    needs_a_wire(on)
+async def restart_device(on: Session) -> None:
+    """The device restarts in mid-motion, as by its watchdog, and answers again at once: that it is at rest is
+    not taken for success."""
+    case = on.choose_motion()
+    require_wire(on)
     done = await on.interrupt(case, on.switch_off_between_answers)
     on.switch_on()
     await on.end(done)
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
-async def power_cut(on: Session) -> None:
-    """The lab loses its power: node and device at once, in mid-motion. Both come back, and nothing is
-    repeated."""
-    case = on.motion()
-    needs_a_wire(on)
-    done = await on.midway(case)
+async def cut_power(on: Session) -> None:
+    """The node and the device lose their power at the same time, during a motion. Both come back, and nothing
+    is repeated."""
+    case = on.choose_motion()
+    require_wire(on)
+    done = await on.begin_to_middle(case)
     on.kill()
     on.switch_off()
     await on.await_node_gone()
     on.switch_on()
     await on.start_node()
-    await _check_remembers(on, done)
+    await _check_remembered(on, done)
     outcome = await on.kernel.outcome(done.start, END_S)
-    await on.at_rest()
+    await on.await_rest()
     await _check_reconciled(on, done, outcome)
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
 async def kill_node(on: Session) -> None:
-    """Its node killed in mid-motion: nothing is repeated, and it is not idle before the device rests."""
-    case = on.motion()
+    """If the node is killed during a motion, nothing is repeated, and the new node is not idle before the
+    device is at rest."""
+    case = on.choose_motion()
     if on.is_wired:
-        await on.at_rest()
+        await on.await_rest()
         await on.slow_both_down(max(SLOWNESS, 2 * on.start_s / on.motion_s))
-    done = await on.midway(case, 0.1 if on.is_wired else None)
+    done = await on.begin_to_middle(case, 0.1 if on.is_wired else None)
     await _kill_and_start(on, done)
     if on.is_wired:
         await on.slow_both_down(1.0)
     await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
     done = await on.begin(case)  # between its journal and its device, or hardly later
     await _kill_and_start(on, done)
     await on.recover()
     for fault in on.torture.faults[:1] if on.is_wired else ():
-        done = await on.midway(case)
+        done = await on.begin_to_middle(case)
         on.kill()
         on.strike(fault)
         await _kill_and_start(on, done, fault)
         await on.recover()
-    await on.works_again(case)
+    await on.check_works_again(case)
 
 
-async def _kill_and_start(on: Session, done: Done, fault: Fault | None = None) -> None:
-    """Raises Failed. A ``fault`` of the device is put right when its node is not BUSY, or has waited."""
+async def _kill_and_start(on: Session, done: Attempt, fault: Fault | None = None) -> None:
+    """Kill the node and start it again. A ``fault`` of the device is repaired when its node is not BUSY, or
+    has waited. Raises Failed."""
     on.kill()
     await on.await_node_gone()
     await on.start_node()
-    await _check_remembers(on, done)
+    await _check_remembered(on, done)
     if fault is not None:
-        await on.kernel.until(lambda state: state.status != "BUSY", MENDED_S)
+        await on.kernel.await_state(lambda state: state.status != "BUSY", MENDED_S)
         on.mend(fault)
         await _end_by_person(on, done)
-        await on.at_rest()
-    await on.kernel.until(lambda state: state.status != "BUSY", REST_S)
+        await on.await_rest()
+    await on.kernel.await_state(lambda state: state.status != "BUSY", REST_S)
     idle = on.bench.mark()
     outcome = await on.kernel.outcome(done.start, END_S)
-    await on.at_rest()
+    await on.await_rest()
     if later := on.bench.motions(idle):
         raise Failed(f"after the kill it is {IDLE_TOO_SOON}: {later[0].verb} at {later[0].place}")
     await _check_reconciled(on, done, outcome)
 
 
-async def _check_remembers(on: Session, done: Done) -> None:
-    """A node that was started again knows the attempt. Raises Failed."""
+async def _check_remembered(on: Session, done: Attempt) -> None:
+    """Check that a restarted node knows the attempt. Raises Failed."""
     again = await on.kernel.send(done.start)
     if again.status not in ("interrupted", "running", "finished"):
         raise Failed(f"started again, it tells {done.case.action} as {again.status}: {again.why}")
 
 
-async def _check_reconciled(on: Session, done: Done, outcome: Outcome | None) -> None:
-    """What a node that was started again has found out about an attempt is so, and nothing was done twice.
-    Raises Failed."""
-    deeds, expected = on.deeds(done), on.reference[case_key(done.case)]
+async def _check_reconciled(on: Session, done: Attempt, outcome: Outcome | None) -> None:
+    """Check that the outcome which a restarted node reports for an attempt is true, and that nothing was done
+    twice. Raises Failed."""
+    deeds, expected = on.list_deeds(done), on.reference[key_of(done.case)]
     if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
         raise Failed(f"started again, it did again: {describe_deeds(twice)}")
     if outcome is not None:
@@ -422,8 +431,8 @@ async def _check_reconciled(on: Session, done: Done, outcome: Outcome | None) ->
         on.sights.append((done.case.action, False))
 
 
-async def event_loop(on: Session) -> None:
-    """In all this, the event loop of its node was never held for more than 50 ms."""
+async def check_event_loop(on: Session) -> None:
+    """During all these checks, the event loop of its node was never blocked for more than 50 ms."""
     if not on.blocks.exists():
         return
     worst = max(on.blocks.read_text("utf-8").splitlines(), key=lambda line: float(line.split("\t")[0]))
@@ -431,10 +440,10 @@ async def event_loop(on: Session) -> None:
     raise Failed(f"held for {float(held) * 1000:.0f} ms by {by}")
 
 
-async def reconciles(on: Session) -> str:
-    """What nobody knew after a fault, the driver has settled at least once, by what the device sees or by its
-    own record, and truly each time."""
-    needs_a_wire(on)
+async def check_reconciliation(on: Session) -> str:
+    """After faults that left the outcome unknown, the driver has found out at least once what happened, by
+    the device's sensors or its own record, and it was right each time."""
+    require_wire(on)
     if not on.sights:
         raise LeftOut("what its motion does shows in nothing that could be observed")
     settled = sum(there for _, there in on.sights)
@@ -444,7 +453,7 @@ async def reconciles(on: Session) -> str:
     return f"{settled} of {len(on.sights)} unknown outcomes"
 
 
-def _line(on: Session) -> Relay:
-    needs_a_wire(on)
+def _require_relay(on: Session) -> Relay:
+    require_wire(on)
     assert on.relay is not None
     return on.relay

@@ -1,4 +1,4 @@
-"""The kernel's side of one node, without a lab: it gives the module its settings, asks, and remembers."""
+"""The kernel's side for one node, without a lab: it gives the node its settings, and sends requests."""
 
 from __future__ import annotations
 
@@ -40,27 +40,27 @@ _encode = msgspec.json.Encoder().encode
 
 
 class Kernel:
-    """Asks one module's node what a kernel would ask. ``told`` is what the node learns of its module."""
+    """Asks one module's node what a kernel would ask. ``setup`` has the settings that the node asks for."""
 
-    def __init__(self, bus: ZenohBus, endpoint: str, module: str, told: SetupReply, home: Path) -> None:
+    def __init__(self, bus: ZenohBus, endpoint: str, module: str, setup: SetupReply, home: Path) -> None:
         self.endpoint, self.module = endpoint, module
         self.lab = Uuid7Ids().new()
         self.epoch = 1
         self.journal = ""
-        self._bus, self._told = bus, told
+        self._bus, self._setup = bus, setup
         self._keys = Keys(self.lab)
         self._alive: set[str] = set()
         self._numbers = itertools.count(1)
         self._desk = FileDesk(FolderBlobs(home / "blobs"), home / "arriving")
 
     @classmethod
-    async def open(cls, module: str, told: SetupReply, home: Path) -> Kernel:
-        """With a bus of its own."""
+    async def open(cls, module: str, setup: SetupReply, home: Path) -> Kernel:
+        """Open it with its own bus."""
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
         bus = await open_bus(mode="router", listen=[endpoint])
-        kernel = cls(bus, endpoint, module, told, home)
+        kernel = cls(bus, endpoint, module, setup, home)
         await bus.serve(kernel._keys.setup, kernel._on_setup)
         await bus.serve(kernel._keys.files, kernel._desk.on_request)
         await bus.watch_alive(kernel._keys.all_alive, kernel._note_alive)
@@ -72,7 +72,7 @@ class Kernel:
 
     @property
     def node_lives(self) -> bool:
-        """Whether a node of the module shows itself on the bus."""
+        """Whether a node of the module is alive on the bus."""
         return bool(self._alive)
 
     # -- asking ------------------------------------------------------------------------------
@@ -86,12 +86,12 @@ class Kernel:
         return await self._query("action", message, ActionReply)
 
     async def ask(self, start: Start) -> ActionReply:
-        """What became of it."""
+        """Ask what became of an attempt."""
         asked = Ask(self.lab, self.epoch, start.action, start.attempt, start.position)
         return await self._query("action", asked, ActionReply)
 
     async def outcome(self, start: Start, limit_s: float) -> Outcome | None:
-        """How it ended; None if it has not within the time, or nobody can say."""
+        """Wait for the outcome of an attempt; None if there is none within the time, or it is unknown."""
         deadline = asyncio.get_running_loop().time() + limit_s
         while asyncio.get_running_loop().time() < deadline:
             reply = await self.ask(start)
@@ -113,8 +113,8 @@ class Kernel:
         request = AdminRequest(self.lab, self.epoch, command, args)
         return await self._query("admin", request, AdminReply, limit_s)
 
-    async def until(self, reached: Callable[[StateReport], bool], limit_s: float) -> StateReport | None:
-        """The state as soon as it is as wanted; None if it never is, or nobody answers."""
+    async def await_state(self, reached: Callable[[StateReport], bool], limit_s: float) -> StateReport | None:
+        """Wait for a state, and return it; None if it is not reached within the time, or nobody answers."""
         deadline = asyncio.get_running_loop().time() + limit_s
         while asyncio.get_running_loop().time() < deadline:
             try:
@@ -133,7 +133,7 @@ class Kernel:
         return msgspec.json.decode(await self._bus.query(key, _encode(message), limit_s), type=kind)
 
     async def _on_setup(self, _: bytes) -> bytes:
-        return _encode(self._told)
+        return _encode(self._setup)
 
     def _note_alive(self, key: str, living: bool) -> None:
         (self._alive.add if living else self._alive.discard)(key)

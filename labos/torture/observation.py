@@ -1,21 +1,21 @@
-"""After an outcome that nobody knows: whether what the driver sees settles it, and whether it is so."""
+"""Checks whether the driver's observation settles an unknown outcome, and whether the observation is true."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from labos.core.effects import Carrying, Sets
-from labos.torture.bench import as_seen
-from labos.torture.session import Done, Failed, Session, case_key
+from labos.torture.bench import read_presence
+from labos.torture.session import Attempt, Failed, Session, key_of
 
 
-async def observe_bench(on: Session, done: Done) -> None:
-    """Note whether ``observe`` settles what became of an attempt. Raises Failed if it says what is not
-    so."""
+async def observe_bench(on: Session, done: Attempt) -> None:
+    """Record whether ``observe`` settles the outcome of an attempt. Raises Failed if the observation is
+    false."""
     reply = await on.kernel.admin("observe")
     seen: dict[str, Any] = reply.result if reply.done and isinstance(reply.result, dict) else {}
     labware = seen.get("labware")
-    sights = {on.bench.place(str(place)): as_seen(what) for place, what in (labware or {}).items()}
+    sights = {on.bench.place(str(place)): read_presence(what) for place, what in (labware or {}).items()}
     for place, there in sights.items():
         if there is not None and there != bool(on.bench.world.at(place)):
             raise Failed(
@@ -26,9 +26,9 @@ async def observe_bench(on: Session, done: Done) -> None:
         answer
         for effect in on.bench.effects(done.case, on.spec(done.case))
         if (
-            answer := _labware(on, effect, sights)
+            answer := _is_labware_settled(on, effect, sights)
             if isinstance(effect, Carrying)
-            else _variable(on, done, effect, seen)
+            else _is_variable_settled(on, done, effect, seen)
         )
         is not None
     ]
@@ -36,8 +36,8 @@ async def observe_bench(on: Session, done: Done) -> None:
         on.sights.append((done.case.action, all(settled)))
 
 
-def _labware(on: Session, effect: Carrying, sights: dict[str, bool | None]) -> bool:
-    """Whether one place is left for the labware: the rule by which the lab itself settles it."""
+def _is_labware_settled(on: Session, effect: Carrying, sights: dict[str, bool | None]) -> bool:
+    """Whether only one place is possible for the labware. The lab uses the same rule."""
     if effect.lid:
         return False  # no sensor tells a plate with a lid from one without
     places = {on.bench.place(str(place)) for place in (effect.source, effect.target, "gripper")}
@@ -46,14 +46,14 @@ def _labware(on: Session, effect: Carrying, sights: dict[str, bool | None]) -> b
     return len(left) == 1 or len(found) == 1
 
 
-def _variable(on: Session, done: Done, effect: Any, seen: dict[str, Any]) -> bool | None:
-    """Whether a variable of the module is seen as it is; None if the effect is of another kind."""
+def _is_variable_settled(on: Session, done: Attempt, effect: Any, seen: dict[str, Any]) -> bool | None:
+    """Whether the observed variable of the module is correct; None if the effect is of another kind."""
     if not isinstance(effect, Sets) or effect.of != "module":
         return None
     if effect.variable not in seen:
         return False
-    deeds = on.deeds(done)
-    if not deeds or deeds != on.reference.get(case_key(done.case)):
+    deeds = on.list_deeds(done)
+    if not deeds or deeds != on.reference.get(key_of(done.case)):
         return True  # how far a door is that stopped on its way, the bench does not say
     if seen[effect.variable] != effect.value:
         raise Failed(f"observe says {effect.variable} = {seen[effect.variable]!r}; it is {effect.value!r}")

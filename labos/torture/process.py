@@ -1,4 +1,4 @@
-"""A driver's node as a process of its own, with its event loop watched: what the suite kills."""
+"""A driver's node as a separate process with a watched event loop, which the suite can kill."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def main() -> None:
     parser.add_argument("--blocks", required=True)
     parser.add_argument("--simulate", action="store_true")
     parser.add_argument("--wait", action="append", default=[])
-    told = parser.parse_args()
+    options = parser.parse_args()
     configure_logs("info")
-    node = load_driver(told.driver)
-    for wait in told.wait:
-        _shorten(wait)
+    node = load_driver(options.driver)
+    for wait in options.wait:
+        _set_wait(wait)
     asyncio.run(
         run_node(
-            _watch(node, LoopWatch(Path(told.blocks), node.__module__.partition(".")[0])),
-            told.name,
-            told.workcell,
-            Settings.make(told.home),
-            connect=[told.connect],
-            simulate=told.simulate,
+            _watch(node, LoopWatch(Path(options.blocks), node.__module__.partition(".")[0])),
+            options.name,
+            options.workcell,
+            Settings.make(options.home),
+            connect=[options.connect],
+            simulate=options.simulate,
             with_parent=True,
             finish_s=0.0,
         )
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def _watch(node: type[Node], watch: LoopWatch) -> type[Node]:
-    """The driver's class, which begins to be watched when it connects its device."""
+    """The driver's class; the watch starts when it connects its device."""
 
     class Watched(node):  # type: ignore[misc, valid-type]
         __doc__ = node.__doc__
@@ -61,8 +61,8 @@ def _watch(node: type[Node], watch: LoopWatch) -> type[Node]:
     return Watched
 
 
-def _shorten(wait: str) -> None:
-    """``module:NAME=seconds``."""
+def _set_wait(wait: str) -> None:
+    """Give a constant of a module another value: ``module:NAME=seconds``. Raises AttributeError."""
     place, _, seconds = wait.partition("=")
     module, _, name = place.partition(":")
     found: Any = importlib.import_module(module)

@@ -1,7 +1,6 @@
-"""A line in the middle: between a driver and a simulated device, where it can be cut and spoiled.
-
-What the driver says always arrives. What the device says can be lost, held back, garbled or cut short;
-the line can be unplugged, and the device be switched off and on behind it.
+"""A relay between a driver and a simulated device, which can cut and spoil the line. Messages of the driver
+always arrive. Messages of the device can be lost, held back, garbled or cut short. The line can be unplugged,
+and the device behind it can be switched off and on.
 """
 
 from __future__ import annotations
@@ -23,20 +22,20 @@ Write = Callable[[bytes], object]
 
 POLL_S = 0.05
 ANSWER_S = 0.5
-"""How long the answer to a last question is waited for: a device need not answer all that is said to it."""
+"""How long to wait for the answer to the last question; a device need not answer every message."""
 
 NOWHERE = ("", 0)
 
 MOST_KINDS, LONGEST_KIND = 500, 200
-"""Of questions that are told apart: by their first bytes, whatever numbers stand in them."""
+"""The number of first bytes by which kinds of questions are distinguished, ignoring numbers in them."""
 
 _DIGITS = re.compile(rb"[0-9]+")
 
 
 class Relay(Protocol):
-    """``address`` is what the driver opens in the place of the device's own; ``spoiled`` counts what was
-    spoiled since somebody last asked for that; ``questions`` are the kinds of what the driver has said, each
-    once and in order."""
+    """``address`` is the address that the driver opens instead of the device's own. ``spoiled`` counts the
+    spoiled messages since the last request to spoil. ``questions`` are the kinds of messages of the driver,
+    each once and in order."""
 
     address: str
 
@@ -44,31 +43,32 @@ class Relay(Protocol):
     def questions(self) -> list[bytes]: ...
 
     @property
-    def spoiled(self) -> int: ...
+    def spoiled_count(self) -> int: ...
 
     def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
-        """Do this to what the device says, until told otherwise or so many times (0: without end); with
-        ``to``, once the driver has asked this kind of question. ``precede`` lets ``stray`` come before it."""
+        """Spoil messages of the device in this way, the given number of times (0: until the next call). With
+        ``to``, only after the driver has asked this kind of question. ``precede`` sends ``stray`` before the
+        message."""
 
     def restore(self) -> None:
-        """Say what was held back, and pass on all that comes from now on."""
+        """Send the messages that were held back, and pass on all later ones."""
 
     def unplug(self) -> None: ...
 
     def plug(self) -> None: ...
 
     def reach(self, address: str) -> None:
-        """The device answers there now; nowhere, if empty."""
+        """Connect to the device at this address; empty: the device is off."""
 
     def wait_for_device(self) -> None:
-        """What the driver says from now on waits for the next device that is reached; what it asked before
-        is answered first. Connections of a device with a network of its own end with it."""
+        """Hold back what the driver sends from now on until the next ``reach``; what it asked before is
+        answered first. TCP connections end with the device."""
 
     def close(self) -> None: ...
 
 
 class Spoiler:
-    """What happens to the bytes that a device says."""
+    """Spoils the bytes that a device sends."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -77,15 +77,15 @@ class Spoiler:
         self._to = self._stray = b""
         self.questions: list[bytes] = []
         self._held: list[tuple[Write, bytes]] = []
-        self.spoiled = 0
+        self.spoiled_count = 0
 
     def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
         with self._lock:
             self._mode, self._left, self._to, self._stray = mode, times, to, stray
-            self.spoiled = 0
+            self.spoiled_count = 0
 
     def hear(self, data: bytes) -> None:
-        """The driver has said this."""
+        """The driver has sent these bytes."""
         kind = _DIGITS.sub(b"#", data)[:LONGEST_KIND]
         with self._lock:
             if kind == self._to:
@@ -101,12 +101,12 @@ class Spoiler:
                 write(data)
 
     def forget(self) -> None:
-        """What was held back will never arrive."""
+        """Discard the messages that were held back."""
         with self._lock:
             self._held = []
 
     def say(self, write: Write, data: bytes) -> Mode:
-        """Deliver what the device said, or what is left of it; returns what was done to it."""
+        """Deliver a message of the device, or the rest of it; returns how it was spoiled."""
         with self._lock:
             mode = self._mode
             if self._to:
@@ -114,8 +114,8 @@ class Spoiler:
             if mode == "hold":
                 self._held.append((write, data))
             if mode != "pass":
-                self.spoiled += 1
-                if self._left and self.spoiled >= self._left and mode != "hold":
+                self.spoiled_count += 1
+                if self._left and self.spoiled_count >= self._left and mode != "hold":
                     self._mode = "pass"
         match mode:
             case "pass":
@@ -129,7 +129,7 @@ class Spoiler:
         return mode
 
     def garble(self, data: bytes) -> bytes:
-        """Noise in the place of what was said; its end, if it has one, is whole."""
+        """Replace a message by noise; the message end, if there is one, is kept."""
         first = 1 if len(data.strip()) > 1 else 0
         return bytes(byte ^ 0x2A if n % 3 == first else byte for n, byte in enumerate(data))
 
@@ -147,7 +147,10 @@ class LineRelay(Spoiler):
         self._over = False
         self._turned = threading.Event()
         self.reach(address)
-        self._threads = [threading.Thread(target=pump, daemon=True) for pump in (self._up, self._down)]
+        self._threads = [
+            threading.Thread(target=pump, daemon=True)
+            for pump in (self._carry_to_device, self._carry_to_driver)
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -186,7 +189,7 @@ class LineRelay(Spoiler):
         self.reach("")
         self._front.close()
 
-    def _up(self) -> None:
+    def _carry_to_device(self) -> None:
         while not self._over:
             data = self._front.read(POLL_S)
             self._turned.set()
@@ -202,7 +205,7 @@ class LineRelay(Spoiler):
                     self.hear(data)
                     back.write(data, 1.0)
 
-    def _down(self) -> None:
+    def _carry_to_driver(self) -> None:
         idle = threading.Event()
         while not self._over:
             back = self._back
@@ -220,9 +223,9 @@ class LineRelay(Spoiler):
 
 
 class TcpRelay(Spoiler):
-    """Between a driver that connects to a TCP port and a device that listens on one; for any number of
-    connections. The address is of the same form as the device's. While the device has no power, or the
-    cable is out, nobody takes a connection."""
+    """Between a driver that connects to a TCP port and a device that listens on one, for any number of
+    connections. The address has the same form as the device's. While the device has no power, or the cable is
+    out, no connection is accepted."""
 
     def __init__(self, address: str) -> None:
         super().__init__()
@@ -237,37 +240,37 @@ class TcpRelay(Spoiler):
 
     def unplug(self) -> None:
         self._is_plugged = False
-        self._open_or_shut()
+        self._update_listener()
         self._hang_up()
 
     def plug(self) -> None:
         self._is_plugged = True
-        self._open_or_shut()
+        self._update_listener()
 
     def reach(self, address: str) -> None:
         self._target = _host_and_port(address) if address else NOWHERE
-        self._open_or_shut()
+        self._update_listener()
         self._hang_up()
 
     def wait_for_device(self) -> None:
-        """Its connections end with it."""
+        """Its connections end too."""
 
     def close(self) -> None:
         self.unplug()
 
-    def answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
-        """Pass on what the device says, until it hangs up. ``asked`` ends when the driver does."""
+    def pass_answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
+        """Pass on messages of the device until it disconnects. ``asked`` ends when the driver disconnects."""
         _pump(far, near, lambda data: self.say(near.sendall, data))
         asked.join(2)
 
-    def _asks(self, far: socket.socket) -> Write:
+    def _make_asker(self, far: socket.socket) -> Write:
         def ask(data: bytes) -> None:
             self.hear(data)
             far.sendall(data)
 
         return ask
 
-    def _open_or_shut(self) -> None:
+    def _update_listener(self) -> None:
         wanted, is_open = self._is_plugged and self._target != NOWHERE, self._listener.fileno() >= 0
         if wanted and not is_open:
             self._listener = server_at("127.0.0.1", self._port)
@@ -303,9 +306,9 @@ class TcpRelay(Spoiler):
             try:
                 if listener.fileno() < 0 or self._target != target:
                     return  # unplugged before anybody knew of this connection
-                up = threading.Thread(target=_pump, args=(near, far, self._asks(far)), daemon=True)
+                up = threading.Thread(target=_pump, args=(near, far, self._make_asker(far)), daemon=True)
                 up.start()
-                self.answers(far, near, up)
+                self.pass_answers(far, near, up)
             finally:
                 self._connections -= both
 
@@ -327,8 +330,8 @@ def _host_and_port(address: str) -> tuple[str, int]:
 
 
 class Relays:
-    """For a device with several lines, whose addresses stand in one text with commas between them: all are
-    cut at once, and each is spoiled as if it were alone."""
+    """For a device with several lines, whose addresses are in one text, separated by commas. All lines are
+    cut together, and each is spoiled separately."""
 
     def __init__(self, lines: Sequence[Relay]) -> None:
         self._lines = lines
@@ -339,8 +342,8 @@ class Relays:
         return [kind for line in self._lines for kind in line.questions]
 
     @property
-    def spoiled(self) -> int:
-        return sum(line.spoiled for line in self._lines)
+    def spoiled_count(self) -> int:
+        return sum(line.spoiled_count for line in self._lines)
 
     def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
         for line in self._lines:

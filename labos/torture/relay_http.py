@@ -1,7 +1,6 @@
-"""A line in the middle of HTTP: what is lost, held back, garbled or cut short is a whole answer.
-
-The connection of an answer that is lost or late stays silent until the driver gives it up: whoever saw it
-end would know that no answer will come. That of one that is cut short ends there.
+"""A relay for HTTP: it loses, holds back, garbles or cuts short whole answers. The connection of a lost or
+late answer stays open and silent until the driver stops waiting; if it ended, the driver would know that no
+answer comes. The connection of an answer that is cut short ends there.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ BODILESS = (b"204", b"304")
 
 
 class HttpRelay(TcpRelay):
-    """Between a driver and a device that answers HTTP. An answer tells its length, or ends with its
+    """Between a driver and a device that answers HTTP. An answer contains its length, or ends with its
     connection."""
 
-    def answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
+    def pass_answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
         silent = False
-        for answer in answers_in(far):
+        for answer in split_answers(far):
             done = self.say(near.sendall, answer)
             silent = silent or done in ("lose", "hold")
             if done == "cut":
@@ -36,17 +35,17 @@ class HttpRelay(TcpRelay):
         asked.join(None if silent else 2)
 
     def garble(self, data: bytes) -> bytes:
-        """Noise that is HTTP, as from a proxy that answers for the device, and noise that is none."""
+        """Noise in the form of HTTP, as from a proxy that answers for the device, and noise in no form."""
         noise = super().garble
         head, end, body = data.partition(HEAD_END)
-        if self.spoiled % 2:
+        if self.spoiled_count % 2:
             return head + end + noise(body)
         # Its lines still end, so that it is not waited for.
         return b"\r\n".join(noise(line) for line in head.split(b"\r\n")) + end + noise(body)
 
 
-def answers_in(line: socket.socket) -> Iterator[bytes]:
-    """One after the other, each with its head; the last one may be broken off."""
+def split_answers(line: socket.socket) -> Iterator[bytes]:
+    """The answers one after the other, each with its head; the last one may be incomplete."""
     heard = b""
     while True:
         while HEAD_END not in heard:
@@ -55,7 +54,7 @@ def answers_in(line: socket.socket) -> Iterator[bytes]:
                     yield heard
                 return
             heard += piece
-        size = _size(heard)
+        size = _read_size(heard)
         while size is None or len(heard) < size:
             if not (piece := line.recv(65536)):
                 yield heard
@@ -65,21 +64,21 @@ def answers_in(line: socket.socket) -> Iterator[bytes]:
         heard = heard[size:]
 
 
-def _size(heard: bytes) -> int | None:
-    """How many bytes an answer has in all; None if only its end tells."""
+def _read_size(heard: bytes) -> int | None:
+    """The total number of bytes of an answer; None if only the end of the connection shows it."""
     head = heard.partition(HEAD_END)[0]
     bare = len(head) + len(HEAD_END)
     if head.split(b" ", 2)[1:2] in ([status] for status in BODILESS):
         return bare
-    told = re.search(rb"(?im)^content-length: *(\d+)", head)
-    return bare + int(told[1]) if told else None
+    length = re.search(rb"(?im)^content-length: *(\d+)", head)
+    return bare + int(length[1]) if length else None
 
 
-def relay_to(address: str, folder: Path, name: str = "wire") -> Relay:
+def open_relay(address: str, folder: Path, name: str = "wire") -> Relay:
     """The relay for a device's address, or for several with commas between them."""
     parts = address.split(",")
     if len(parts) > 1:
-        return Relays([relay_to(part, folder, f"{name}{n}") for n, part in enumerate(parts)])
+        return Relays([open_relay(part, folder, f"{name}{n}") for n, part in enumerate(parts)])
     if os.path.isabs(address):
         return LineRelay(folder / name, address)
     return HttpRelay(address) if urlsplit(address).scheme == "http" else TcpRelay(address)

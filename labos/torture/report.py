@@ -1,4 +1,4 @@
-"""What the suite found: checks, the badge that follows from them, and the evidence that it rests on."""
+"""The results of the suite: checks, the resulting badge, and its evidence."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MEANING = {
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """One check. ``why`` says what was wrong, why it was left out, or what there is to add."""
+    """One check. ``why`` is the error, the reason why the check was left out, or a remark."""
 
     check: str
     tier: Tier
@@ -33,7 +33,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """Of one driver. ``limits`` says what keeps it from a higher badge."""
+    """The report for one driver. ``limits`` is the reason why it has no higher badge."""
 
     driver: str
     version: str
@@ -49,18 +49,18 @@ class Report(msgspec.Struct, frozen=True):
 
 
 def badge_of(findings: Sequence[Finding]) -> tuple[Badge, str]:
-    """The badge, and why it is not a higher one: a tier is reached when all its checks and those of the
-    tiers below were made and passed."""
+    """The badge, and the reason why it is not higher. A tier is reached when all its checks and those of the
+    lower tiers were made and passed."""
     reached: Badge = "none"
     for tier in RANKS[1:]:
         short = [f for f in findings if f.tier == tier and f.verdict != "passed"]
         if short:
-            return reached, _why(short)
+            return reached, _explain_limit(short)
         reached = tier
     return reached, ""
 
 
-def _why(short: Sequence[Finding]) -> str:
+def _explain_limit(short: Sequence[Finding]) -> str:
     failed = [f"{finding.check}: {finding.why}" for finding in short if finding.verdict == "failed"]
     if failed:
         return "; ".join(failed)
@@ -69,7 +69,8 @@ def _why(short: Sequence[Finding]) -> str:
 
 
 def evidence_of(torture: Torture, *, wired: bool) -> tuple[str, ...]:
-    """What the badge rests on, the weakest first: whoever wrote the driver wrote its simulator too."""
+    """The evidence for the badge, the weakest first. The simulator is weak evidence, because the author of
+    the driver also wrote the simulator."""
     how = "behind a real wire" if wired else "without a wire"
     return (
         f"self-simulated, {how}",

@@ -1,5 +1,5 @@
-"""One driver under torture: its node in a process that can be killed, its device behind a line that can
-be cut, its bench, and who asks it."""
+"""One driver under torture: its node in a process that can be killed, its device behind a line that can be
+cut, its bench, and the kernel's side."""
 
 from __future__ import annotations
 
@@ -26,39 +26,41 @@ from labos.torture.bench import POLL_S, Bench, Deeds, describe_deeds
 from labos.torture.cases import cases_of, moves_labware, works_a_gate
 from labos.torture.kernel import Kernel
 from labos.torture.relay import Relay
-from labos.torture.relay_http import relay_to
+from labos.torture.relay_http import open_relay
 
 WORKCELL, MODULE = "torture", "device"
 START_S = 60.0
 REST_S = 60.0
 END_S = 120.0
-"""However slow the machine: a node starts, a device comes to rest, an action ends within this."""
+"""The longest time, also on a slow machine, for a node to start, a device to come to rest, or an action to
+end."""
 
 
 SHARE = 0.4
-"""Of a motion, after which it is interrupted if its driver names no moment."""
+"""The part of a motion after which it is interrupted if its driver names no moment."""
 
 LEAST_SHARE = 0.2
-"""A device that notes what it does earlier in its motion than this, notes it when it begins."""
+"""A device that records a motion before this part of it counts as recording it at its start."""
 
 TRIES = 3
-"""On a busy machine a motion may be over before it can be interrupted: so often is it tried."""
+"""The number of attempts to interrupt a motion, because on a busy machine a motion may end before."""
 
 
 DEPTH = 6
-"""An action may need another one before it, which needs a third, so many times."""
+"""The longest chain of actions that each need another one before."""
 
 
 class Failed(Exception):
-    """The driver does not keep what every driver must."""
+    """The driver does not fulfil a requirement for all drivers."""
 
 
 class LeftOut(Exception):
-    """The check cannot be made on this driver."""
+    """The check is not possible for this driver."""
 
 
-class Done(msgspec.Struct, frozen=True):
-    """One attempt at an action: what was asked, from which moment on, what the node said."""
+class Attempt(msgspec.Struct, frozen=True):
+    """One attempt at an action: what was requested, the end of the motion log at that moment, and the node's
+    first reply."""
 
     case: Case
     start: Start
@@ -67,10 +69,10 @@ class Done(msgspec.Struct, frozen=True):
 
 
 class Session:
-    """``reference`` holds what each action does when all goes well; ``sights`` what the driver saw, and
-    what was true, after outcomes that nobody knew; ``orders`` what it says in a motion and not at rest.
-    ``took_s`` is how long an action takes by its node, ``moved_s`` when the last of its ``motions`` was
-    seen on the bench: a driver may go on waiting long after its device has come to rest."""
+    """``reference`` has the motions of each action without faults. ``sights`` are the driver's observations
+    and the truth after unknown outcomes. ``orders`` are the messages that the driver sends only during a
+    motion. ``took_s`` is the duration of an action by its node, and ``moved_s`` the time of the last of its
+    ``motions`` on the bench, because a driver may wait long after its device has come to rest."""
 
     def __init__(
         self, reference: str, node: type[Node], torture: Torture, folder: Path, motion_s: float
@@ -82,6 +84,7 @@ class Session:
         self.motion_s = motion_s
         self.slowness = 1.0
         self.powered = True
+        self._powered_until = 0
         self.start_s = 0.0
         self._asked = self._interrupted = 0
         self._rested: tuple[int | None, int] = (None, 0)
@@ -105,7 +108,7 @@ class Session:
 
     @property
     def blocks(self) -> Path:
-        """Where the node notes how its event loop was held up."""
+        """The file in which the node records blocks of its event loop."""
         return self.folder / "blocks.txt"
 
     def spec(self, case: Case) -> ActionSpec:
@@ -129,8 +132,8 @@ class Session:
             world.supply(MODULE, resource, level)
         config = dict(self.torture.settings)
         if self.torture.device is not None:
-            self.device = self._new_device()
-            self.relay = relay_to(self.device.address, self.folder)
+            self.device = self._make_device()
+            self.relay = open_relay(self.device.address, self.folder)
             as_config = self.torture.config or (lambda address: {"port": address})
             config |= as_config(self.relay.address)
         setup = SetupReply(
@@ -152,7 +155,7 @@ class Session:
         await self.kernel.close()
         self.bench.world.close()
 
-    def _new_device(self) -> WiredDevice:
+    def _make_device(self) -> WiredDevice:
         assert self.torture.device is not None
         device = self.torture.device(
             Setup(
@@ -174,28 +177,29 @@ class Session:
         assert self.relay is not None
         assert self.device is not None
         self.relay.reach("")
+        self._powered_until = self.bench.mark()
         self.device.close()
         self.powered = False
 
     def switch_on(self) -> None:
         assert self.relay is not None
-        self.device = self._new_device()
+        self.device = self._make_device()
         self.relay.reach(self.device.address)
         self.powered = True
 
     def mend(self, fault: Fault) -> None:
-        """Put right what was made to fail, if a reset does not."""
+        """Repair a fault that was caused, if a reset does not end it."""
         if fault.mend is not None:
             fault.mend(self.device, self.bench.world)
 
     def switch_off_between_answers(self) -> None:
-        """The device loses its power when it has answered what it was asked, so that nothing is lost."""
+        """The device loses its power after it has answered the last question, so that no answer is lost."""
         assert self.relay is not None
         self.relay.wait_for_device()
         self.switch_off()
 
     def strike(self, fault: Fault) -> None:
-        """Make the device fail, in its own thread where it has one that can be asked."""
+        """Make the device fail, in its own thread if it has one."""
         at_once = getattr(self.device, "do_at_once", None)
         if at_once is None:
             fault.strike(self.device, self.bench.world)
@@ -203,7 +207,7 @@ class Session:
             at_once(lambda: fault.strike(self.device, self.bench.world))
 
     def slow_down(self, slowness: float) -> None:
-        """Another device of the kind, so many times slower than the first."""
+        """Replace the device by one of its kind that is so many times slower than the first."""
         self.slowness = slowness
         rested = self._rested[0] == self._asked
         if self.powered:
@@ -213,7 +217,7 @@ class Session:
             self._rested = (self._asked, self.bench.mark())
 
     async def slow_both_down(self, slowness: float) -> None:
-        """The device, and with it how long its driver waits. Both begin afresh."""
+        """Make the device slower and its driver wait longer. Both are started anew."""
         self.slow_down(slowness)
         self.kill()
         await self.await_node_gone()
@@ -221,13 +225,13 @@ class Session:
         await self.recover()
 
     async def start_node(self) -> None:
-        """Returns when it answers. Raises Failed."""
+        """Start the node's process; returns when the node answers. Raises Failed."""
         process = self._process = self._spawn()
         began = time.monotonic()
         deadline = time.monotonic() + START_S
         while not self.kernel.node_lives:
             if process.poll() is not None or time.monotonic() > deadline:
-                raise Failed(f"its node does not start: {self._last_words()}")
+                raise Failed(f"its node does not start: {self._read_last_words()}")
             await asyncio.sleep(0.02)
         self.kernel.journal = (await self.kernel.about()).journal
         self.start_s = max(self.start_s, time.monotonic() - began)
@@ -243,7 +247,7 @@ class Session:
             return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log)
 
     def kill(self) -> None:
-        """The node's process dies, here and now."""
+        """Kill the node's process."""
         process, self._process = self._process, None
         if process is not None:
             process.kill()
@@ -257,7 +261,7 @@ class Session:
         while self.kernel.node_lives and time.monotonic() < deadline:
             await asyncio.sleep(0.02)
 
-    def _last_words(self) -> str:
+    def _read_last_words(self) -> str:
         with contextlib.suppress(OSError):
             lines = (self.folder / "node.log").read_text("utf-8", "replace").strip().splitlines()
             return lines[-1] if lines else "it says nothing"
@@ -266,13 +270,13 @@ class Session:
     # -- the bench ---------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Somebody takes all plates away."""
+        """Remove all plates."""
         self.bench.clear()
         if self.torture.clear is not None:
             self.torture.clear(self.device, self.bench.world)
 
     def lay(self, case: Case) -> None:
-        """Somebody puts what a case needs where it is needed, and nothing else."""
+        """Put only the labware on the bench that a case needs."""
         self.clear()
         self.bench.lay(case, self.spec(case))
         if case.prepare is not None:
@@ -280,21 +284,21 @@ class Session:
 
     # -- acting ------------------------------------------------------------------------------
 
-    async def begin(self, case: Case) -> Done:
-        """Lay the bench for a case, bring the module into the condition that it needs, and ask for it."""
+    async def begin(self, case: Case) -> Attempt:
+        """Prepare the bench and the module for a case, and request its action."""
         await self.fulfil(case)
         self.lay(case)
         return await self.ask_for(case)
 
-    async def ask_for(self, case: Case) -> Done:
-        """Ask for it, on the bench as it is."""
+    async def ask_for(self, case: Case) -> Attempt:
+        """Request the action of a case, on the bench as it is."""
         self._asked += 1
         since = self.bench.mark()
         start = self.kernel.request(case.action, case.args)
-        return Done(case, start, since, await self.kernel.send(start))
+        return Attempt(case, start, since, await self.kernel.send(start))
 
-    async def end(self, done: Done) -> Outcome:
-        """Its outcome, held against what happened. Raises Failed."""
+    async def end(self, done: Attempt) -> Outcome:
+        """Wait for its outcome and compare that with the bench. Raises Failed."""
         outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
         if outcome is None:
             reply = await self.kernel.ask(done.start)
@@ -305,8 +309,8 @@ class Session:
         await self.judge(done, outcome)
         return outcome
 
-    async def learn(self, done: Done) -> Outcome:
-        """Its outcome, and what of it is seen on the bench until when. Raises Failed."""
+    async def learn(self, done: Attempt) -> Outcome:
+        """Wait for its outcome, and measure when its motions are seen on the bench. Raises Failed."""
         name, began, seen = done.case.action, time.monotonic(), self.bench.mark()
         self.moved_s[name] = 0.0
         ends = asyncio.create_task(self.end(done))
@@ -318,7 +322,7 @@ class Session:
         return await ends
 
     async def act(self, case: Case) -> Outcome:
-        """Do it from its beginning to its end, all being well. Raises Failed."""
+        """Carry out a case from its beginning to its end. Raises Failed if it does not succeed."""
         began = time.monotonic()
         done = await self.begin(case)
         outcome = await self.end(done)
@@ -327,17 +331,17 @@ class Session:
             raise Failed(f"{case.action} fails: {outcome.error}")
         return outcome
 
-    async def judge(self, done: Done, outcome: Outcome) -> None:
-        """Hold what a node says of an attempt against the bench. Raises Failed."""
+    async def judge(self, done: Attempt, outcome: Outcome) -> None:
+        """Compare what a node says of an attempt with the bench. Raises Failed."""
         name = done.case.action
-        expected = self.reference.get(case_key(done.case))
+        expected = self.reference.get(key_of(done.case))
         if not outcome.succeeded:
-            await self.at_rest()
+            await self.await_rest()
             if not outcome.error:
                 raise Failed(f"{name} failed without a word")
             if any(outcome.error.startswith(f"{kind}: ") for kind in _SURPRISES):
                 raise Failed(f"{name} ended with a surprise in the driver: {outcome.error}")
-        deeds = self.deeds(done)
+        deeds = self.list_deeds(done)
         if outcome.effects == "none" and deeds:
             raise Failed(
                 f"{name} says that nothing was done, but it did: {describe_deeds(deeds)} ({outcome.error})"
@@ -356,12 +360,12 @@ class Session:
                 f"{describe_deeds(expected)}"
             )
 
-    def deeds(self, done: Done) -> Deeds:
-        return self.bench.deeds(done.since, gates=works_a_gate(self.spec(done.case)))
+    def list_deeds(self, done: Attempt) -> Deeds:
+        return self.bench.list_deeds(done.since, gates=works_a_gate(self.spec(done.case)))
 
     async def fulfil(self, case: Case, depth: int = 0) -> None:
-        """Bring the module's variables to where the case needs them, by the driver's own actions, which may
-        need something themselves. Raises Failed."""
+        """Bring the module's variables to the values that the case needs, with the driver's own actions,
+        which may need other actions. Raises Failed."""
         wanted = [
             (effect.variable, effect.value)
             for effect in self.bench.effects(case, self.spec(case))
@@ -384,7 +388,7 @@ class Session:
     async def _set(self, variable: str, value: Any, depth: int) -> None:
         for case in () if depth > DEPTH else self.cases:
             effects = self.bench.effects(case, self.spec(case))
-            if case.refused or not any(self._sets(effect, variable, value) for effect in effects):
+            if case.refused or not any(self._is_set_by(effect, variable, value) for effect in effects):
                 continue
             await self.fulfil(case, depth + 1)
             self.lay(case)
@@ -396,7 +400,7 @@ class Session:
             return
 
     @staticmethod
-    def _sets(effect: AnyEffect, variable: str, value: Any) -> bool:
+    def _is_set_by(effect: AnyEffect, variable: str, value: Any) -> bool:
         return isinstance(effect, Sets) and (effect.of, effect.variable, effect.value) == (
             "module",
             variable,
@@ -405,51 +409,52 @@ class Session:
 
     # -- the motion that is interrupted ------------------------------------------------------
 
-    def motion(self) -> Case:
-        """The action whose middle is long enough to be interrupted. Raises LeftOut, Failed."""
+    def choose_motion(self) -> Case:
+        """An action that is long enough to be interrupted. Raises LeftOut, Failed."""
         if not self.reference:
             raise Failed("not made: no action does what it should")
         names = [case for case in self.cases if not case.refused and self.spec(case).exclusive]
         if self.torture.motion:
             names = [case for case in names if case.action == self.torture.motion]
-        names = [case for case in names if self.reference.get(case_key(case))]
+        names = [case for case in names if self.reference.get(key_of(case))]
         if not names:
             raise LeftOut("no action of it moves anything")
         return max(names, key=lambda c: (moves_labware(self.spec(c)), self.spec(c).duration_s))
 
-    async def midway(self, case: Case, share: float | None = None) -> Done:
-        """Begin a motion, and return while the device is in the middle of it: at the next of the driver's
-        ``moments``, or after a share of the time that it takes. Raises Failed."""
+    async def begin_to_middle(self, case: Case, share: float | None = None) -> Attempt:
+        """Start a motion, and return while the device is moving: at the next of the driver's ``moments``, or
+        after a part of its duration. Raises Failed."""
         for _ in range(TRIES):
             done = await self.begin(case)
             if done.reply.status != "accepted":
                 why = done.reply.why or (done.reply.outcome.error if done.reply.outcome else "")
                 raise Failed(f"{case.action} does not begin: {why}")
             if share is None and self.torture.moments:
-                await self._moment(done)
+                await self._await_moment(done)
             else:
-                await asyncio.sleep((share or SHARE) * self.motion_of(case) * self.slowness)
-            if await self.runs(done) and not self._is_over(done):
+                await asyncio.sleep((share or SHARE) * self.read_motion_s(case) * self.slowness)
+            if await self.is_running(done) and not self._is_over(done):
                 return done
             await self.kernel.outcome(done.start, END_S)
-            await self.at_rest()
+            await self.await_rest()
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
-    async def interrupt(self, case: Case, switch_off: Callable[[], None]) -> Done:
-        """Begin a motion, and switch its device off in its middle. It is begun again if it had just ended, as
-        it may on a busy computer: such an end says nothing of the driver. Raises Failed."""
+    async def interrupt(self, case: Case, switch_off: Callable[[], None]) -> Attempt:
+        """Start a motion, and switch the device off during it. If the motion has just ended, which can happen
+        on a busy computer and says nothing about the driver, it is started again. Raises Failed."""
         for _ in range(TRIES):
-            done = await self.midway(case)
+            done = await self.begin_to_middle(case)
             switch_off()
-            if not self._is_over(done):
+            # What a device notes because its power has gone is not the end of its motion.
+            if not self._is_over(done, self._powered_until):
                 return done
             self.switch_on()
             await self.end(done)
             await self.recover()
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
-    def motion_of(self, case: Case) -> float:
-        """How long its device moves, in s: by the bench, and never for as long as only its node says."""
+    def read_motion_s(self, case: Case) -> float:
+        """How long its device moves (s), by the bench, whatever its node says."""
         took_s = min(self.took_s[case.action], self.motion_s)
         return self.moved_s[case.action] if self._shows_its_end(case) else took_s
 
@@ -457,38 +462,40 @@ class Session:
         took_s = min(self.took_s[case.action], self.motion_s)
         return self.moved_s[case.action] >= LEAST_SHARE * took_s
 
-    def _is_over(self, done: Done) -> bool:
-        """Whether all of it is done on the bench, whatever its node says; nothing is in mid-motion then."""
+    def _is_over(self, done: Attempt, until: int | None = None) -> bool:
+        """Whether all its motions have ended on the bench, whatever its node reports. Only motions up to the
+        mark ``until`` count, if there is one."""
         if self.torture.moments or not self._shows_its_end(done.case):
             return False
-        return len(self.bench.motions(done.since)) >= self.motions[done.case.action]
+        noted = [motion for motion in self.bench.motions(done.since) if until is None or motion.seq <= until]
+        return len(noted) >= self.motions[done.case.action]
 
-    async def _moment(self, done: Done) -> None:
-        """Wait until the device is seen to be where it is to be interrupted, or it is over."""
+    async def _await_moment(self, done: Attempt) -> None:
+        """Wait until the device is at the moment at which it is to be interrupted, or its motion is over."""
         has_come = self.torture.moments[self._interrupted % len(self.torture.moments)]
-        while not has_come(self.device, self.bench.world) and await self.runs(done):
+        while not has_come(self.device, self.bench.world) and await self.is_running(done):
             await asyncio.sleep(POLL_S)
         self._interrupted += 1
 
-    async def runs(self, done: Done) -> bool:
-        """Whether its node says that it is still under way."""
+    async def is_running(self, done: Attempt) -> bool:
+        """Whether its node reports that it is still under way."""
         return (await self.kernel.ask(done.start)).status == "running"
 
-    async def at_rest(self) -> None:
-        """Wait until nothing has moved for as long as the longest motion takes; at once, if nothing was
-        asked for since that was so. Raises Failed."""
+    async def await_rest(self) -> None:
+        """Wait until nothing has moved for the duration of the longest motion. Returns at once if there was
+        no request since the last rest. Raises Failed."""
         if self._rested == (self._asked, self.bench.mark()):
             return
         still_s = 1.2 * self.motion_s * self.slowness
         # On a busy computer a node starts late, and its device is so much slower that this is longer.
-        if not await self.bench.quiet(still_s, max(REST_S, 5 * still_s)):
+        if not await self.bench.await_quiet(still_s, max(REST_S, 5 * still_s)):
             raise Failed("its device never comes to rest")
         self._rested = (self._asked, self.bench.mark())
 
     # -- coming back -------------------------------------------------------------------------
 
-    def put_right(self) -> bool:
-        """The device has power, and nothing ails the line; True if it had to be switched on."""
+    def restore_device(self) -> bool:
+        """Give the device power and repair the line; returns whether the device had to be switched on."""
         if self.relay is None:
             return False
         self.relay.restore()
@@ -498,12 +505,12 @@ class Session:
         return wrong
 
     async def recover(self) -> None:
-        """What a person does after a failure: put the line right, wait, clear the bench, reset. Raises
-        Failed if the module is not IDLE then, or if the reset did what nobody asked for."""
+        """Recover from a failure as a person does: repair the line, wait, clear the bench, reset. Raises
+        Failed if the module is then not IDLE, or if the reset caused other motions."""
         if self.relay is not None:
             self.relay.restore()
             self.relay.plug()
-        await self.at_rest()
+        await self.await_rest()
         self.clear()
         before = self.bench.mark()
         outcome: Outcome | None = None
@@ -520,28 +527,28 @@ class Session:
             await asyncio.sleep(0.2)
         else:
             raise Failed(f"a reset does not bring it back: {outcome.error if outcome else reply.why}")
-        await self.idle()
+        await self.await_idle()
         spec = self.about.action("reset")
-        if (deeds := self.bench.deeds(before, gates=False)) and not (spec and spec.effects):
+        if (deeds := self.bench.list_deeds(before, gates=False)) and not (spec and spec.effects):
             raise Failed(f"a reset, which tells of no effects, did {describe_deeds(deeds)}")
 
-    async def idle(self) -> None:
-        """Raises Failed."""
-        if await self.kernel.until(lambda state: state.status == "IDLE", REST_S) is None:
+    async def await_idle(self) -> None:
+        """Wait until the module is IDLE. Raises Failed."""
+        if await self.kernel.await_state(lambda state: state.status == "IDLE", REST_S) is None:
             state = await self.kernel.state()
             raise Failed(f"it stays {state.status}{f': {state.error}' if state.error else ''}")
 
-    async def works_again(self, case: Case) -> None:
-        """After a recovery all is as before. Raises Failed."""
+    async def check_works_again(self, case: Case) -> None:
+        """Carry out a case once more after a recovery. Raises Failed."""
         try:
             await self.act(case)
         except Failed as error:
             raise Failed(f"after the recovery, {error}") from None
 
-    async def ready(self) -> None:
-        """Whatever a check before did: a node that lives, a device at rest, a whole line; one that was
-        switched on has been reset, as by whoever switches it on. Raises Failed."""
-        fresh = self.put_right()
+    async def make_ready(self) -> None:
+        """Whatever an earlier check did, make sure that the node runs, the device is at rest and the line is
+        whole. A device that had to be switched on is reset afterwards. Raises Failed."""
+        fresh = self.restore_device()
         with contextlib.suppress(NoAnswer):
             if self._process is not None and self._process.poll() is None:
                 state = await self.kernel.state()
@@ -565,5 +572,5 @@ _SURPRISES = (
 )
 
 
-def case_key(case: Case) -> str:
+def key_of(case: Case) -> str:
     return f"{case.action} {sorted(case.args.items())!r}"

@@ -1,4 +1,4 @@
-"""The suite: which checks there are, in which order, and what follows from them."""
+"""The suite: its checks, their order, and the resulting badge."""
 
 from __future__ import annotations
 
@@ -21,46 +21,46 @@ from labos.torture.report import Finding, Report, Tier, Verdict, badge_of, evide
 from labos.torture.session import Failed, LeftOut, Session
 
 Check = Callable[[Session], Awaitable[str | None]]
-"""What a check returns is told beside its verdict."""
+"""A check; the text that it returns is shown beside its result."""
 Tell = Callable[[Finding], None]
 
 MOTION_S = 1.0
-"""How long the longest motion takes under torture."""
+"""The duration of the longest motion under torture."""
 
 CHECK_S = 600.0
 
 CHECKS: dict[str, tuple[Tier, Check]] = {
-    "about": ("bronze", checks_speak.about),
-    "happy path": ("bronze", checks_speak.happy),
-    "set points": ("bronze", checks_speak.set_points),
-    "invalid arguments": ("bronze", checks_speak.invalid),
-    "duplicate id": ("bronze", checks_speak.duplicate),
-    "busy": ("bronze", checks_speak.busy),
-    "true state": ("silver", checks_survive.state_is_true),
-    "device error": ("silver", checks_survive.device_error),
-    "stop": ("silver", checks_survive.stop),
-    "emergency stop": ("silver", checks_survive.estop),
+    "about": ("bronze", checks_speak.check_about),
+    "happy path": ("bronze", checks_speak.check_happy_path),
+    "set points": ("bronze", checks_speak.check_set_points),
+    "invalid arguments": ("bronze", checks_speak.check_invalid_arguments),
+    "duplicate id": ("bronze", checks_speak.check_duplicate_id),
+    "busy": ("bronze", checks_speak.check_busy),
+    "true state": ("silver", checks_survive.check_true_state),
+    "device error": ("silver", checks_survive.check_device_error),
+    "stop": ("silver", checks_survive.check_stop),
+    "emergency stop": ("silver", checks_survive.check_emergency_stop),
     "unplugged before": ("silver", checks_survive.unplug_before),
     "unplugged during": ("silver", checks_survive.unplug_during),
     "unplugged after": ("silver", checks_survive.unplug_after),
     "lost reply": ("silver", checks_survive.lose_reply),
-    "half reply": ("silver", checks_survive.half_reply),
+    "half reply": ("silver", checks_survive.cut_reply),
     "garbled reply": ("silver", checks_survive.garble_reply),
-    "late reply": ("silver", checks_survive.late_reply),
+    "late reply": ("silver", checks_survive.delay_reply),
     "unasked": ("silver", checks_survive.say_unasked),
     "power cycle": ("silver", checks_survive.power_cycle),
-    "restart": ("silver", checks_survive.restart),
-    "power cut": ("silver", checks_survive.power_cut),
+    "restart": ("silver", checks_survive.restart_device),
+    "power cut": ("silver", checks_survive.cut_power),
     "node killed": ("silver", checks_survive.kill_node),
-    "event loop": ("silver", checks_survive.event_loop),
-    "reconciles": ("gold", checks_survive.reconciles),
+    "event loop": ("silver", checks_survive.check_event_loop),
+    "reconciles": ("gold", checks_survive.check_reconciliation),
 }
 
 PREPARES = "happy path"
-"""What every other check relies on: what each action does when all goes well."""
+"""The check on which all others rely: it learns what each action does when all goes well."""
 
 
-def declaration(node: type[Node]) -> Torture:
+def find_declaration(node: type[Node]) -> Torture:
     """The driver's ``TORTURE``: in its module, or in the module ``torture`` beside it."""
     own = getattr(sys.modules[node.__module__], "TORTURE", None)
     if own is None:
@@ -76,7 +76,7 @@ def declaration(node: type[Node]) -> Torture:
 
 
 def is_person(node: type[Node]) -> bool:
-    """Whether it offers nothing but what people do."""
+    """Whether all its actions are done by people."""
     offered = [spec for spec in node.describe().actions if not spec.recovers]
     return bool(offered) and all(spec.by_person for spec in offered)
 
@@ -89,8 +89,8 @@ async def torture(
     motion_s: float = MOTION_S,
     folder: Path | None = None,
 ) -> Report:
-    """Torture a driver: an installed one by its name, or one in a file. ``only`` names checks; the badge
-    then says less. Raises NotFound, BadInput."""
+    """Torture a driver: an installed one by its name, or one in a file. ``only`` names checks; the badge then
+    has less evidence. Raises NotFound, BadInput."""
     if unknown := [name for name in only if name not in CHECKS]:
         raise BadInput(f"There is no check {unknown[0]!r}.", remedy=f"There are: {', '.join(CHECKS)}.")
     node = load_driver(driver)
@@ -100,7 +100,7 @@ async def torture(
             "that could be unplugged.",
             remedy="What can go wrong between a lab and a person is tried at the inbox.",
         )
-    declared = declaration(node)
+    declared = find_declaration(node)
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="torture-", ignore_cleanup_errors=True) as temporary:
         home = folder or Path(temporary)
@@ -133,7 +133,7 @@ async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
             elif lost or (lost := await _bring_back(on)):
                 finding = Finding(name, tier, "failed", f"not made: {lost}")
             else:
-                finding = await _one(on, name, tier, check)
+                finding = await _run_check(on, name, tier, check)
             findings.append(finding)
             tell(finding)
     finally:
@@ -142,15 +142,15 @@ async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
 
 
 async def _bring_back(on: Session) -> str:
-    """Why no check can be made any more; empty if the node is idle."""
+    """The reason why no further check is possible; empty if the node is idle."""
     try:
-        await on.ready()
+        await on.make_ready()
     except (Failed, LabosError) as error:
         return str(error)
     return ""
 
 
-async def _one(on: Session, name: str, tier: Tier, check: Check) -> Finding:
+async def _run_check(on: Session, name: str, tier: Tier, check: Check) -> Finding:
     began = time.monotonic()
     verdict: Verdict = "passed"
     why = ""
@@ -168,6 +168,6 @@ async def _one(on: Session, name: str, tier: Tier, check: Check) -> Finding:
     return Finding(name, tier, verdict, why, round(time.monotonic() - began, 2))
 
 
-def says(name: str) -> str:
-    """What a check is about."""
+def describe_check(name: str) -> str:
+    """What a check requires, from its docstring."""
     return inspect.cleandoc(CHECKS[name][1].__doc__ or "").replace("\n", " ")

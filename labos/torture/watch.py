@@ -1,8 +1,6 @@
-"""How long a node's event loop stands still, and who holds it.
-
-A heartbeat that comes late means that something blocked the loop; it counts if the driver's own code is at
-work there, or called what is. Time in which the machine had no
-processor for the thread does not count, where the system tells of it (Linux), nor does a delay in which
+"""Measures how long a node's event loop is blocked, and by which code. A late heartbeat means that the loop
+was blocked. It counts if the driver's own code was running, or had called the running code. Time in which the
+thread had no processor does not count, if the system reports it (Linux). A delay also does not count if
 another thread, which looks every few milliseconds, has not seen the loop at work.
 """
 
@@ -18,23 +16,23 @@ from types import FrameType
 
 BEAT_S = 0.01
 LIMIT_S = 0.05
-"""No callback may hold the loop for longer."""
+"""The longest time for which a callback may block the loop."""
 
 _SCHEDSTAT = Path("/proc/thread-self/schedstat")
 
 
 class LoopWatch:
-    """Watches the loop it is started in, and writes a line to ``report`` for each block."""
+    """Watches the loop in which it is started, and writes a line to ``report`` for each block."""
 
     def __init__(self, report: Path, driver: str) -> None:
-        """``driver`` is the driver's module, or the package that it stands in."""
+        """``driver`` is the driver's module, or its package."""
         self._report, self._driver = report, driver
         self._last = self._waited = 0.0
         self._thread = 0
         self._held_by = ""
 
     def start(self) -> None:
-        """From now on."""
+        """Start watching."""
         self._thread = threading.get_ident()
         self._last, self._waited = time.monotonic(), _read_wait_s()
         threading.Thread(target=self._sample, name="loop watch", daemon=True).start()
@@ -51,7 +49,7 @@ class LoopWatch:
         asyncio.get_running_loop().call_later(BEAT_S, self._beat)
 
     def _sample(self) -> None:
-        """Note who is at work while a heartbeat is overdue."""
+        """Record the running code while a heartbeat is overdue."""
         while True:
             time.sleep(BEAT_S)
             if time.monotonic() - self._last < 3 * BEAT_S or self._held_by:
@@ -59,7 +57,7 @@ class LoopWatch:
             frame = sys._current_frames().get(self._thread)
             if frame is None:
                 continue
-            if not self._is_its(frame):
+            if not self._is_driver_code(frame):
                 continue
             # Without the text of the lines, which would be read from disk.
             stack = traceback.StackSummary.extract(traceback.walk_stack(frame), lookup_lines=False)
@@ -68,8 +66,8 @@ class LoopWatch:
                 continue  # it waits for something to do
             self._held_by = " > ".join(f"{Path(c.filename).name}:{c.lineno} {c.name}" for c in calls)
 
-    def _is_its(self, frame: FrameType | None) -> bool:
-        """Whether a frame of the driver's code is among these."""
+    def _is_driver_code(self, frame: FrameType | None) -> bool:
+        """Whether a frame, or one of its callers, is of the driver's code."""
         while frame is not None:
             name = str(frame.f_globals.get("__name__", ""))
             if name == self._driver or name.startswith(f"{self._driver}."):

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from labos_drivers._growth import Stay, growth_of
+from labos_drivers._growth import Stay, compute_growth
 from labos_drivers._optics import BLANK_OD
 
 APP = Path(__file__).parents[2] / "specs" / "apps" / "growth_assay"
@@ -31,5 +31,5 @@ def table(*stays: Stay, seed: int = 0, cells: bool = True) -> dict[str, Any]:
         for well, ul in growth_layout.volumes(liquid).items():
             if cells or liquid != "cells":
                 held.setdefault(well, {})[STOCK[liquid]] = ul
-    wells = {well: BLANK_OD + growth_of(held[well], stays) + noise.gauss(0, 0.005) for well in held}
+    wells = {well: BLANK_OD + compute_growth(held[well], stays) + noise.gauss(0, 0.005) for well in held}
     return {"quantity": "absorbance", "unit": "OD", "wells": wells, "overflow": []}

@@ -116,7 +116,7 @@ class VirtualLab(SimulatedLab):
         self._do(self._ask(self.kernel, self.kernel.execute(command, "app")))
 
     def wait(self, holds: Callable[[], bool]) -> None:
-        self._do(self._until(lambda state: holds(), LOOK_S))
+        self._do(self._await(lambda state: holds(), LOOK_S))
 
     def plan(self, workflow: Path, payload: Mapping[str, Any]) -> Plan:
         workcell, bench = self.cell.workcell, self.cell.bench
@@ -159,7 +159,7 @@ class VirtualLab(SimulatedLab):
             self._start_node(module.name)
         self._start_kernel()
         await self._set_up()
-        self._people.append(self.loop.create_task(self._person()))
+        self._people.append(self.loop.create_task(self._act_as_person()))
 
     def _learn(self) -> None:
         fresh = self.store.records[self._read :]

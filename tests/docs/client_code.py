@@ -205,7 +205,7 @@ def _write_call(operation: Operation, fields: Sequence[Field]) -> tuple[str, lis
         return "dict[str, Any]", [f"return {call}"]
     kind = {f.encode_name: f.type for f in msgspec.structs.fields(operation.shape.answer)}[method.take]
     result = find_answer_type(kind)
-    return result, [f'found: {result} = {call}["{method.take}"]', "return found"]
+    return result, [f'return {call}["{method.take}"]']
 
 
 def _options(method: Method, fields: Sequence[Field]) -> Iterator[str]:

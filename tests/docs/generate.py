@@ -50,7 +50,7 @@ from labos.telemetry.api import ApiMetrics
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.node import NodeMetrics
 from labos.telemetry.series import LabMetric
-from labos.torture import CHECKS, says
+from labos.torture import CHECKS, describe_check
 from tests.docs import client_code, drawings, http_page, rights_page
 from tests.docs.badges import badges
 from tests.docs.markdown import DOCS, REFERENCE, ROOT
@@ -148,6 +148,7 @@ def parts() -> str:
             for name in (
                 "ModuleSpec",
                 "RetryDefault",
+                "Together",
                 "StationSpec",
                 "LabwareSpec",
                 "TransferWay",
@@ -288,7 +289,10 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 def checks() -> str:
     """The checks of the torture suite."""
     return (
-        _table(("check", "badge", "what must hold"), ((n, tier, says(n)) for n, (tier, _) in CHECKS.items()))
+        _table(
+            ("check", "badge", "what must hold"),
+            ((n, tier, describe_check(n)) for n, (tier, _) in CHECKS.items()),
+        )
         + "\n"
     )
 

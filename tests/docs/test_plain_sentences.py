@@ -25,15 +25,14 @@ WORDS = re.compile(r"\bwhoever\b|\bwhomever\b|\bfor ever\b|\b(?:is|are|was|were)
 
 CODE = re.compile(r"`[^`]*`|\]\([^)]*\)")
 
-GENERATED = ("events", "http", "machines", "metrics", "questions", "reactions", "rights", "sql", "waits")
-"""Pages of the reference whose text comes from docstrings, which are not held to this yet."""
-
 PAGES = [
     *sorted(DOCS.glob("*.md")),
     *sorted((DOCS / "runbooks").glob("*.md")),
     *sorted((DOCS / "drivers").glob("*.md")),
-    *(page for page in sorted((DOCS / "reference").glob("*.md")) if page.stem not in GENERATED),
+    *sorted((DOCS / "decisions").glob("*.md")),
+    *sorted((DOCS / "reference").glob("*.md")),
     *sorted((ROOT / "specs").rglob("README.md")),
+    ROOT / "CHANGELOG.md",
     ROOT / "README.md",
 ]
 

@@ -101,6 +101,17 @@ def test_workflow_examples_compile(block: Block) -> None:
     check(block, lambda: compile_example(block))
 
 
+def test_workflows_on_the_page_of_workcells_compile() -> None:
+    known = blocks(WORKCELL.read_text())
+    workflows = [block for block in known if block.language == "yml"]
+    assert workflows
+    for block in workflows:
+        text = next(b.text for b in known if b.title == block.attributes["workcell"])
+        cell = parse_workcell(text, drivers())
+        source = parse_workflow(block.text, block.title)
+        assert not compile_workflow(source, {}, cell.workcell, drivers(), bench=cell.bench).findings
+
+
 @pytest.mark.parametrize("block", examples(WORKCELL))
 def test_workcell_examples_compile(block: Block) -> None:
     if kind_of(parse_workflow(block.text, block.title))[0] == "labware":

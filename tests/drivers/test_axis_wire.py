@@ -83,7 +83,7 @@ def test_what_cannot_be_done_moves_nothing(drive: DriveOnSlcan, world: World) ->
         with pytest.raises(DeviceError, match="does not know where it is"):
             await node.read_position()
         await node.home()
-        drive._node.set_data(profile.LIMITS, profile.HIGHEST, wire._bytes(STAGE.counts(80)))
+        drive._node.set_data(profile.LIMITS, profile.HIGHEST, wire._encode(STAGE.counts(80)))
         with pytest.raises(DeviceError, match=r"beyond the drive's own limits\. They are 0 and 80 mm") as far:
             await node.move_to(100.0)
         assert {told.value.effects for told in (lost, far)} == {"none"}
@@ -228,7 +228,7 @@ def test_a_start_that_the_drive_never_heard_of(drive: DriveOnSlcan, world: World
         await node.home()
         goal = await node.device.prepare_move(250.0, 25.0)  # type: ignore[union-attr]
         with pytest.raises(OutcomeUnknown, match="stands still, and not where it was sent"):
-            await node.device.see_end(goal, sure=False)  # type: ignore[union-attr]
+            await node.device.await_end(goal, sure=False)  # type: ignore[union-attr]
         assert "moves" not in verbs(world)
         assert (await node.observe())["position"] == 0.0
         await node.close()
@@ -319,7 +319,7 @@ def canopens_own(device: DriveOnSlcan) -> Iterator[BaseNode402]:
     """canopen's implementation of the profile, at the same adapter."""
     network = canopen.Network()
     network.connect(interface="slcan", channel=device.address, sleep_after_open=0, timeout=0.02)
-    node = BaseNode402(wire.NODE, wire._dictionary(canopen.objectdictionary))
+    node = BaseNode402(wire.NODE, wire._make_dictionary(canopen.objectdictionary))
     network.add_node(node)
     node.sdo.RESPONSE_TIMEOUT = 2.0
     node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = 5.0
@@ -460,7 +460,7 @@ def test_a_drive_that_holds_a_speed_does_not_rest(drive: DriveOnSlcan, world: Wo
         await node.home()
         drive._mode, drive._takes_s, drive._since_s = 3, 1000.0, drive.now_s()
         drive._goal = drive.stands + 1e7
-        assert drive.status() & profile.REACHED
+        assert drive.compose_status() & profile.REACHED
         assert not await node.is_idle()
         with pytest.raises(DeviceError, match="moves") as told:
             await node.move_to(50.0)

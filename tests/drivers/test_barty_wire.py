@@ -250,7 +250,7 @@ def test_nobody_there_and_somebody_else(world: World) -> None:
         address = device.address
     with pytest.raises(NotConnected):
         run(at_port(Barty, "barty", address, key="host").connect)
-    question = protocol.question(protocol.PIGPV)
+    question = protocol.make_command(protocol.PIGPV)
     others = (
         (protocol.HEADER.pack(protocol.PIGPV, 0, 0, -88), WrongDevice),
         (b"220 ready for something else\r\n", LinkError),

@@ -281,7 +281,7 @@ def test_simulated_behind_its_wire(world: World) -> None:
 def test_a_ready_line_that_cannot_be_read_is_no_rest(
     peeler: PeelerOnWire, port: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(peeler, "_ready", lambda: peeler._line("*ready:moving"))
+    monkeypatch.setattr(peeler, "_send_ready", lambda: peeler._send_line("*ready:moving"))
 
     async def body() -> None:
         node = at_port(BrooksPeeler, "peeler", port)

@@ -20,7 +20,7 @@ from labos.node import Attachment, World
 from labos.node.node import Setup
 from labos_drivers._onhttp import HttpEnd, Reply
 from labos_drivers.camera import Camera, source, vision
-from labos_drivers.camera.driver import views_of
+from labos_drivers.camera.driver import read_views
 from labos_drivers.camera.photo import project
 from labos_drivers.camera.render import picture_of
 from labos_drivers.camera.sketch import HEIGHT, WIDTH, centre_of
@@ -185,11 +185,11 @@ def test_what_answers_is_no_camera() -> None:
     def answer() -> None:
         while end.is_plugged:
             try:
-                question = end.questions.get(timeout=0.05)
+                question = end.requests.get(timeout=0.05)
             except queue.Empty:
                 continue
             kind = {"Content-Type": "text/html"}
-            question.answers.put(Reply(401 if question.parts == ("locked",) else 200, b"", kind))
+            question.replies.put(Reply(401 if question.parts == ("locked",) else 200, b"", kind))
 
     thread = threading.Thread(target=answer)
     thread.start()
@@ -296,8 +296,8 @@ def test_a_camera_that_hangs_is_not_waited_for(tmp_path: Path, monkeypatch: pyte
 def test_a_plate_is_seen_however_it_lies(degrees: float, world: World) -> None:
     world.stock("eye.plate_station", "plate96")
     shown = vision.rotate(picture_of(world, ["eye.plate_station"], 7), degrees)
-    assert vision.stands_there(shown) is True
-    assert vision.label_in(shown) == "LB000001"
+    assert vision.is_occupied(shown) is True
+    assert vision.read_label(shown) == "LB000001"
 
 
 @pytest.mark.full
@@ -311,32 +311,32 @@ def test_darker_brighter_and_blurred(world: World) -> None:
         lambda p: cv2.GaussianBlur(p, (5, 5), 0),
         lambda p: cv2.resize(p, None, fx=2, fy=2),
     ):
-        assert vision.stands_there(change(full)) is True
-        assert vision.stands_there(change(bare)) is False
+        assert vision.is_occupied(change(full)) is True
+        assert vision.is_occupied(change(bare)) is False
     # Half the plate in the picture, its label not: neither is told, nor the contrary.
     world.label(plate, "")
     rest = picture_of(world, ["eye.plate_station"], 3)[:, : WIDTH // 5]
-    assert vision.stands_there(rest) is not False
+    assert vision.is_occupied(rest) is not False
 
 
 def test_a_clear_plate_over_a_marker_is_not_decided(world: World) -> None:
     bare = picture_of(world, ["eye.plate_station"], 3)
     world.stock("eye.plate_station", "plate96")
     both = numpy.hstack([bare, picture_of(world, ["eye.plate_station"], 3)])
-    assert vision.stands_there(both) is None
-    assert vision.stands_there(cv2.convertScaleAbs(bare, alpha=0.01)) is None
+    assert vision.is_occupied(both) is None
+    assert vision.is_occupied(cv2.convertScaleAbs(bare, alpha=0.01)) is None
 
 
 def test_noise_is_nothing() -> None:
     noise = numpy.random.default_rng(1).integers(0, 255, (480, 640, 3), dtype=numpy.uint8)
-    assert vision.stands_there(noise) is None
-    assert vision.label_in(noise) == ""
+    assert vision.is_occupied(noise) is None
+    assert vision.read_label(noise) == ""
 
 
 def test_two_labels_in_one_view_are_none(world: World) -> None:
     world.stock("eye.a", "plate96")
     world.stock("eye.b", "plate96")
-    assert vision.label_in(picture_of(world, ["eye.a", "eye.b"], 2)) == ""
+    assert vision.read_label(picture_of(world, ["eye.a", "eye.b"], 2)) == ""
 
 
 def test_the_code_of_a_shop_is_read_too() -> None:
@@ -350,7 +350,7 @@ def test_the_code_of_a_shop_is_read_too() -> None:
     bars = numpy.array([255 * (bit == "0") for bit in f"101{left}01010{right}101"], numpy.uint8)
     code = numpy.repeat(numpy.repeat(bars[None], 120, 0), 3, 1)
     page = cv2.copyMakeBorder(code, 120, 120, 160, 160, cv2.BORDER_CONSTANT, value=255)
-    assert vision.label_in(cv2.cvtColor(page, cv2.COLOR_GRAY2BGR)) == digits
+    assert vision.read_label(cv2.cvtColor(page, cv2.COLOR_GRAY2BGR)) == digits
 
 
 @pytest.mark.parametrize(
@@ -363,13 +363,13 @@ def test_the_code_of_a_shop_is_read_too() -> None:
 )
 def test_views_that_are_none(views: Any, why: str) -> None:
     with pytest.raises(DeviceError, match=why):
-        views_of(setup_of("eye", None, config={"observes": ["wc.shelf"], "views": views}))
+        read_views(setup_of("eye", None, config={"observes": ["wc.shelf"], "views": views}))
 
 
 def test_views_as_they_are_told() -> None:
     told = {"plate_station": [0, 0, 0.5, 1], "wc.shelf": [0.5, 0, 1, 1]}
     setup = setup_of("eye", None, config={"observes": ["wc.shelf"], "views": told})
-    assert views_of(setup) == {"plate_station": (0, 0, 0.5, 1), "wc.shelf": (0.5, 0, 1, 1)}
+    assert read_views(setup) == {"plate_station": (0, 0, 0.5, 1), "wc.shelf": (0.5, 0, 1, 1)}
 
 
 def test_simulated_behind_its_wire(world: World) -> None:

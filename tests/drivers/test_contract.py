@@ -22,8 +22,8 @@ from labos.node.journal_file import FileJournalFile
 from labos.node.server import NodeServer
 from labos.spec.amounts import arguments_of
 from labos.spec.describing import load_description, places
-from labos.torture import declaration
-from labos.torture.cases import cases_of, wrong_args
+from labos.torture import find_declaration
+from labos.torture.cases import cases_of, list_wrong_args
 from tests.integration.node.bench import LAB, bench
 from tests.integration.node.bench import Bench as Lab
 from tests.integration.ports import free_endpoint
@@ -193,7 +193,7 @@ def test_what_is_beyond_a_limit_is_refused_by_the_node(tmp_path: Path) -> None:
 
 async def serve(lab: Lab, package: str) -> NodeServer:
     """A driver's node on the bus, with a simulated device."""
-    kind, told = load(package), declaration(load(package))
+    kind, told = load(package), find_declaration(load(package))
     setup = Setup("arm", "cell", told.settings, poses=told.poses, regrip=told.regrip, world=lab.world)
     journal = await Journal.open(FileJournalFile(lab.folder / package), Uuid7Ids())
     bus = await lab.bus()
@@ -206,10 +206,10 @@ async def serve(lab: Lab, package: str) -> NodeServer:
 def beyond(node: Node, folder: Path) -> Iterator[tuple[str, dict[str, Any], str]]:
     """Each call of each action with one number too small or too large, and what is wrong with it."""
     about = node.describe()
-    for case in cases_of(about, declaration(type(node)), folder):
+    for case in cases_of(about, find_declaration(type(node)), folder):
         spec = about.action(case.action)
         assert spec is not None
-        for what, args in wrong_args(case, spec):
+        for what, args in list_wrong_args(case, spec):
             if what.endswith(("its minimum", "its maximum")):
                 yield spec.name, args, what
 

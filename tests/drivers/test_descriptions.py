@@ -212,7 +212,7 @@ def test_the_pf400_is_where_its_driver_takes_it_to_be() -> None:
         told = any_joints(file, seed)
         joints = (told["carriage"], told["inner_link"], told["outer_link"], told["hand"], 0.0, told["slide"])
         hand = poses(robot, for_urdf(file, told))["station_gripper"]
-        x, y, z, yaw = kinematics.hand(joints)
+        x, y, z, yaw = kinematics.find_hand(joints)
         assert np.allclose(hand[:2, 3] * 1000 - axis[:2], (x, y), atol=1e-6)
         assert hand[2, 3] * 1000 - z == pytest.approx(98.633)
         assert np.allclose(hand[:2, 0], (cos(radians(yaw)), sin(radians(yaw))), atol=1e-9)

@@ -175,7 +175,7 @@ def test_a_simulated_handler_takes_no_longer_protocol_than_a_real_one(world: Wor
     ],
 )
 def test_what_solosoft_would_not_open_is_not_sent(text: str, why: str) -> None:
-    found = protocol.wrong_in(text)
+    found = protocol.find_flaw(text)
     assert why in found
     assert bool(why) == bool(found)
 
@@ -421,7 +421,7 @@ class Slow(Hands):
             raise Failed("the lid is stuck", "Look at it.", "partial")
         (folder / "log.txt").write_text("closed")
 
-    def seen(self):
+    def read_sensors(self):
         return {"lid": "closed"}
 """
 
@@ -566,7 +566,7 @@ def test_simulated_behind_its_wire(driver: type[Any], name: str, world: World) -
 def test_a_gateway_that_does_not_say_that_it_is_idle_is_not(
     cycler: GatewayOnWire[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tell = gateway_server.Handler._tell
+    tell = gateway_server.Handler._send
 
     async def body() -> None:
         async with drive(Biometra, "biometra", cycler.address) as node:
@@ -577,7 +577,7 @@ def test_a_gateway_that_does_not_say_that_it_is_idle_is_not(
                 def tells(self: Any, status: int, _: Any, said: Any = said) -> None:
                     tell(self, status, said)
 
-                monkeypatch.setattr(gateway_server.Handler, "_tell", tells)
+                monkeypatch.setattr(gateway_server.Handler, "_send", tells)
                 assert not await node.is_idle()
 
     run(body)

@@ -126,7 +126,7 @@ def test_what_is_lost_on_the_way_is_not_put_down(
 
     async def body() -> None:
         async with drive(kind, port) as node:
-            with pytest.raises(DeviceError, match="lost on its way") as told:
+            with pytest.raises(DeviceError, match="lost what it held on its way") as told:
                 await node.transfer(STACK[kind], NEST[kind])
             assert told.value.effects == "unknown"
 
@@ -325,14 +325,14 @@ def test_data_may_come_on_a_later_line(
     arm: HudsonOnWire, kind: str, world: World, port: Path, monkeypatch: pytest.MonkeyPatch, noise: str
 ) -> None:
     (plate,) = world.stock(place(kind, STACK[kind]), "plate")
-    data = arm._data
+    data = arm._send_data
 
     def late(text: str) -> None:
         arm.say(noise.encode() + b"\r\n")
         data(text)
         arm.say(b"0000 Success\r\n")
 
-    monkeypatch.setattr(arm, "_data", late)
+    monkeypatch.setattr(arm, "_send_data", late)
 
     async def body() -> None:
         async with drive(kind, port) as node:

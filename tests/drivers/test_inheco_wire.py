@@ -48,18 +48,18 @@ def incubator(world: World, port: Path) -> Iterator[InhecoOnWire]:
     ],
 )
 def test_questions_as_they_are_on_the_wire(command: str, frame: str) -> None:
-    assert protocol.question(command, 0) == bytes.fromhex(frame)
+    assert protocol.make_command(command, 0) == bytes.fromhex(frame)
 
 
 def test_answers_are_taken_whole_or_not_at_all() -> None:
     answers = protocol.Answers(2)
-    buffer = bytearray(protocol.answer("370", 0))
+    buffer = bytearray(protocol.make_answer("370", 0))
     assert answers.take(buffer) == b"\x00370"
-    whole = protocol.answer("", 7)
+    whole = protocol.make_answer("", 7)
     for cut in range(len(whole)):
         buffer = bytearray(whole[:cut])
         assert answers.take(buffer) is None
-    buffer = bytearray(whole + protocol.answer("1", 0))
+    buffer = bytearray(whole + protocol.make_answer("1", 0))
     assert (answers.take(buffer), answers.take(buffer)) == (b"\x07", b"\x001")
     with pytest.raises(BadFrame, match="does not begin"):
         answers.take(bytearray(b"370" + whole))
@@ -201,8 +201,8 @@ def test_another_device_or_another_floor(incubator: InhecoOnWire, world: World, 
 
 
 def test_an_answer_to_something_else(port: Path) -> None:
-    question = protocol.question("RTS", 0)
-    says: dict[bytes, Any] = {b"": protocol.answer("370", 0)}
+    question = protocol.make_command("RTS", 0)
+    says: dict[bytes, Any] = {b"": protocol.make_answer("370", 0)}
     with answer_on(PtyEnd(port), says, stop=question), pytest.raises(NotConnected) as told:
         run(at_port(Inheco, "inheco", port).connect)
     assert isinstance(told.value.__cause__, Garbled)

@@ -185,7 +185,7 @@ def test_a_shovel_that_is_not_seen_to_be_emptied_is_not(
 ) -> None:
     (plate,) = world.stock("liconic.exchange", "plate")
     world.grip("liconic", "liconic.exchange")
-    monkeypatch.setattr(stx, "_place", lambda target, back_s: stx.after(back_s, stx._is_ready))
+    monkeypatch.setattr(stx, "_place", lambda target, back_s: stx.after(back_s, stx._become_ready))
 
     async def body() -> None:
         node = node_at(port)

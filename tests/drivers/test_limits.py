@@ -13,7 +13,7 @@ import pytest
 from labos.errors import DeviceError
 from labos.link import TcpEnd
 from labos.node import Setup
-from labos_drivers._limits import deadlines_in, serial_wire
+from labos_drivers._limits import make_serial_wire, read_deadlines
 from labos_drivers._wired import OnBenchOrWire, Wired
 from labos_drivers.axis.driver import AxisDriver
 from labos_drivers.plc.driver import PlcDriver
@@ -82,7 +82,7 @@ def test_a_deadline_that_there_is_not_is_refused(package: str) -> None:
     known = WIRED[package].deadlines
     config = {"deadlines": {known[0][:-1]: 5}}
     with pytest.raises(DeviceError, match=rf"has no '{known[0][:-1]}'.*{known[0]}") as told:
-        deadlines_in(Setup("it", "cell", config), known)
+        read_deadlines(Setup("it", "cell", config), known)
     assert told.value.effects == "none"
 
 
@@ -99,12 +99,12 @@ def test_a_deadline_that_there_is_not_is_refused(package: str) -> None:
 )
 def test_what_is_no_deadline_is_said(told: Any, says: str) -> None:
     with pytest.raises(DeviceError, match=says):
-        deadlines_in(Setup("it", "cell", {"deadlines": told}), ("heat", "cycle"))
+        read_deadlines(Setup("it", "cell", {"deadlines": told}), ("heat", "cycle"))
 
 
 def test_deadlines_are_seconds_or_texts() -> None:
     told = {"heat": "10 min", "cycle": 90}
-    assert deadlines_in(Setup("it", "cell", {"deadlines": told}), ("heat", "cycle", "begin")) == {
+    assert read_deadlines(Setup("it", "cell", {"deadlines": told}), ("heat", "cycle", "begin")) == {
         "heat": 600.0,
         "cycle": 90.0,
     }
@@ -141,7 +141,7 @@ def test_a_serial_line_is_set_as_the_lab_says(package: str) -> None:
 )
 def test_a_line_that_cannot_be_set_so_is_refused(key: str, value: Any) -> None:
     with pytest.raises(DeviceError, match=rf"`{key}:` is .*As shipped"):
-        serial_wire(Setup("it", "cell", {key: value}), "/dev/ttyX9", baudrate=9600)
+        make_serial_wire(Setup("it", "cell", {key: value}), "/dev/ttyX9", baudrate=9600)
 
 
 def rows() -> str:

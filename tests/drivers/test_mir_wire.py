@@ -12,7 +12,7 @@ import pytest
 
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.node import World
-from labos_drivers._onhttp import OnHttp, Question, Reply
+from labos_drivers._onhttp import OnHttp, Reply, Request
 from labos_drivers.mir import MiR, protocol
 from labos_drivers.mir import driver as mir_driver
 from labos_drivers.mir.wire import MiROnWire
@@ -48,7 +48,9 @@ async def drive(base: OnHttp, user: str = USER) -> AsyncIterator[MiR]:
 
 def test_the_authorization_is_a_digest_in_the_passwords_place() -> None:
     # As the maker's guide builds it: user, colon, SHA-256 of the password in hex.
-    assert protocol.authorization("u", "p").startswith("Basic dToxNDhkZTljNWE3YTQ0ZDE5ZTU2Y2Q5YWUxYTU1NGJm")
+    assert protocol.make_authorization("u", "p").startswith(
+        "Basic dToxNDhkZTljNWE3YTQ0ZDE5ZTU2Y2Q5YWUxYTU1NGJm"
+    )
 
 
 def test_it_drives_and_docks(base: MiROnWire, world: World) -> None:
@@ -109,17 +111,17 @@ def test_trouble_on_the_way(base: MiROnWire, world: World, how: str, why: str) -
 @pytest.mark.parametrize("x", [float("nan"), float("inf"), None, "3"])
 def test_a_robot_that_does_not_know_where_it_is_has_not_arrived(base: MiROnWire, x: Any) -> None:
     """Nor is it away from all positions."""
-    here = base._here
+    here = base._compute_position
 
     async def body() -> None:
         async with drive(base) as node:
-            base._here = lambda: (x, 0.0)  # type: ignore[method-assign,return-value,assignment]
+            base._compute_position = lambda: (x, 0.0)  # type: ignore[method-assign,return-value,assignment]
             with pytest.raises(Garbled, match="does not tell where the robot is"):
                 await node.observe()
             with pytest.raises(Garbled, match="does not tell where the robot is") as told:
                 await node.move("bench2")
             assert told.value.effects == "unknown"
-            base._here = here  # type: ignore[method-assign]
+            base._compute_position = here  # type: ignore[method-assign]
             assert await node.observe() == {"position": "bench2"}
 
     run(body)
@@ -163,7 +165,7 @@ def test_a_server_error_does_not_tell_whether_it_was_queued(
 ) -> None:
     answer = base.answer
 
-    def fail(question: Question) -> Reply:
+    def fail(question: Request) -> Reply:
         if (question.method, question.parts[2:]) == ("POST", ("mission_queue",)):
             monkeypatch.setattr(base, "answer", answer)
             if queued:
@@ -191,7 +193,7 @@ def test_others_use_the_queue_too(base: MiROnWire, world: World) -> None:
         async with drive(base) as node:
             await node.move("bench1")
             mission = base.queue[0]["mission_id"]
-            headers = {"Authorization": protocol.authorization(USER, PASSWORD)}
+            headers = {"Authorization": protocol.make_authorization(USER, PASSWORD)}
             async with httpx.AsyncClient(base_url=base.address + protocol.BASE, headers=headers) as fleet:
                 work = asyncio.create_task(node.move("bench2"))
                 await until(lambda: len(base.queue) == 2)
@@ -279,7 +281,7 @@ def test_out_of_reach_for_a_while_and_for_longer(base: MiROnWire, monkeypatch: p
 class Other(OnHttp):
     """Something else at this address."""
 
-    def answer(self, question: Question) -> Reply:
+    def answer(self, question: Request) -> Reply:
         return Reply(200, {"robot_model": "Roomba"})
 
 
@@ -345,8 +347,8 @@ def test_a_state_that_is_not_known_is_no_rest(base: MiROnWire, state: int) -> No
 
 
 def test_a_robot_that_says_nothing_of_errors_is_not_sent_away(base: MiROnWire) -> None:
-    status = base._status
-    base._status = lambda: {k: v for k, v in status().items() if k != "errors"}  # type: ignore[method-assign]
+    status = base._make_status
+    base._make_status = lambda: {k: v for k, v in status().items() if k != "errors"}  # type: ignore[method-assign]
 
     async def body() -> None:
         async with drive(base) as node:
@@ -361,7 +363,7 @@ def test_a_robot_that_says_nothing_of_errors_is_not_sent_away(base: MiROnWire) -
 def test_an_answer_without_a_list_does_not_say_that_a_mission_has_no_step(base: MiROnWire) -> None:
     route = base._route
 
-    def tells_nothing(question: Question, *parts: str) -> Reply:
+    def tells_nothing(question: Request, *parts: str) -> Reply:
         asks_for_steps = (question.method, parts[-1]) == ("GET", "actions")
         return Reply(200, b"") if asks_for_steps else route(question, *parts)
 

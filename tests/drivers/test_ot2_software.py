@@ -14,7 +14,7 @@ from labos.errors import DeviceError
 from labos.node import World
 from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2 import protocol
-from labos_drivers.ot2.software import VARIABLE, Ran, error_in
+from labos_drivers.ot2.software import VARIABLE, ProtocolOutput, parse_error
 from labos_drivers.ot2.wire import OT2OnWire
 from tests.drivers.test_ot2_wire import drive
 from tests.drivers.wires import power_on, run, setup_of, until
@@ -199,7 +199,7 @@ def test_a_lab_is_told_why_the_robots_software_refuses(tmp_path: Path) -> None:
 
 
 def test_what_it_prints_is_read() -> None:
-    ran = Ran(
+    ran = ProtocolOutput(
         log=(
             "Transferring 50.0 from A1 of a trough on 3 to A1 of a plate on slot 2",
             "\tPicking up tip from A1 of tips on 1",
@@ -209,7 +209,7 @@ def test_what_it_prints_is_read() -> None:
             "\t\tDispensing 20.0 uL into A1 of a plate on slot 2 at 94.0 uL/sec",
         )
     )
-    assert ran.changes() == {3: {"A1": -50.0}, 2: {"A1": 50.0}}
+    assert ran.sum_changes() == {3: {"A1": -50.0}, 2: {"A1": 50.0}}
     assert ran.tips == 1
 
 
@@ -236,7 +236,7 @@ def test_what_it_prints_is_read() -> None:
     ],
 )
 def test_the_error_is_what_it_says_last(printed: str, told: str) -> None:
-    assert protocol.innermost([error_in(printed, 3)]) == told
+    assert protocol.find_innermost([parse_error(printed, 3)]) == told
 
 
 def test_a_program_that_is_not_there_is_told(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from labos.errors import DeviceError
 from labos.node import World
 from labos_drivers.ot2 import OT2, protocol
 from labos_drivers.ot2 import driver as ot2_driver
-from labos_drivers.ot2.translate import translated
+from labos_drivers.ot2.translate import translate
 from labos_drivers.ot2.wire import OT2OnWire
 from tests.drivers.wires import at_port, power_on, run
 from tests.support.foreign import opentrons_simulate
@@ -38,7 +38,7 @@ def simulate(content: bytes, folder: Path) -> list[str]:
 
 
 def test_the_robots_own_software_runs_the_colors(tmp_path: Path) -> None:
-    lines = simulate(translated(COMBINED.name, COMBINED.read_bytes()), tmp_path)
+    lines = simulate(translate(COMBINED.name, COMBINED.read_bytes()), tmp_path)
     aspirated = [line for line in lines if line.startswith("Aspirating") and "Reservoir" in line]
     # A and C go into both wells, the second in two strokes; of B nothing goes into the second.
     assert [line.split()[1] for line in aspirated] == [
@@ -57,7 +57,7 @@ def test_the_robots_own_software_runs_the_colors(tmp_path: Path) -> None:
 def test_the_robots_own_software_prepares_a_pcr(tmp_path: Path) -> None:
     # Its release for Python 3.11 finds no definition of a module of this generation.
     text = PCR.read_text().replace(", module: temperature module gen2", "")
-    lines = simulate(translated(PCR.name, text.encode()), tmp_path)
+    lines = simulate(translate(PCR.name, text.encode()), tmp_path)
     assert sum(line.startswith("Picking up tip") for line in lines) == 3  # columns
     assert sum(line.startswith("Dispensing 4.0") for line in lines) == 24
 
@@ -66,7 +66,7 @@ def test_the_robots_own_software_prepares_a_pcr(tmp_path: Path) -> None:
 @pytest.mark.skipif(not os.environ.get("LABOS_CORPUS"), reason="the public workcells are not here")
 def test_the_robots_own_software_runs_a_public_protocol(tmp_path: Path) -> None:
     (path,) = Path(os.environ["LABOS_CORPUS"]).glob("**/color_picker_app/**/combined_protocol.yaml")
-    lines = simulate(translated(path.name, path.read_bytes()), tmp_path)
+    lines = simulate(translate(path.name, path.read_bytes()), tmp_path)
     assert sum(line.startswith("Picking up tip") for line in lines) == 4
 
 
@@ -109,5 +109,5 @@ def test_a_protocol_in_yaml_goes_to_the_robot(world: World, monkeypatch: pytest.
 )
 def test_what_would_be_passed_over_is_refused(text: str, why: str) -> None:
     with pytest.raises(DeviceError, match=why) as told:
-        translated("mix.yaml", text.encode())
+        translate("mix.yaml", text.encode())
     assert told.value.effects == "none"

@@ -11,7 +11,7 @@ import pytest
 
 from labos.errors import DeviceError, Garbled, LinkError
 from labos.node import World
-from labos_drivers._onhttp import Question, Reply
+from labos_drivers._onhttp import Reply, Request
 from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2.wire import OT2OnWire
 from tests.drivers.test_ot2_wire import PROTOCOL, drive, status_of
@@ -74,7 +74,7 @@ def test_a_run_that_begins_while_it_is_given_up_is_seen_through(
     """A start that was on its way for long arrives just before."""
     about_run = robot._about_run
 
-    def late(method: str, told: dict[str, Any], more: tuple[str, ...], question: Question) -> Reply:
+    def late(method: str, told: dict[str, Any], more: tuple[str, ...], question: Request) -> Reply:
         if method == "PATCH" and told["status"] == "idle":
             robot._act(told, "play")
         return about_run(method, told, more, question)
@@ -135,7 +135,7 @@ def test_an_answer_that_names_no_run_does_not_say_that_there_is_none(
     route = robot._route
     body = {"data": []} if links == "missing" else {"data": [], "links": links}
 
-    def odd(question: Question) -> Reply:
+    def odd(question: Request) -> Reply:
         return Reply(200, dict(body)) if question.parts == ("runs",) else route(question)
 
     async def asks() -> None:
@@ -153,7 +153,7 @@ def test_a_run_whose_record_is_lost_has_not_succeeded(
 ) -> None:
     about_run = robot._about_run
 
-    def loses(method: str, told: dict[str, Any], more: tuple[str, ...], question: Question) -> Reply:
+    def loses(method: str, told: dict[str, Any], more: tuple[str, ...], question: Request) -> Reply:
         if (method, more) != ("GET", ()):
             return about_run(method, told, more, question)
         now = dict(told)  # the run may end while it is looked at

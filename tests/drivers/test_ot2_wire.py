@@ -16,7 +16,7 @@ import pytest
 from labos.errors import BadInput, DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.node import World
 from labos.node.node import handle_keeper
-from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
+from labos_drivers._onhttp import HttpEnd, OnHttp, Reply, Request
 from labos_drivers.ot2 import OT2, protocol
 from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2.software import VARIABLE
@@ -366,7 +366,7 @@ class Other(OnHttp):
 
     says = Reply(200, {"robot_model": "OT-3 Standard"})
 
-    def answer(self, question: Question) -> Reply:
+    def answer(self, question: Request) -> Reply:
         return self.says
 
 

@@ -15,7 +15,7 @@ import pytest
 from labos.errors import BadInput, DeviceError, Garbled, LinkLost, NotConnected, WrongDevice
 from labos.link import TcpEnd, keep_transcript, read_transcript
 from labos.node import World
-from labos_drivers._wired import host_and_port
+from labos_drivers._wired import parse_host_port
 from labos_drivers.pf400 import PF400, kinematics, protocol
 from labos_drivers.pf400 import driver as pf400_driver
 from labos_drivers.pf400.wire import PF400OnWire
@@ -59,12 +59,12 @@ async def drive(arm: PF400OnWire, **told: Any) -> AsyncIterator[PF400]:
 
 def test_the_hand_stays_where_it_is_while_it_turns() -> None:
     pose = tuple(POSES["wc.regrip"])
-    turned = kinematics.turned(pose, 90.0, protocol.LIMITS)
+    turned = kinematics.turn_hand(pose, 90.0, protocol.LIMITS)
     assert turned is not None
-    before, after = kinematics.hand(pose), kinematics.hand(turned)
+    before, after = kinematics.find_hand(pose), kinematics.find_hand(turned)
     assert after[:3] == pytest.approx(before[:3])
     assert abs((after[3] - before[3]) % 360 - 180) == pytest.approx(90)
-    assert kinematics.reach(pose, before[3], pose[5]) == pytest.approx(pose)
+    assert kinematics.solve_reach(pose, before[3], pose[5]) == pytest.approx(pose)
 
 
 def test_a_plate_is_carried(arm: PF400OnWire, world: World, tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_what_is_lost_on_the_way_is_not_put_down(arm: PF400OnWire, world: World)
 
     async def body() -> None:
         async with drive(arm) as node:
-            with pytest.raises(DeviceError, match="lost on its way") as told:
+            with pytest.raises(DeviceError, match="lost what it held on its way") as told:
                 await node.transfer("sealer.default", "ot2.deck2")
             assert told.value.effects == "unknown"
 
@@ -387,7 +387,7 @@ def test_behind_wait_for_eom_a_halt_is_not_heard(world: World) -> None:
     """What the driver avoids, and why."""
     with (
         power_on(PF400OnWire, "pf400", world, told=TOLD, pace=20) as arm,
-        socket.create_connection(host_and_port(arm.address, 0)) as line,
+        socket.create_connection(parse_host_port(arm.address, 0)) as line,
     ):
         heard = line.makefile("rb")
         line.sendall(b"movej 1 300 1.4 177.101 537.107 90 800\n")
@@ -539,7 +539,7 @@ def test_a_plate_as_wide_as_open_fingers_is_let_go_where_it_stood(arm: PF400OnWi
             assert told.value.effects == "none"
         arm.wider_mm = 0.0
         deep = {"deep": {"narrow": {"open": 95, "closed": 89}}}
-        with pytest.raises(BadInput, match="could not be told from closed"):
+        with pytest.raises(BadInput, match="could not be distinguished from closed"):
             await at_port(
                 PF400, "pf400", arm.address, key="host", **TOLD, config={"grips_of": deep}
             ).connect()

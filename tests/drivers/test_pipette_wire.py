@@ -158,7 +158,7 @@ def test_a_stop_is_a_stop(world: World, port: Path) -> None:
         node = at_port(Pipette, "pipette", port)
         await node.connect()
         work = asyncio.create_task(node.aspirate(200.0, speed=10.0))
-        await until(lambda: pump._here() > 200)
+        await until(lambda: pump._compute_position() > 200)
         assert not await node.is_idle()
         await node.stop()
         with pytest.raises(DeviceError, match=r"has moved .* of 200 µL") as told:
@@ -204,7 +204,7 @@ def test_a_stroke_is_taken_up_again(world: World, port: Path) -> None:
         gone = SerialWire(str(port))
         gone.open()
         gone.write(b"/1V160A1600R\r", 1.0)
-        await until(lambda: pump._here() > 100)
+        await until(lambda: pump._compute_position() > 100)
         gone.close()
         again = at_port(Pipette, "pipette", port)
         await again.connect()

@@ -13,7 +13,7 @@ from labos.bootstrap import descriptions
 from labos.core.effects import Sets
 from labos.errors import BadInput, DeviceError
 from labos.node import Setup
-from labos.node.mapping import told_by
+from labos.node.mapping import read_table
 from labos.spec import load_workcell, parse_workcell
 from labos.spec.about import find_description
 from labos.spec.source import plain, read
@@ -21,7 +21,7 @@ from labos_drivers.plc.about import TABLE, describe
 from labos_drivers.plc.driver import PlcDriver
 from labos_drivers.plc.interface import HATCH, Plc
 from labos_drivers.plc.mapping import Condition, PlcMapping, Point
-from labos_drivers.plc.values import decoded, encoded, fits, leaves_open
+from labos_drivers.plc.values import decode, encode, is_met, is_undecided
 
 WORKCELL = (
     "labos: 1\nname: lab\nmodules:\n  - name: hatch\n    driver: plc\n    config:\n      address: 10.0.7.5\n"
@@ -70,7 +70,7 @@ def test_a_value_that_says_neither_leaves_it_open(
     condition: dict[str, Any], value: int, holds: bool, is_open: bool
 ) -> None:
     meant = Condition.model_validate({"point": "mode", **condition})
-    assert (fits(meant, value), leaves_open(meant, value)) == (holds, is_open)
+    assert (is_met(meant, value), is_undecided(meant, value)) == (holds, is_open)
 
 
 @pytest.mark.parametrize(("mode", "busy"), [(0, False), (2, True), (7, True)])
@@ -159,7 +159,7 @@ def test_slips_are_told_with_their_place(slip: str, tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text(WORKCELL + "      plc: hatch.yaml\n")
     for read_it in (
         lambda: load_workcell(tmp_path / "lab.yaml", descriptions()),
-        lambda: told_by(TABLE, str(path)),
+        lambda: read_table(TABLE, str(path)),
     ):
         with pytest.raises(BadInput) as told:
             read_it()
@@ -194,7 +194,7 @@ def test_a_module_without_a_mapping() -> None:
     with pytest.raises(BadInput, match=r"lab\.yaml:8:12: .*cannot be found: this workcell was not read from"):
         parse_workcell(WORKCELL + "      plc: hatch.yaml\n", descriptions(), "lab.yaml")
     with pytest.raises(BadInput, match="neither a table nor the name of a file"):
-        told_by(TABLE, 7)
+        read_table(TABLE, 7)
 
 
 @pytest.mark.parametrize(
@@ -214,30 +214,30 @@ def test_a_module_without_a_mapping() -> None:
 )
 def test_values_in_registers(point: dict[str, Any], value: Any, words: list[int]) -> None:
     told = Point.model_validate(point)
-    assert encoded("it", told, value) == words
-    back = decoded(told, words)
+    assert encode("it", told, value) == words
+    back = decode(told, words)
     assert back == pytest.approx(value)
     assert isinstance(back, type(value))
 
 
 def test_a_bit_of_a_register() -> None:
     point = Point.model_validate({"input": 3, "bit": 9})
-    assert [decoded(point, [word]) for word in (0x0200, 0xFDFF)] == [True, False]
+    assert [decode(point, [word]) for word in (0x0200, 0xFDFF)] == [True, False]
 
 
 @pytest.mark.parametrize("value", [70000, -1])
 def test_what_does_not_fit_is_refused(value: int) -> None:
     with pytest.raises(DeviceError, match="does not fit into uint16") as told:
-        encoded("it", Point.model_validate({"holding": 0}), value)
+        encode("it", Point.model_validate({"holding": 0}), value)
     assert told.value.effects == "none"
 
 
 def test_noise_is_no_number() -> None:
     with pytest.raises(DeviceError, match="which is no number"):
-        decoded(Point.model_validate({"input": 0, "type": "float32"}), [0x7FC0, 0])
+        decode(Point.model_validate({"input": 0, "type": "float32"}), [0x7FC0, 0])
 
 
 def test_the_hatch_describes_itself() -> None:
-    assert [a.name for a in describe(told_by(TABLE, str(HATCH))).actions] == [
+    assert [a.name for a in describe(read_table(TABLE, str(HATCH))).actions] == [
         *("open", "close", "read_temperature", "reset")
     ]

@@ -20,7 +20,7 @@ from labos.spec.source import read
 from labos.torture import torture
 from labos_drivers.plc import driver
 from labos_drivers.plc.interface import HATCH, Plc
-from labos_drivers.plc.torture import stands_closed, stands_open
+from labos_drivers.plc.torture import close_door, open_door
 from labos_drivers.plc.wire import Hatch, HatchOnLine, HatchOnTcp
 from tests.docs.markdown import ROOT, blocks
 from tests.drivers.wires import power_on, run, setup_of, until
@@ -291,7 +291,7 @@ def test_a_reset_starts_nothing_that_was_left_over(hatch: Hatch, world: World) -
         await until(lambda: hatch._shown[0][4])
         await device.start("close", begun)
         with pytest.raises(DeviceError, match="the emergency stop is pressed"):
-            await device.see_end("close", begun, sure=True)
+            await device.await_end("close", begun, sure=True)
         hatch.emergency = False
         await node.reset()
         assert verbs(world) == []
@@ -396,13 +396,13 @@ def test_the_page_is_about_this_plc(on_tcp: Hatch, world: World, tmp_path: Path)
         await node.connect()
         await do(node, "close")
         assert (await node.observe())["door"] == "closed"
-        stands_open(on_tcp, world)
+        open_door(on_tcp, world)
         on_tcp.jammed = True
         with pytest.raises(DeviceError, match="the door is jammed"):
             await do(node, "close")
         on_tcp.jammed = False
         await node.reset()
-        stands_closed(on_tcp, world)
+        close_door(on_tcp, world)
         await do(node, "open", speed=80.0)
         assert (await node.observe())["door"] == "open"
         await node.close()

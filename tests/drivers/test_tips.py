@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from labos_drivers.ot2.tips import tips_of
+from labos_drivers.ot2.tips import count_used_tips
 from labos_drivers.solo import protocol as hso
 
 HEAD = """
@@ -28,7 +28,9 @@ def python(body: str, before: str = "") -> bytes:
 
 
 def count_python_tips(body: str, before: str = "") -> tuple[float, str]:
-    found = tips_of("p.py", python(body, before), {"destination_wells": WELLS, "red_volumes": [1.0, 2.0]})
+    found = count_used_tips(
+        "p.py", python(body, before), {"destination_wells": WELLS, "red_volumes": [1.0, 2.0]}
+    )
     return found.amount, found.doubt
 
 
@@ -113,16 +115,16 @@ def test_what_only_the_robot_knows_is_a_doubt(body: str, why: str) -> None:
 def test_a_protocol_in_python_can_say_it_itself() -> None:
     body = "for well in plate.wells():\n    one.pick_up_tip()"
     assert count_python_tips(body, 'resources = {"tips": 96}\n') == (96, "")
-    doubt = tips_of("p.py", python(body), {})
+    doubt = count_used_tips("p.py", python(body), {})
     assert 'resources = {"tips": N}' in doubt.remedy
-    assert "no Python" in tips_of("p.py", b"def run(:", {}).doubt
-    assert "no `run`" in tips_of("p.py", b"x = 1", {}).doubt
+    assert "no Python" in count_used_tips("p.py", b"def run(:", {}).doubt
+    assert "no `run`" in count_used_tips("p.py", b"x = 1", {}).doubt
 
 
 def test_it_is_read_and_never_run(tmp_path: Path) -> None:
     mark = tmp_path / "mark"
     text = f"open({str(mark)!r}, 'w').close()\n" + HEAD + f"    open({str(mark)!r}, 'w').close()\n"
-    assert tips_of("p.py", text.encode(), {}).doubt == ""
+    assert count_used_tips("p.py", text.encode(), {}).doubt == ""
     assert not mark.exists()
 
 
@@ -135,7 +137,7 @@ def count_yaml_tips(commands: str, **args: Any) -> tuple[float, str]:
         "  - {name: p20_single_gen2, mount: right}\n"
         f"commands:\n{commands}"
     )
-    found = tips_of("p.yaml", text.encode(), args)
+    found = count_used_tips("p.yaml", text.encode(), args)
     return found.amount, found.doubt
 
 
@@ -199,7 +201,7 @@ LOAD = {"commandType": "loadPipette", "params": {"pipetteName": "p20_single_gen2
     ],
 )
 def test_the_robots_own_protocols_are_counted(told: Any, tips: float, why: str) -> None:
-    found = tips_of("p.json", json.dumps(told).encode(), {})
+    found = count_used_tips("p.json", json.dumps(told).encode(), {})
     assert found.amount == tips
     assert why in found.doubt
     assert bool(why) == bool(found.doubt)
@@ -226,7 +228,7 @@ def tip(number: object) -> tuple[object, ...]:
     ],
 )
 def test_the_steps_of_a_solo_are_counted(written: list[Any], tips: float, why: str) -> None:
-    found = hso.tips_of("p.hso", steps(*written), {})
+    found = hso.count_used_tips("p.hso", steps(*written), {})
     assert found.amount == tips
     assert why in found.doubt
 
@@ -246,7 +248,7 @@ def test_the_steps_of_a_solo_are_counted(written: list[Any], tips: float, why: s
 def test_public_protocols_are_counted_or_say_why_not(name: str, tips: float, why: str) -> None:
     path = next(Path(os.environ["LABOS_CORPUS"]).glob(f"**/applications/*/protocol_files/{name}"))
     colors = {f"color_{color}_volumes": [20.0, 350.0] for color in "ABCD"}
-    found = tips_of(name, path.read_bytes(), {"destination_wells": ["A1", "A2"], **colors})
+    found = count_used_tips(name, path.read_bytes(), {"destination_wells": ["A1", "A2"], **colors})
     assert found.amount == tips
     assert why in found.doubt
     assert bool(why) == bool(found.doubt)

@@ -15,7 +15,7 @@ import pytest
 from labos.errors import DeviceError, Garbled, LinkLost, NotConnected, WrongDevice
 from labos.link import TcpEnd
 from labos.node import World
-from labos_drivers._wired import host_and_port
+from labos_drivers._wired import parse_host_port
 from labos_drivers.ur import UR, protocol, rtde
 from labos_drivers.ur import driver as ur_driver
 from labos_drivers.ur.wire import UROnWire
@@ -326,7 +326,7 @@ def test_who_does_not_greet_is_no_dashboard(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_client_of_ur_rtde_drives_it(world: World) -> None:
     dashboard_client = pytest.importorskip("dashboard_client", reason="ur-rtde is not installed")
     with power_on(UROnWire, "ur5", world, told=TOLD, pace=200, started=False) as arm:
-        host, port = host_and_port(arm.address.partition(",")[0], 0)
+        host, port = parse_host_port(arm.address.partition(",")[0], 0)
         client = dashboard_client.DashboardClient(host, port)
         client.connect()
         assert client.robotmode() == "Robotmode: POWER_OFF"
@@ -441,7 +441,7 @@ def test_a_pendant_drop(world: World) -> None:
     done = [m.verb for m in world.motions() if m.device == "ur5" and m.verb not in ("enter", "leave", "use")]
     steps = "pick_pipette create_sample place_pipette run_droplet pick_pipette dispose_tip place_pipette"
     assert done == steps.split()
-    assert world.left("ur5", "tips") == 1
+    assert world.find_level("ur5", "tips") == 1
     assert world.crashes() == []
 
 

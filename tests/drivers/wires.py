@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 
 from labos.link import PtyEnd
 from labos.node import Node, Setup, World
-from labos_drivers._wired import Behind
+from labos_drivers._wired import DeviceOnWire
 
 N = TypeVar("N", bound=Node)
-D = TypeVar("D", bound=Behind)
+D = TypeVar("D", bound=DeviceOnWire)
 T = TypeVar("T")
 
 PACE = 200.0

@@ -202,7 +202,7 @@ class Witnessed(SimulatedLab):
             return
         if kind == "stopped":
             bus = self.network.endpoint(Process("person"))
-            await stop_modules(bus, await self._lab_id(), [ModuleName(module)], "ada")
+            await stop_modules(bus, await self._await_lab_id(), [ModuleName(module)], "ada")
             return
         if kind == "no kernel":
             self.kernel_died = lasts_s
@@ -219,14 +219,14 @@ class Witnessed(SimulatedLab):
         await kernel.execute(undo, "ada")
         self.spells.append((kind, began, self.loop.time()))
 
-    def _later(self, start: Any, *args: str) -> None:
+    def _schedule_restart(self, start: Any, *args: str) -> None:
         """A kernel is started again when its mishap is over; a node at once, unless it is buried."""
         delay = self.kernel_died if start == self._start_kernel else 1.0
         self.loop.call_later(delay, start, *args, context=contextvars.Context())
 
     # -- people --------------------------------------------------------------------------------
 
-    async def _person(self) -> None:
+    async def _act_as_person(self) -> None:
         """Sees to whatever waits for a person, each after a while of its own."""
         while True:
             await asyncio.sleep(5.0)

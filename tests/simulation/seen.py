@@ -140,7 +140,7 @@ class Lonely(SimulatedLab):
         super().__init__(STAND, seed, QUIET)
         self.kill, self.after_s = kill, after_s
 
-    async def _person(self) -> None:
+    async def _act_as_person(self) -> None:
         if self.kill:
             await asyncio.sleep(self.after_s)
             for process in self._everybody:

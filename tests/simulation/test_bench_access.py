@@ -30,9 +30,9 @@ class Hands(SimulatedLab):
 
     granted = 0
 
-    async def _person(self) -> None:
+    async def _act_as_person(self) -> None:
         self._people.append(self.loop.create_task(self._visitor()))
-        await super()._person()
+        await super()._act_as_person()
 
     async def _visitor(self) -> None:
         for _ in range(VISITS):

@@ -23,8 +23,8 @@ from labos.testing.lab import SimulatedLab
 from labos_drivers.ot2 import OT2
 from labos_drivers.ot2.protocol import with_values
 from labos_drivers.ot2.simulator import OT2Simulator
-from labos_drivers.ot2.tips import tips_of
-from labos_drivers.ot2.translate import translated
+from labos_drivers.ot2.tips import count_used_tips
+from labos_drivers.ot2.translate import translate
 from tests.simulation.corners import Corner, jobs
 
 RACKS = 96
@@ -73,7 +73,7 @@ class Player(OT2Simulator):
         variables: dict[str, Any],
     ) -> dict[str, Any]:
         content = FILES[protocol]
-        program = translated(protocol, content) if protocol.endswith(".yaml") else content
+        program = translate(protocol, content) if protocol.endswith(".yaml") else content
         names: dict[str, Any] = {}
         exec(compile(with_values(program, {"destination_wells": wells}), protocol, "exec"), names)
         with self.motion(drawn_in=True):
@@ -192,7 +192,7 @@ steps:
         try:
             state = lab.run_for(jobs([self.find_mixing(name) for name in protocols]), 4 * 3600.0)
             crashed = [motion.facts["what"] for motion in lab.world.crashes()]
-            return state, crashed, lab.world.left("ot2", "tips") or 0.0
+            return state, crashed, lab.world.find_level("ot2", "tips") or 0.0
         finally:
             lab.close()
 
@@ -203,7 +203,7 @@ def find_left(state: LabState) -> float | None:
 
 @pytest.mark.parametrize("protocol", FILES)
 def test_what_the_robot_used_is_what_was_counted(protocol: str) -> None:
-    state, crashed, really = Bench(tips_of).live([protocol], seed=0)
+    state, crashed, really = Bench(count_used_tips).live([protocol], seed=0)
     assert crashed == []
     assert not state.runs.active
     assert RACKS - really == TIPS[protocol]
@@ -212,7 +212,7 @@ def test_what_the_robot_used_is_what_was_counted(protocol: str) -> None:
 
 def test_who_would_run_dry_half_way_waits() -> None:
     for seed in range(3):
-        state, crashed, really = Bench(tips_of).live(["loop.py", "mix.yaml", "loop.py"], seed)
+        state, crashed, really = Bench(count_used_tips).live(["loop.py", "mix.yaml", "loop.py"], seed)
         assert crashed == []
         assert len(state.runs.queued) == 1
         assert find_left(state) == really

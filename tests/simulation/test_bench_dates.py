@@ -70,7 +70,7 @@ class Stocked(SimulatedLab):
         await super()._set_up()
         assert self.kernel is not None
         module = ModuleName("corner/gluer")
-        self.world.supply("gluer", "glue", -(self.world.left("gluer", "glue") or 0.0))
+        self.world.supply("gluer", "glue", -(self.world.find_level("gluer", "glue") or 0.0))
         for number, date in enumerate(DATES):
             self.world.work("ada", "bring", date=date)
             self.world.supply("gluer", "glue", PACK)

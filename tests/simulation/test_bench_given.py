@@ -80,16 +80,16 @@ A_WHILE_S = 1200.0
 class Giving(SimulatedLab):
     """Ada gives her plate to Bo as soon as it stands there, over the bench and in the log."""
 
-    async def _person(self) -> None:
+    async def _act_as_person(self) -> None:
         self._people.append(self.loop.create_task(self._ada()))
-        await super()._person()
+        await super()._act_as_person()
 
     async def _ada(self) -> None:
         def rests(state: LabState) -> bool:
             plate = state.bench.labware.get(LabwareId("P1"))
             return plate is not None and plate.owner == "user:ada" and plate.station == "corner/wc.a"
 
-        await self._until(rests)
+        await self._await(rests)
         self.world.work("ada", "give", "wc.a", to="bo")
         await self._insist(HandOver(LabwareId("P1"), Owner("user:bo"), "ada"))
 

@@ -17,7 +17,7 @@ from labos.planning.scheduler import Scheduler
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET, FaultRates
-from labos.testing.lab import Job, SimulatedLab, Stand, bare_rule
+from labos.testing.lab import Job, SimulatedLab, Stand, make_bare_scheduler
 from labos.testing.loop import Stalled
 from tests.simulation.mixes import DESCRIPTIONS, NODES
 from tests.support.seeds import few_and_many, quiet_and_stormy
@@ -141,14 +141,14 @@ def test_without_room_lids_are_put_on_lids(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(binding.StartCheck, "room", room_for_lids)
     monkeypatch.setattr(effects.Unlid, "room", property(lambda what: (what.via,) if what.via else ()))
-    found = (crash for seed in SEEDS for crash in crashes(seed, bare_rule))
+    found = (crash for seed in SEEDS for crash in crashes(seed, make_bare_scheduler))
     assert any("puts a plate on a plate at sciclops.lidnest1" in crash for crash in found)
 
 
 @pytest.mark.full
 def test_without_safety_parked_lids_trap_somebody() -> None:
     """One waits at the exchange for the nest, the other has its lid there and cannot come back."""
-    lab = laboratory(0, plan_with=bare_rule)
+    lab = laboratory(0, plan_with=make_bare_scheduler)
     try:
         with pytest.raises(Stalled):
             lab.run([job(f"read{number}", READ) for number in range(3)], limit_s=DAYS_S)

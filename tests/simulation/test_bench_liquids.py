@@ -43,7 +43,7 @@ def run_lab(seed: int) -> tuple[LabState, list[str], dict[str, float | None]]:
     lab = SimulatedLab(CORNER.stand, seed, QUIET)
     try:
         state = lab.run_for(jobs(RUNS), 3 * 3600.0)
-        left = {name: lab.world.left("ot2", name) for name in ("color_A", "color_B", "color_C")}
+        left = {name: lab.world.find_level("ot2", name) for name in ("color_A", "color_B", "color_C")}
         return state, [motion.facts["what"] for motion in lab.world.crashes()], left
     finally:
         lab.close()

@@ -18,7 +18,7 @@ from labos.core.waits import Wait
 from labos.node import Needs, Node, Place, Station, World, action
 from labos.runtime import kernel
 from labos.testing.faults import QUIET, STORMY
-from labos.testing.lab import SimulatedLab, bare_rule
+from labos.testing.lab import SimulatedLab, make_bare_scheduler
 from labos_drivers._simulation import Instrument, Simulated
 from tests.simulation.corners import Corner, jobs
 from tests.simulation.whole import Oven
@@ -238,13 +238,13 @@ def test_without_room_plates_are_put_on_plates(monkeypatch: pytest.MonkeyPatch) 
     without_room(monkeypatch)
     monkeypatch.setattr(kernel, "find_broken_by", lambda state, events: "")
     for seed in SEEDS:
-        crashes, _ = CORNER.run_anyhow(THROUGH_A, seed, plan_with=bare_rule)
+        crashes, _ = CORNER.run_anyhow(THROUGH_A, seed, plan_with=make_bare_scheduler)
         assert any("puts a plate on a plate" in crash for crash in crashes), f"seed {seed}"
 
 
 def test_nor_would_such_a_batch_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
     without_room(monkeypatch)
-    lab = SimulatedLab(CORNER.stand, 0, QUIET, plan_with=bare_rule)
+    lab = SimulatedLab(CORNER.stand, 0, QUIET, plan_with=make_bare_scheduler)
     try:
         lab.run_for(jobs(THROUGH_A), 300.0)
         assert lab.world.crashes() == []
@@ -265,7 +265,7 @@ def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytes
         return next((i for owner in party(run) for i in standing if i.owner == owner and not i.moving), None)
 
     monkeypatch.setattr(binding, "find_usable", anywhere)
-    found = [CORNER.run_anyhow(OVER_THE_PILE, seed, plan_with=bare_rule)[1] for seed in SEEDS]
+    found = [CORNER.run_anyhow(OVER_THE_PILE, seed, plan_with=make_bare_scheduler)[1] for seed in SEEDS]
     assert all(any("wc.of_" in wrong for wrong in wrongs) for wrongs in found), found
 
 
@@ -273,7 +273,7 @@ def test_without_asking_for_seals_tips_go_into_one(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(binding.StartCheck, "value", lambda self, requires: None)
     monkeypatch.setattr("labos.planning.stuck._check_labware_ahead", lambda state, run: None)
     for seed in SEEDS:
-        crashes, _ = CORNER.run_anyhow(WAITING["seal"], seed, plan_with=bare_rule)
+        crashes, _ = CORNER.run_anyhow(WAITING["seal"], seed, plan_with=make_bare_scheduler)
         assert any("drives its tips into a seal" in crash for crash in crashes), f"seed {seed}"
 
 
@@ -299,13 +299,13 @@ def test_without_asking_for_the_lid_the_cycler_refuses(monkeypatch: pytest.Monke
 def test_without_types_a_plate_is_crushed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding, "check_accepts", lambda state, what, kind: None)
     for seed in SEEDS:
-        crashes, _ = CORNER.run_anyhow(WAITING["type"], seed, plan_with=bare_rule)
+        crashes, _ = CORNER.run_anyhow(WAITING["type"], seed, plan_with=make_bare_scheduler)
         assert any("crushes a plate" in crash for crash in crashes), f"seed {seed}"
 
 
 def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding.StartCheck, "setpoint", lambda self, claims: None)
-    found = (CORNER.run_anyhow(IN_THE_OVEN, seed, plan_with=bare_rule)[0] for seed in range(4))
+    found = (CORNER.run_anyhow(IN_THE_OVEN, seed, plan_with=make_bare_scheduler)[0] for seed in range(4))
     assert any("bakes at" in crash for crashes in found for crash in crashes)
 
 
@@ -317,5 +317,5 @@ def test_without_waiting_for_rest_a_tray_shakes_under_a_hand(monkeypatch: pytest
         return None if wait is not None and wait.code == "module_busy" else wait
 
     monkeypatch.setattr(binding, "check_reachable", any_time)
-    found = [CORNER.run_anyhow(ON_THE_TRAY, seed, plan_with=bare_rule)[0] for seed in SEEDS]
+    found = [CORNER.run_anyhow(ON_THE_TRAY, seed, plan_with=make_bare_scheduler)[0] for seed in SEEDS]
     assert all(any("shakes under a hand" in crash for crash in crashes) for crashes in found), found

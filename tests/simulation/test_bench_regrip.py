@@ -10,7 +10,7 @@ from labos.core.ids import StationName
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.testing.faults import STORMY
-from labos.testing.lab import bare_rule
+from labos.testing.lab import make_bare_scheduler
 from tests.simulation.corners import Corner
 from tests.support.seeds import few_and_many
 
@@ -72,5 +72,5 @@ def test_without_the_rule_it_sets_a_plate_onto_another(monkeypatch: pytest.Monke
     # Beside the rule, the kernel refuses to write that two plates stand where there is room for one.
     monkeypatch.setattr("labos.runtime.kernel.find_broken_by", lambda state, events: "")
     for seed in range(4):
-        crashes, _ = CORNER.run_anyhow(RUNS, seed, plan_with=bare_rule)
+        crashes, _ = CORNER.run_anyhow(RUNS, seed, plan_with=make_bare_scheduler)
         assert any("at wc.regrip" in crash for crash in crashes), f"seed {seed}: {crashes}"

@@ -70,7 +70,7 @@ stock:
 class Nobody(SimulatedLab):
     """A lab without people."""
 
-    async def _person(self) -> None:
+    async def _act_as_person(self) -> None:
         await asyncio.Event().wait()
 
 

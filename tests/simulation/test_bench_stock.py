@@ -39,7 +39,7 @@ def poor() -> Stand:
 def find_left(lab: SimulatedLab, name: str) -> float:
     """How much there really is of what the log calls ``module:resource``."""
     module, _, resource = name.rpartition(":")
-    return lab.world.left(local(module), resource) or 0.0
+    return lab.world.find_level(local(module), resource) or 0.0
 
 
 def live(

@@ -44,7 +44,7 @@ class Facility(SimulatedLab):
     def _serve(self, kernel: Kernel) -> None:
         Feeder(kernel, Table()).start()
 
-    async def _user(self, job: Job) -> None:
+    async def _act_as_user(self, job: Job) -> None:
         submit = SubmitCampaign(
             *("screen", job.user, "pcr", "rpl", ROWS, "d", "d"),
             request=job.name,
@@ -52,7 +52,7 @@ class Facility(SimulatedLab):
         )
         await self._insist(submit, lambda state: job.name in state.campaigns.requests)
         name = self.fold_log().campaigns.requests[job.name]
-        await self._until(lambda state: name not in state.campaigns.open)
+        await self._await(lambda state: name not in state.campaigns.open)
         self.done_jobs.add(job.name)
 
 

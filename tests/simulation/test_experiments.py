@@ -20,9 +20,9 @@ TWO_DAYS_S = 2 * 24 * 3600.0
 class Silent(SimulatedLab):
     """Its applications die after their last run and never end their experiment."""
 
-    async def _user(self, job: Job) -> None:
+    async def _act_as_user(self, job: Job) -> None:
         if job.experiment is None:
-            return await super()._user(job)
+            return await super()._act_as_user(job)
         request = f"{job.name}/experiment"
         start = replace(job.experiment, request=request)
         await self._insist(start, lambda state: request in state.experiments.requests)
@@ -34,10 +34,10 @@ class Silent(SimulatedLab):
                 lambda state, key=key: key in state.runs.requests,  # type: ignore[misc]
             )
             run_id = self.fold_log().runs.requests[key]
-            await self._until(lambda state, run_id=run_id: state.runs.get(run_id) is None)  # type: ignore[misc]
+            await self._await(lambda state, run_id=run_id: state.runs.get(run_id) is None)  # type: ignore[misc]
         lost = LoseExperiment(ExperimentId(name), "no sign of life")
         await self._insist(lost, lambda state: is_asked_or_over(state, name))
-        await self._until(lambda state: name not in state.experiments.open)
+        await self._await(lambda state: name not in state.experiments.open)
         self.done_jobs.add(job.name)
         return None
 

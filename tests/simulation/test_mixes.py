@@ -18,7 +18,7 @@ from labos.core.state import LabState, state_hash
 from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
 from labos.testing.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
-from labos.testing.lab import SimulatedLab, bare_rule
+from labos.testing.lab import SimulatedLab, make_bare_scheduler
 from labos.testing.loop import Stalled
 from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import identical, make_generated, mix, pcr, stand
@@ -159,7 +159,7 @@ def deadlocks(count_seeds: range, work: object = None) -> int:
     """How many mixes hang under the paper's rule: source occupied, target empty, nothing more."""
     hung = 0
     for seed in count_seeds:
-        lab = SimulatedLab(stand(), seed, QUIET, plan_with=bare_rule, still_s=STILL_S)
+        lab = SimulatedLab(stand(), seed, QUIET, plan_with=make_bare_scheduler, still_s=STILL_S)
         try:
             lab.run(mix(seed), limit_s=60 * 3600.0)
         except Stalled:

@@ -40,7 +40,7 @@ class OvenDevice(Gated):
 
     async def bake(self, shelf: str, celsius: int) -> None:
         with self.motion():
-            self.needs_closed()
+            self.check_closed()
             await self.take_time(400)
             now = [m.facts["celsius"] for m in self.world.motions("warm") if m.device == self.name][-1]
             if now != celsius:

@@ -55,7 +55,7 @@ from labos.core.rules import examine
 from labos.core.runs import RunState, results_of
 from labos.core.state import LabState, from_picture, picture
 from labos.core.waits import Wait
-from labos.planning.scheduler import Scheduler, list_ready_steps
+from labos.planning.scheduler import Scheduler, StepStart, list_ready_steps
 from labos.planning.touch import find_touched_keys
 
 CELL = "cell"
@@ -208,7 +208,7 @@ class Driver:
         self.now = START
         self.scheduler = Scheduler()
         self.keys: set[str] = set()
-        self.rejected: list[tuple[StartStep, Rejection]] = []
+        self.rejected: list[tuple[Command, Rejection]] = []
         self._actions = 0
         if cell is not None:
             self.do(CreateLab(LabId("lab-1"), "test lab", pace))
@@ -390,8 +390,8 @@ class Driver:
             for command in self.scheduler.due(self.state, self.now):
                 self.do(command)
             for start in self.scheduler.proposals(self.state, self.now):
-                self._carry_out(start.run, start.step, start.plan)
-                started.append(f"{start.run}#{start.step}")
+                self._begin(start)
+                started += [f"{run}#{step}" for run, step in ((start.run, start.step), *start.others)]
                 assert len(started) < limit, "planning proposes without end"
             for cell in list(self.state.lab.access) if len(self.log) == before else ():
                 self.do(GrantAccess(cell))
@@ -415,6 +415,17 @@ class Driver:
                         self._carry_out(run.id, index)
                         again = True
                         break
+
+    def _begin(self, start: StepStart) -> None:
+        command = start.make_command(self._name_action, self.now)
+        answer = self.ask(command)
+        if isinstance(answer, Rejection):
+            self.rejected.append((command, answer))
+            raise Refused(answer)
+
+    def _name_action(self) -> ActionId:
+        self._actions += 1
+        return ActionId(f"A{self._actions}")
 
     def _carry_out(self, run: RunId, index: int, plan: str = "") -> None:
         command = self.start_command(run, index, plan)

@@ -57,5 +57,5 @@ def test_a_picture_is_a_file_of_the_lab(tmp_path: Path) -> None:
     assert data is not None
     assert len(data) == told["bytes"]
     picture = vision.decode(data)
-    assert vision.label_in(picture) == barcode
-    assert vision.stands_there(picture) is True
+    assert vision.read_label(picture) == barcode
+    assert vision.is_occupied(picture) is True

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from labos_drivers._growth import CELLS_OD, HILL, IC50_MG_PER_L, growth_of
-from labos_drivers.ot2.simulator import dispensed_by as dispensed_by_ot2
-from labos_drivers.solo.protocol import POSITIONS, dispensed_by, tips_of, wrong_in
+from labos_drivers._growth import CELLS_OD, HILL, IC50_MG_PER_L, compute_growth
+from labos_drivers.ot2.simulator import find_dispensed as find_dispensed_ot2
+from labos_drivers.solo.protocol import POSITIONS, count_used_tips, find_dispensed, find_flaw
 from tests.apps.growth import APP, STOCK, table
 
 pytest.importorskip("scipy")
@@ -104,9 +104,9 @@ def test_both_protocols_make_the_same_plate() -> None:
     assert ot2.read_text() == growth_layout.for_ot2(), "run growth_layout.py"
     assert solo.read_bytes().decode() == growth_layout.for_solo(), "run growth_layout.py"
     in_reservoir = {"A1": "medium", "A2": "cells", "A3": "strong", "A4": "weak"}
-    by_ot2 = dispensed_by_ot2(str(ot2), {f"reservoir:{well}": what for well, what in in_reservoir.items()})
+    by_ot2 = find_dispensed_ot2(str(ot2), {f"reservoir:{well}": what for well, what in in_reservoir.items()})
     at = {"Position1": "medium", "Position2": "cells", "Position5": "strong", "Position6": "weak"}
-    by_solo = dispensed_by(growth_layout.for_solo(), at)
+    by_solo = find_dispensed(growth_layout.for_solo(), at)
     wanted = {
         liquid: {well: ul for well, ul in growth_layout.volumes(liquid).items() if ul}
         for liquid in growth_layout.LIQUIDS
@@ -119,22 +119,22 @@ def test_both_protocols_make_the_same_plate() -> None:
 
 def test_the_solo_takes_its_protocol() -> None:
     text = growth_layout.for_solo()
-    assert wrong_in(text) == ""
-    assert tips_of("assay_plate.hso", text.encode(), {}).doubt == ""
+    assert find_flaw(text) == ""
+    assert count_used_tips("assay_plate.hso", text.encode(), {}).doubt == ""
     assert len(text.splitlines()[:POSITIONS]) == POSITIONS
 
 
 def test_growth_needs_warmth_cells_and_time() -> None:
     full = {"cells": 100.0, "medium": 100.0}
-    assert growth_of({"medium": 200.0}, [WARM]) == 0.0
-    assert growth_of({}, [WARM]) == 0.0
-    assert growth_of(full, []) == pytest.approx(CELLS_OD / 2)
-    hours = [growth_of(full, [(h, 37.0)]) for h in (0, 2, 5, 8, 12, 48)]
+    assert compute_growth({"medium": 200.0}, [WARM]) == 0.0
+    assert compute_growth({}, [WARM]) == 0.0
+    assert compute_growth(full, []) == pytest.approx(CELLS_OD / 2)
+    hours = [compute_growth(full, [(h, 37.0)]) for h in (0, 2, 5, 8, 12, 48)]
     assert hours == sorted(hours)
-    assert growth_of(full, [(6.0, 37.0), (6.0, 37.0)]) == pytest.approx(growth_of(full, [WARM]))
-    assert growth_of(full, [(12.0, 20.0)]) < 0.2 * growth_of(full, [WARM])
+    assert compute_growth(full, [(6.0, 37.0), (6.0, 37.0)]) == pytest.approx(compute_growth(full, [WARM]))
+    assert compute_growth(full, [(12.0, 20.0)]) < 0.2 * compute_growth(full, [WARM])
     half = {**full, STOCK["weak"]: 0.0}
-    assert growth_of(half, [WARM]) == pytest.approx(growth_of(full, [WARM]))
+    assert compute_growth(half, [WARM]) == pytest.approx(compute_growth(full, [WARM]))
 
 
 def test_the_plots_hold_what_they_show(tmp_path: Any) -> None:

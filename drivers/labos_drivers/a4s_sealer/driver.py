@@ -9,8 +9,8 @@ from typing import Any
 from labos.errors import DeviceError, Garbled, HalfReply, NoReply
 from labos.link import Link
 from labos.node import Setup
-from labos_drivers._limits import serial_wire
-from labos_drivers._wired import Behind, Wired, off_loop
+from labos_drivers._limits import make_serial_wire
+from labos_drivers._wired import DeviceOnWire, Wired, off_loop
 from labos_drivers.a4s_sealer import protocol
 from labos_drivers.a4s_sealer.protocol import Status
 
@@ -30,15 +30,15 @@ class SealerDriver(Wired):
     deadlines = ("record", "accept", "shuttle", "heat", "begin", "cycle")
     link: Link
 
-    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, port: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, port, simulator)
         self._status: Status | None = None
         self.link = Link(
-            serial_wire(setup, port, baudrate=protocol.BAUDRATE),
+            make_serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             protocol.framing(),
             name=setup.name,
             answers=lambda _, message: message[:1] in (b"Y", b"N", b"X"),
-            unasked=self._hear,
+            unasked=self._note_record,
             identify=self._recognise,
             expected=WHO,
         )
@@ -47,7 +47,7 @@ class SealerDriver(Wired):
     def seal(self, time_s: float, temperature_c: float) -> None:
         """Heat, draw the plate in, press, hand it out."""
         with self.motion():
-            self._refuse_unless_fit(self._fresh())
+            self._refuse_unless_fit(self._read_fresh_status())
             self._command(b"DT", round(time_s * 10))
             self._command(b"DH", round(temperature_c))
             self._await_heat(temperature_c)
@@ -55,7 +55,7 @@ class SealerDriver(Wired):
 
     @off_loop
     def is_idle(self) -> bool:
-        status = self._fresh()
+        status = self._read_fresh_status()
         at_rest = status.shuttle in (protocol.SHUTTLE_IN, protocol.SHUTTLE_OUT)
         return status.system in (protocol.IDLE, protocol.FINISHED, protocol.ERROR) and at_rest
 
@@ -74,15 +74,16 @@ class SealerDriver(Wired):
         self.resume()
 
     @off_loop
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """The device has no sensor for plates."""
-        self._fresh()
+        self._read_fresh_status()
         return {}
 
     # -- one command, one wait ---------------------------------------------------------------
 
     def _command(self, name: bytes, argument: int | None = None) -> None:
-        """Send, and hear it accepted. Raises DeviceError: nothing has moved if it is rejected."""
+        """Send a command, and wait until it is accepted. Raises DeviceError: nothing has moved if it is
+        rejected."""
         text = b"00" + name + b"=" + (b"" if argument is None else b"%04d" % argument)
         answer = self.link.exchange(text, self.limit_s("accept", ACCEPT_S))
         if answer[:1] == b"Y":
@@ -96,15 +97,15 @@ class SealerDriver(Wired):
         )
 
     def _pass_over_acceptance(self) -> None:
-        """A rejection may be followed by an acceptance, which belongs to no command."""
+        """Ignore an acceptance after a rejection, which belongs to no command."""
         deadline = time.monotonic() + 0.3
         with contextlib.suppress(NoReply, HalfReply, Garbled):
             while (left := deadline - time.monotonic()) > 0:
                 self.link.receive(left)
 
     def _seal(self) -> None:
-        before = self._fresh().system
-        self.unless_stopped()
+        before = self._read_fresh_status().system
+        self.check_not_stopped()
         self._command(b"GS")
         running = (protocol.SINGLE_CYCLE, protocol.REPEAT_CYCLE)
         with self.under_way():
@@ -145,9 +146,9 @@ class SealerDriver(Wired):
         limit_s = self.limit_s("heat", HEAT_S)
         deadline = time.monotonic() + limit_s
         while True:
-            status = self._fresh()
+            status = self._read_fresh_status()
             self._refuse_unless_fit(status)
-            self.unless_stopped()
+            self.check_not_stopped()
             near = abs(status.temperature_c - temperature_c) <= AT_TEMPERATURE_C
             if near and status.heater in (protocol.READY, protocol.CONVERGING):
                 return
@@ -160,10 +161,10 @@ class SealerDriver(Wired):
                 )
 
     def _wait(self, what: str, limit_s: float, reached: Any, *, fails: bool = True) -> Status:
-        """Watch the status until it is as it should be. Raises DeviceError."""
+        """Wait until the status is as it should be. Raises DeviceError."""
         deadline = time.monotonic() + limit_s
         while True:
-            status = self._fresh()
+            status = self._read_fresh_status()
             # An error that is told counts, whatever else the record says.
             if fails and (status.system == protocol.ERROR or status.error):
                 raise DeviceError(
@@ -197,7 +198,7 @@ class SealerDriver(Wired):
 
     # -- what the device says by itself ------------------------------------------------------
 
-    def _hear(self, message: bytes) -> bool:
+    def _note_record(self, message: bytes) -> bool:
         if message[:1] == b"T":
             try:
                 self._status = Status.read(message)
@@ -205,14 +206,14 @@ class SealerDriver(Wired):
                 return False
         return message[:1] in (b"T", b"D")
 
-    def _fresh(self) -> Status:
-        """A status that was said after now. Raises NoReply if the device is silent."""
+    def _read_fresh_status(self) -> Status:
+        """A status that was sent after now. Raises NoReply if the device is silent."""
         if not self.link.is_open:
             self.link.open()
         self.link.drain()
-        return self._next_status(self.link)
+        return self._read_next_status(self.link)
 
-    def _next_status(self, link: Link) -> Status:
+    def _read_next_status(self, link: Link) -> Status:
         deadline = time.monotonic() + self.limit_s("record", RECORD_S)
         while True:
             try:
@@ -222,9 +223,9 @@ class SealerDriver(Wired):
                 if time.monotonic() > deadline:
                     raise
                 continue
-            if self._hear(message) and message[:1] == b"T" and self._status is not None:
+            if self._note_record(message) and message[:1] == b"T" and self._status is not None:
                 return self._status
 
     def _recognise(self, link: Link) -> str:
-        self._next_status(link)
+        self._read_next_status(link)
         return WHO

@@ -21,13 +21,13 @@ SHUTTLE_MIDDLE, SHUTTLE_OUT, SHUTTLE_IN, DOOR, ROLL, HEATER_UP, HEATER_DOWN = (1
 
 
 def check_sum(body: bytes) -> bytes:
-    """Two letters."""
+    """The check sum of a message: two letters."""
     value = (0xB5 - sum(body)) & 0xFF
     return bytes((0x41 + (value >> 4), 0x41 + (value & 0x0F)))
 
 
 def framing() -> Checked:
-    """What a host sends (with the wildcard) and hears (checked)."""
+    """The framing of messages: a host sends them with the wildcard; what it hears is checked."""
     return Checked(Terminated(b"!", start=b"*"), check_sum, 2, outgoing=b"zz")
 
 
@@ -58,7 +58,7 @@ class Status(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, body: bytes) -> Status:
-        """Raises ValueError."""
+        """Parse a status record. Raises ValueError."""
         clock, separator, fields = body.decode("ascii")[1:].partition("=")
         numbers = [int(field) for field in fields.split(",")]
         if not separator or len(numbers) != 7:
@@ -67,7 +67,7 @@ class Status(msgspec.Struct, frozen=True):
         return cls(tenths / 10, system, heater, error, warning, sensors, remaining, clock)
 
     def body(self) -> bytes:
-        """As the device writes it."""
+        """The record as the device writes it."""
         return (
             f"T{self.clock}={round(self.temperature_c * 10):04d},{self.system},{self.heater},"
             f"{self.error:02d},{self.warning:02d},{self.sensors:03d},{self.remaining:03d}"

@@ -8,11 +8,11 @@ from labos_drivers.a4s_sealer.wire import SealerOnWire
 HERE = "labos_drivers.a4s_sealer.driver"
 
 
-def _out_of_foil(sealer: SealerOnWire, world: World) -> None:
-    world.supply(sealer.name, "foil", -(world.left(sealer.name, "foil") or 0.0))
+def _use_up_foil(sealer: SealerOnWire, world: World) -> None:
+    world.supply(sealer.name, "foil", -(world.find_level(sealer.name, "foil") or 0.0))
 
 
-def _new_roll(sealer: SealerOnWire, world: World) -> None:
+def _insert_roll(sealer: SealerOnWire, world: World) -> None:
     world.supply(sealer.name, "foil", 1000)
 
 
@@ -26,9 +26,9 @@ TORTURE = Torture(
         ),
     ),
     faults=(
-        Fault("out of foil", _out_of_foil, _new_roll),
+        Fault("out of foil", _use_up_foil, _insert_roll),
         Fault.by_setting("its cleaning door is open", "door_is_shut", to=False, back=True),
-        Fault("an empty nest, in which it jams", lambda sealer, world: world.carry(_plate(sealer), "")),
+        Fault("an empty nest, in which it jams", lambda sealer, world: world.carry(_find_plate(sealer), "")),
     ),
     waits={
         f"{HERE}:RECORD_S": 4.0,
@@ -40,5 +40,5 @@ TORTURE = Torture(
 )
 
 
-def _plate(sealer: SealerOnWire) -> str:
+def _find_plate(sealer: SealerOnWire) -> str:
     return sealer.top(sealer.place("default"))

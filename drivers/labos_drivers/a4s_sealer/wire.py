@@ -60,7 +60,7 @@ class SealerOnWire(OnWire):
             elif (match := REST.match(self._heard)) and match.end():
                 self._heard = self._heard[match.end() :]
                 if match[0].startswith(b"*"):
-                    self._answer(b"N01")
+                    self._send_answer(b"N01")
             else:
                 return
 
@@ -77,13 +77,13 @@ class SealerOnWire(OnWire):
         }
         moves = name in ("MO", "MC", "GS")
         unfit = moves and self.system in (protocol.SINGLE_CYCLE, protocol.ERROR)
-        may_seal = self._foil_left() and self.has_roll and self.door_is_shut
+        may_seal = self._find_foil_left() and self.has_roll and self.door_is_shut
         if name == "GS" and not (may_seal and self.shuttle != protocol.SHUTTLE_MIDDLE):
             unfit = True
-        self._answer(b"N00" if name not in orders or unfit else b"Y00")
+        self._send_answer(b"N00" if name not in orders or unfit else b"Y00")
         if name in orders and not unfit:
             orders[name]()
-            self._tell()
+            self._send_status()
 
     # -- doing -------------------------------------------------------------------------------
 
@@ -117,10 +117,10 @@ class SealerOnWire(OnWire):
                 self.system = protocol.FINISHED if self._cycle else protocol.IDLE
                 self._cycle = False
                 self.world.leave(self.name)
-                self.after(2, self._idle)
-        self._tell()
+                self.after(2, self._become_idle)
+        self._send_status()
 
-    def _idle(self) -> None:
+    def _become_idle(self) -> None:
         if self.system == protocol.FINISHED:
             self.system = protocol.IDLE
 
@@ -133,7 +133,7 @@ class SealerOnWire(OnWire):
 
     def _press(self) -> None:
         nest = self.place("default")
-        if self._foil_left() < 1:
+        if self._find_foil_left() < 1:
             self._fail(FOIL_GONE)
             return
         plate = self.top(nest)
@@ -143,7 +143,7 @@ class SealerOnWire(OnWire):
             self.world.crash(self.name, nest, "seals a lid")
         self.world.use(self.name, "foil", 1)
         self.world.work(
-            self.name, "seal", nest, time_s=self._press_s, temperature_c=round(self._temperature())
+            self.name, "seal", nest, time_s=self._press_s, temperature_c=round(self._compute_temperature())
         )
         self.after(11, self._shuttle_out)
 
@@ -162,13 +162,13 @@ class SealerOnWire(OnWire):
         self._press_s = tenths / 10
 
     def _heat(self, degrees: float) -> None:
-        self._from_c, self._since_s = self._temperature(), self.now_s()
+        self._from_c, self._since_s = self._compute_temperature(), self.now_s()
         self._target_c = degrees
 
     # -- speaking ----------------------------------------------------------------------------
 
-    def status(self) -> Status:
-        temperature = self._temperature()
+    def make_status(self) -> Status:
+        temperature = self._compute_temperature()
         goal = self._target_c or ROOM_C
         heater = protocol.HEATER_OFF
         if self._target_c:
@@ -177,7 +177,7 @@ class SealerOnWire(OnWire):
         sensors = (
             self.shuttle
             | protocol.DOOR * self.door_is_shut
-            | protocol.ROLL * (self.has_roll and self._foil_left() > 0)
+            | protocol.ROLL * (self.has_roll and self._find_foil_left() > 0)
             | protocol.HEATER_UP
             | 0x80
         )
@@ -194,32 +194,32 @@ class SealerOnWire(OnWire):
             f"{seconds // 3600 % 24:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}",
         )
 
-    def _temperature(self) -> float:
+    def _compute_temperature(self) -> float:
         goal = self._target_c or ROOM_C
         change = DEGREES_PER_S * (self.now_s() - self._since_s)
         if self._from_c < goal:
             return min(goal, self._from_c + change)
         return max(goal, self._from_c - change)
 
-    def _foil_left(self) -> float:
-        left = self.world.left(self.name, "foil")
+    def _find_foil_left(self) -> float:
+        left = self.world.find_level(self.name, "foil")
         return 1000.0 if left is None else left
 
     def _stream(self) -> None:
-        self._tell()
+        self._send_status()
         # A stream that outruns the line would say nothing new.
         self.after(max(STREAM_S, 0.05 * self._pace), self._stream, exact=True)
 
-    def _tell(self) -> None:
-        self._record(self.status().body())
+    def _send_status(self) -> None:
+        self._send_record(self.make_status().body())
         self.say(b"\r")
 
-    def _answer(self, body: bytes) -> None:
-        self._record(self.status().body())
-        self._record(body)
+    def _send_answer(self, body: bytes) -> None:
+        self._send_record(self.make_status().body())
+        self._send_record(body)
         if body.startswith(b"N") and self.rejects_twice:
-            self._record(b"Y00")
+            self._send_record(b"Y00")
         self.say(b"\r")
 
-    def _record(self, body: bytes) -> None:
+    def _send_record(self, body: bytes) -> None:
         self.say(b"*" + body + check_sum(body) + b"!")

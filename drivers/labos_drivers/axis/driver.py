@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import msgspec
 
 from labos.errors import DeviceError, LinkError, NotConnected, OutcomeUnknown
 from labos.node import Setup
-from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.axis import profile
 from labos_drivers.axis.objects import Drive
 from labos_drivers.axis.profile import State, state_of
@@ -45,8 +43,8 @@ NEVER_BEGAN = "the drive stands still, and not where it was sent"
 
 
 class Goal(msgspec.Struct, frozen=True):
-    """What the journal keeps of an attempt: where to (``counts``), or that it homes; how long it should
-    take."""
+    """The part of an attempt that the journal keeps: the target (``counts``) or that it homes, and how long
+    it should take (s)."""
 
     counts: int = 0
     homing: bool = False
@@ -60,7 +58,7 @@ class AxisDriver(Wired):
     where = ("channel", "can0")
     table: ClassVar[AxisTable]
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._commands = threading.Lock()
         self._homed = False
@@ -69,37 +67,36 @@ class AxisDriver(Wired):
 
     # -- how it is ---------------------------------------------------------------------------
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
-        return not self._moves()
+        return not self._is_moving()
 
-    @aside
-    def position(self) -> float:
-        """Where it stands, in the axis' unit. Raises DeviceError if nobody knows."""
-        if not self._is_homed(self.drive.status()):
-            raise self._not_homed()
-        return self._position()
+    @during_motion
+    def read_position(self) -> float:
+        """The position, in the axis' unit. Raises DeviceError if the axis is not homed."""
+        if not self._is_homed(self.drive.read_status()):
+            raise self._make_not_homed_error()
+        return self._read_position()
 
-    @aside
-    def look(self) -> dict[str, Any]:
-        homed = self._is_homed(self.drive.status())
-        return {"homed": homed} | ({"position": self._position()} if homed else {})
+    @during_motion
+    def observe(self) -> dict[str, Any]:
+        homed = self._is_homed(self.drive.read_status())
+        return {"homed": homed} | ({"position": self._read_position()} if homed else {})
 
-    @aside
+    @during_motion
     def trouble(self) -> str:
-        """What the drive says is wrong; empty if nothing is."""
-        return str(self.drive.fault()) if state_of(self.drive.status()) is State.FAULT else ""
+        """The fault that the drive reports; empty if there is none."""
+        return str(self.drive.read_fault()) if state_of(self.drive.read_status()) is State.FAULT else ""
 
     # -- motions -----------------------------------------------------------------------------
 
     @off_loop
     def prepare_move(self, position: float, speed: float) -> Goal:
-        """Power on, and tell the drive where to and how fast; nothing moves. Raises DeviceError
-        (``none``)."""
-        with _nothing_moves():
+        """Power on, and send the drive target and speed; nothing moves. Raises DeviceError (``none``)."""
+        with self.report_no_effects():
             self._refuse_unless_fit()
-            if not self._is_homed(self.drive.status()):
-                raise self._not_homed()
+            if not self._is_homed(self.drive.read_status()):
+                raise self._make_not_homed_error()
             counts = self.table.counts(position)
             self._refuse_beyond_limits(position, counts)
             self._power_on(profile.PROFILE_POSITION)
@@ -114,9 +111,9 @@ class AxisDriver(Wired):
 
     @off_loop
     def prepare_home(self) -> Goal:
-        """Power on, and tell the drive how to home; nothing moves. Raises DeviceError (``none``)."""
+        """Power on, and send the drive how to home; nothing moves. Raises DeviceError (``none``)."""
         home, table = self.table.home, self.table
-        with _nothing_moves():
+        with self.report_no_effects():
             self._refuse_unless_fit()
             self._power_on(profile.HOMING)
             self.drive.write(profile.HOMING_METHOD, home.method, 1)
@@ -130,7 +127,7 @@ class AxisDriver(Wired):
 
     @off_loop
     def start(self, goal: Goal) -> bool:
-        """Begin, with one edge; whether the drive has answered. Raises DeviceError."""
+        """Start the motion, with one edge; returns whether the drive has answered. Raises DeviceError."""
         word = profile.ENABLE | profile.START
         if goal.homing:
             self._homed = False
@@ -143,30 +140,30 @@ class AxisDriver(Wired):
         return True
 
     @off_loop
-    def see_end(self, goal: Goal, *, sure: bool) -> None:
-        """Wait for its end. ``sure``: the drive has answered the start, and was not out of sight since.
-        Raises DeviceError, OutcomeUnknown."""
+    def await_end(self, goal: Goal, *, sure: bool) -> None:
+        """Wait for the end of a motion. ``sure``: the drive has answered the start, and the connection was
+        not lost since. Raises DeviceError, OutcomeUnknown."""
         with self.under_way():
-            self._see_end(goal, sure)
+            self._await_end(goal, sure)
 
     async def stop(self) -> None:
-        """A quick stop; the motor has no power after it until the next motion."""
+        """Send a quick stop; the motor has no power after it until the next motion."""
         self._halted.set()
         await self._quick_stop()
 
     @off_loop
     def reset(self) -> None:
         """Bring the drive out of a fault or a quick stop; nothing moves, and the motor has no power."""
-        state = state_of(self.drive.status())
+        state = state_of(self.drive.read_status())
         self._control(profile.DISABLE_VOLTAGE, anyway=True)
         if state in (State.FAULT, State.REACTING):
             self._control(profile.RESET_FAULT, anyway=True)
             self._control(profile.DISABLE_VOLTAGE, anyway=True)
         if state is not State.NOT_READY:
             until = time.monotonic() + self.limit_s("state", STATE_S)
-            while state_of(self.drive.status()) not in (State.DISABLED, State.READY):
+            while state_of(self.drive.read_status()) not in (State.DISABLED, State.READY):
                 if time.monotonic() > until:
-                    raise self.drive.fault()
+                    raise self.drive.read_fault()
                 time.sleep(POLL_S)
         self.drive.emergency = 0
         self.resume()
@@ -174,14 +171,14 @@ class AxisDriver(Wired):
     # -- before a motion ---------------------------------------------------------------------
 
     def _refuse_unless_fit(self) -> None:
-        self.unless_stopped()
-        if state_of(self.drive.status()) in (State.FAULT, State.REACTING):
-            raise self.drive.fault()
-        if self._moves():
+        self.check_not_stopped()
+        if state_of(self.drive.read_status()) in (State.FAULT, State.REACTING):
+            raise self.drive.read_fault()
+        if self._is_moving():
             raise DeviceError(f"{self.name} moves.", remedy="Wait until it stands still.")
 
     def _refuse_beyond_limits(self, position: float, counts: int) -> None:
-        """The table's limits are those of the action's argument; the drive has its own."""
+        """Check the drive's own limits; those of the table are the limits of the action's argument."""
         lowest = self.drive.read(profile.LIMITS, 4, profile.LOWEST)
         highest = self.drive.read(profile.LIMITS, 4, profile.HIGHEST)
         if lowest < highest and not lowest <= counts <= highest:
@@ -192,13 +189,13 @@ class AxisDriver(Wired):
             )
 
     def _power_on(self, mode: int) -> None:
-        """Step by step to the state in which it moves, in a mode. Raises DeviceError."""
+        """Bring the drive step by step into the state in which it moves, in a mode. Raises DeviceError."""
         self.drive.write(profile.MODE, mode, 1)
         until = time.monotonic() + self.limit_s("state", STATE_S)
         asked = None
-        while (state := state_of(self.drive.status())) is not State.ENABLED:
+        while (state := state_of(self.drive.read_status())) is not State.ENABLED:
             if state in (State.FAULT, State.REACTING):
-                raise self.drive.fault()
+                raise self.drive.read_fault()
             if time.monotonic() > until:
                 raise DeviceError(
                     f"{self.name}: the drive stays in the state {state.name}.",
@@ -216,19 +213,19 @@ class AxisDriver(Wired):
 
     # -- its end -----------------------------------------------------------------------------
 
-    def _see_end(self, goal: Goal, sure: bool) -> None:
+    def _await_end(self, goal: Goal, sure: bool) -> None:
         began = silent_since = time.monotonic()
         progress = _Progress()
         while True:
             try:
-                status = self.drive.status()
+                status = self.drive.read_status()
                 if not sure:
                     self._recognise_attempt(goal, status)
                     sure = progress.was_lost = True
                 if self._is_at_end(goal, status, progress):
                     return
             except LinkError:
-                self._unless_halted()
+                self._check_not_halted()
                 sure = False
                 if time.monotonic() - silent_since > self.limit_s("patience", PATIENCE_S):
                     raise
@@ -243,11 +240,12 @@ class AxisDriver(Wired):
             time.sleep(POLL_S)
 
     def _recognise_attempt(self, goal: Goal, status: int) -> None:
-        """After it was out of sight. Raises OutcomeUnknown unless the drive is at this attempt."""
+        """Check, after the connection was lost, that the drive is still at this attempt. Raises
+        OutcomeUnknown."""
         state = state_of(status)
         if state in (State.FAULT, State.REACTING):
-            raise self.drive.fault()
-        self._unless_halted()
+            raise self.drive.read_fault()
+        self._check_not_halted()
         if state is not State.ENABLED:
             raise OutcomeUnknown(SWITCHED_OFF)
         mode = self.drive.read(profile.MODE_NOW, 1)
@@ -259,17 +257,17 @@ class AxisDriver(Wired):
             raise OutcomeUnknown(NOT_THIS)
 
     def _is_at_end(self, goal: Goal, status: int, progress: _Progress) -> bool:
-        """Raises DeviceError, OutcomeUnknown."""
+        """Whether the motion is over and well. Raises DeviceError, OutcomeUnknown."""
         state = state_of(status)
         if state in (State.FAULT, State.REACTING):
-            raise self.drive.fault()
-        self._unless_halted()
+            raise self.drive.read_fault()
+        self._check_not_halted()
         if state is not State.ENABLED:
             raise DeviceError(
                 f"{self.name}: the drive lost its power in mid-motion ({state.name}).",
                 remedy="Check its supply and its enable input, then reset the module.",
             )
-        return self._has_homed(status, progress) if goal.homing else self._arrived(goal, status, progress)
+        return self._has_homed(status, progress) if goal.homing else self._has_arrived(goal, status, progress)
 
     def _has_homed(self, status: int, progress: _Progress) -> bool:
         if status & profile.FAILED:
@@ -281,12 +279,13 @@ class AxisDriver(Wired):
         if not (progress.began and status & profile.ATTAINED and status & profile.REACHED):
             return False
         self._control(profile.ENABLE)
-        self._refuse_a_mirrored_home()
+        self._refuse_mirrored_home()
         self._homed = True
         return True
 
-    def _refuse_a_mirrored_home(self) -> None:
-        """Drives do not agree on the sign of the home offset."""
+    def _refuse_mirrored_home(self) -> None:
+        """Drives do not agree on the sign of the home offset. Raises DeviceError if this one takes it the
+        other way."""
         home = self.table.counts(self.table.home.position)
         window = abs(self.table.window * self.table.counts_per_unit)
         now = self.drive.read(profile.POSITION_NOW, 4)
@@ -297,7 +296,7 @@ class AxisDriver(Wired):
                 remedy="Change `offset_is_position` of its `home:`, and home it again.",
             )
 
-    def _arrived(self, goal: Goal, status: int, progress: _Progress) -> bool:
+    def _has_arrived(self, goal: Goal, status: int, progress: _Progress) -> bool:
         if not progress.taken:
             if status & profile.ACKNOWLEDGED:
                 self._control(profile.ENABLE)
@@ -325,14 +324,14 @@ class AxisDriver(Wired):
 
     # -- what it says ------------------------------------------------------------------------
 
-    def _moves(self) -> bool:
-        status = self.drive.status()
+    def _is_moving(self) -> bool:
+        status = self.drive.read_status()
         state = state_of(status)
         if state is State.REACTING:
             return True
         if state not in (State.ENABLED, State.QUICK_STOP):
             return False
-        if status & profile.REACHED and self._reached_means_rest(state):
+        if status & profile.REACHED and self._is_reached_at_rest(state):
             return False
         # Not every drive says that it has reached what it was never sent to.
         before = self.drive.read(profile.POSITION_NOW, 4)
@@ -340,7 +339,7 @@ class AxisDriver(Wired):
         way = abs(self.drive.read(profile.POSITION_NOW, 4) - before)
         return way > abs(self.table.window * self.table.counts_per_unit) / 10
 
-    def _reached_means_rest(self, state: State) -> bool:
+    def _is_reached_at_rest(self, state: State) -> bool:
         mode = self.drive.read(profile.MODE_NOW, 1)
         return state is State.QUICK_STOP or mode in (profile.PROFILE_POSITION, profile.HOMING)
 
@@ -352,8 +351,9 @@ class AxisDriver(Wired):
         # It was left with its motor powered: if it still is, it was not switched off since.
         return self._homed and state_of(status) is State.ENABLED
 
-    def _position(self) -> float:
-        """Its target, if it stands there: no encoder stands quite still."""
+    def _read_position(self) -> float:
+        """The position, in the axis' unit: the target if the axis stands there, as no encoder is quite
+        still."""
         now = self.drive.read(profile.POSITION_NOW, 4)
         if self.drive.read(profile.MODE_NOW, 1) == profile.PROFILE_POSITION:
             target = self.drive.read(profile.TARGET, 4)
@@ -361,12 +361,12 @@ class AxisDriver(Wired):
                 now = target
         return self.table.position(now)
 
-    def _not_homed(self) -> DeviceError:
+    def _make_not_homed_error(self) -> DeviceError:
         return DeviceError(
             f"{self.name} does not know where it is.", effects="none", remedy="Home it: labos do."
         )
 
-    def _unless_halted(self) -> None:
+    def _check_not_halted(self) -> None:
         if self._halted.is_set():
             raise DeviceError(
                 f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset the module."
@@ -376,17 +376,17 @@ class AxisDriver(Wired):
         """Write the controlword, unless the drive was stopped: any other word might end a quick stop."""
         with self._commands:
             if not anyway:
-                self.unless_stopped()
+                self.check_not_stopped()
             self.drive.write(profile.CONTROL, word, 2)
 
-    @aside
+    @during_motion
     def _quick_stop(self) -> None:
         with self._commands:
             self.drive.write(profile.CONTROL, profile.QUICK_STOP, 2)
 
 
 class _Progress:
-    """How far a motion has been seen."""
+    """What has been seen of a motion so far."""
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()
@@ -396,13 +396,3 @@ class _Progress:
     @property
     def age_s(self) -> float:
         return time.monotonic() - self._began_s
-
-
-@contextmanager
-def _nothing_moves() -> Iterator[None]:
-    """Whatever goes wrong here, nothing has moved."""
-    try:
-        yield
-    except DeviceError as error:
-        error.effects = "none"
-        raise

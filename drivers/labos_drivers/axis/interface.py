@@ -10,13 +10,13 @@ from labos.core.effects import Sets
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node import Node, Param, Requires, Setup, action
-from labos.node.mapping import DriverTable, told_by
+from labos.node.mapping import DriverTable, read_table
 from labos.node.node import INTERRUPTED
-from labos_drivers._simulation import told
+from labos_drivers._simulation import await_answer
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.axis.driver import AxisDriver, Goal
 from labos_drivers.axis.simulator import AxisSimulator
-from labos_drivers.axis.table import KEY, STAGE, AxisTable, flaws_in
+from labos_drivers.axis.table import KEY, STAGE, AxisTable, find_flaws
 from labos_drivers.axis.wire import DriveOnSlcan
 
 NEVER_SENT = "The node was restarted before the drive was told to start."
@@ -33,14 +33,14 @@ class Axis(OnBenchOrWire):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._told = self._told_before = ""
+        self._reported = self._reported_before = ""
 
     @classmethod
     def describe(cls) -> Description:
-        return described_by(super().describe(), cls.own)
+        return adapt_description(super().describe(), cls.own)
 
     @classmethod
-    def of(cls, table: AxisTable) -> type[Axis]:
+    def for_table(cls, table: AxisTable) -> type[Axis]:
         """The class for an axis with this table."""
         return type(cls.__name__, (cls,), {"own": table, "__doc__": cls.__doc__})
 
@@ -48,7 +48,7 @@ class Axis(OnBenchOrWire):
     def for_config(cls, config: dict[str, Any]) -> type[Node]:
         if KEY not in config:
             return cls
-        return cls.of(told_by(TABLE, config[KEY]))
+        return cls.for_table(read_table(TABLE, config[KEY]))
 
     async def connect(self) -> None:
         of = {"table": self.own}
@@ -93,13 +93,13 @@ class Axis(OnBenchOrWire):
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def read_position(self) -> float:
         """Where it stands, in the axis' unit."""
-        return await told(self.device.position())
+        return await await_answer(self.device.read_position())
 
     async def _move(self, device: AxisDriver, goal: Goal) -> None:
         with device.motion():
             await self.note_handle(msgspec.json.encode(goal).decode())
             sure = await device.start(goal)
-            await device.see_end(goal, sure=sure)
+            await device.await_end(goal, sure=sure)
 
     async def take_up(self, name: str, handle: str) -> Any:
         """What the drive shows of an attempt that was under way when the node died; nothing is started."""
@@ -109,7 +109,7 @@ class Axis(OnBenchOrWire):
         if not handle:
             raise DeviceError(NEVER_SENT, effects="none")
         with device.motion():
-            await device.see_end(msgspec.json.decode(handle, type=Goal), sure=False)
+            await device.await_end(msgspec.json.decode(handle, type=Goal), sure=False)
 
     async def trouble(self) -> str:
         """A fault that the drive showed both now and when it was asked before. A line that is lost is told by
@@ -119,12 +119,12 @@ class Axis(OnBenchOrWire):
         try:
             now = await self.device.trouble()
         except DeviceError:
-            return self._told
-        self._told, self._told_before = (now if now == self._told_before else ""), now
-        return self._told
+            return self._reported
+        self._reported, self._reported_before = (now if now == self._reported_before else ""), now
+        return self._reported
 
 
-def described_by(about: Description, table: AxisTable) -> Description:
+def adapt_description(about: Description, table: AxisTable) -> Description:
     """The description of an axis with this gear and these ends."""
     limits: dict[str, dict[str, Any]] = {
         "position": {"unit": table.unit, "minimum": table.minimum, "maximum": table.maximum},
@@ -150,8 +150,8 @@ def described_by(about: Description, table: AxisTable) -> Description:
 
 def describe(table: AxisTable) -> Description:
     """As a driver's description."""
-    return Axis.of(table).describe()
+    return Axis.for_table(table).describe()
 
 
-TABLE = DriverTable(KEY, AxisTable, flaws_in, describe)
+TABLE = DriverTable(KEY, AxisTable, find_flaws, describe)
 Axis.config_table = TABLE

@@ -35,10 +35,10 @@ class Drive:
             emergency=self._hear_emergency,
             identify=lambda link: _recognise(link, see_unit),
             expected=WHO,
-            **_bus(config, channel, simulated=simulated),
+            **_bus_settings(config, channel, simulated=simulated),
         )
 
-    def status(self) -> int:
+    def read_status(self) -> int:
         """The statusword. Raises LinkError, DeviceError."""
         status = self.read(profile.STATUS, 2) & 0xFFFF
         try:
@@ -62,8 +62,8 @@ class Drive:
         data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
         self.link.download(index, subindex, data, timeout_s=ANSWER_S)
 
-    def fault(self) -> DeviceError:
-        """What the drive says of its fault: by its object, else by its last emergency message. Raises
+    def read_fault(self) -> DeviceError:
+        """The fault that the drive reports, by its object, else by its last emergency message. Raises
         LinkError."""
         code = self.read(profile.ERROR_CODE, 2) & 0xFFFF or self.emergency
         why, remedy = meaning_of(code)
@@ -73,28 +73,28 @@ class Drive:
         self.emergency = int.from_bytes(data[:2], "little")
 
 
-def _bus(config: Mapping[str, Any], channel: str, *, simulated: bool) -> dict[str, Any]:
+def _bus_settings(config: Mapping[str, Any], channel: str, *, simulated: bool) -> dict[str, Any]:
     """Settings of python-can."""
     interface = "slcan" if simulated else str(config.get("interface", "socketcan"))
-    told: dict[str, Any] = {"interface": interface, "channel": channel}
+    settings: dict[str, Any] = {"interface": interface, "channel": channel}
     if "bitrate" in config:
-        told["bitrate"] = int(config["bitrate"])
+        settings["bitrate"] = int(config["bitrate"])
     if interface == "slcan":
-        told["timeout"] = 0.05  # python-can's own asks the port a thousand times a second
+        settings["timeout"] = 0.05  # python-can's own asks the port a thousand times a second
     if simulated:
-        told["sleep_after_open"] = 0
-    return told | dict(config.get("bus") or {})
+        settings["sleep_after_open"] = 0
+    return settings | dict(config.get("bus") or {})
 
 
 def _recognise(link: SdoLink, see_unit: Callable[[str], None]) -> str:
     kind = int.from_bytes(link.upload(profile.DEVICE_TYPE, timeout_s=ANSWER_S), "little") & 0xFFFF
     if kind != profile.PROFILE:
         return f"a device of the profile {kind}"
-    see_unit(_serial(link))
+    see_unit(_read_serial(link))
     return WHO
 
 
-def _serial(link: SdoLink) -> str:
+def _read_serial(link: SdoLink) -> str:
     """The serial number of CiA 301's identity object, which a drive need not have."""
     try:
         number = int.from_bytes(link.upload(profile.IDENTITY, 4, timeout_s=ANSWER_S), "little")

@@ -41,7 +41,7 @@ attained (homing); following error, or homing error."""
 
 
 class State(Enum):
-    """By mask and bits of the statusword."""
+    """The states of the drive, by mask and bits of the statusword."""
 
     NOT_READY = (0x4F, 0x00)
     DISABLED = (0x4F, 0x40)
@@ -54,12 +54,12 @@ class State(Enum):
 
 
 def state_of(status: int) -> State:
-    """The state that a statusword tells. Raises ValueError if it tells none."""
+    """The state in a statusword. Raises ValueError if it has none."""
     for state in State:
         mask, bits = state.value
         if status & mask == bits:
             return state
-    raise ValueError(f"the statusword {status:04X} tells no state")
+    raise ValueError(f"the statusword {status:04X} is no state of CiA 402")
 
 
 NEXT = {State.DISABLED: SHUT_DOWN, State.READY: SWITCH_ON, State.SWITCHED_ON: ENABLE}
@@ -104,6 +104,6 @@ CLASSES = {
 
 
 def meaning_of(code: int) -> tuple[str, str]:
-    """What an error code means, and what to do."""
+    """The meaning of an error code, and the remedy."""
     unknown = ("an error of its maker's own", "Look its code up in the manual, then reset the module.")
     return ERRORS.get(code) or CLASSES.get(code >> 12) or unknown

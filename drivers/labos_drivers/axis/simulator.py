@@ -12,7 +12,7 @@ HOMES_S = 20.0
 
 
 class AxisSimulator(Simulated):
-    """Goes where it is sent, and says where it is."""
+    """An axis that moves to positions and reports its position."""
 
     table: ClassVar[AxisTable]
 
@@ -37,8 +37,8 @@ class AxisSimulator(Simulated):
             self._stands = position
             self.world.work(self.name, f"stands at {position:g}")
 
-    def position(self) -> float:
+    def read_position(self) -> float:
         return self._stands
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         return {"homed": self.homed} | ({"position": self._stands} if self.homed else {})

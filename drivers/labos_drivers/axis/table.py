@@ -67,7 +67,7 @@ class AxisTable(Part):
         return round(position * self.counts_per_unit)
 
     def position(self, counts: float) -> float:
-        """To a thousandth of the unit."""
+        """A position, to a thousandth of the unit."""
         return round(counts / self.counts_per_unit, 3) + 0.0
 
     def raw_speed(self, speed: float) -> int:
@@ -92,8 +92,8 @@ STAGE = AxisTable(
 """The simulated one."""
 
 
-def flaws_in(table: AxisTable) -> Iterator[Flaw]:
-    """Numbers that do not fit together."""
+def find_flaws(table: AxisTable) -> Iterator[Flaw]:
+    """Numbers in a table that contradict each other."""
     if table.minimum >= table.maximum:
         yield Flaw(("maximum",), "The axis ends before it begins.", "Write a `maximum` above `minimum`.")
     elif not table.minimum <= table.home.position <= table.maximum:
@@ -102,6 +102,10 @@ def flaws_in(table: AxisTable) -> Iterator[Flaw]:
     for end in ("minimum", "maximum"):
         if not -(2**31) <= table.counts(getattr(table, end)) < 2**31:
             remedy = "Compare `counts_per_turn`, `gear` and `travel_per_turn` with the drive."
-            yield Flaw((end,), f"{getattr(table, end):g} {table.unit} are more counts than fit.", remedy)
+            yield Flaw(
+                (end,),
+                f"{getattr(table, end):g} {table.unit} are more counts than fit.",
+                remedy,
+            )
     if table.top_speed < table.speed:
         yield Flaw(("speed",), "It is faster than `highest_speed`.", "Lower it, or raise `highest_speed`.")

@@ -9,7 +9,7 @@ HERE = "labos_drivers.axis.driver"
 START, GOAL = 100.0, 300.0
 
 
-def at_start(drive: DriveOnSlcan, world: World) -> None:
+def put_at_start(drive: DriveOnSlcan, world: World) -> None:
     """Somebody turns the spindle by hand."""
     drive.stands = drive.table.counts(START) + (drive._origin if drive.homed else 0.0)
 
@@ -18,8 +18,8 @@ TORTURE = Torture(
     device=DriveOnSlcan,
     config=lambda address: {"channel": address, "interface": "slcan", "bus": {"sleep_after_open": 0}},
     cases=(
-        Case("home", prepare=at_start),
-        Case("move_to", {"position": GOAL}, prepare=at_start),
+        Case("home", prepare=put_at_start),
+        Case("move_to", {"position": GOAL}, prepare=put_at_start),
     ),
     faults=(
         Fault.by_setting("something is in its way", "blocked"),

@@ -76,13 +76,13 @@ class DriveOnSlcan(OnWire):
         self._network: Any = None
 
     def power_on(self) -> None:
-        """The adapter and the drive are switched on; the drive says so."""
-        self._network, self._node = self._on_the_bus()
+        """Adapter and drive are switched on; the drive sends its boot-up message."""
+        self._network, self._node = self._join_bus()
         self._network.send_message(0x700 + NODE, b"\0")
 
     # -- the bus -----------------------------------------------------------------------------
 
-    def _on_the_bus(self) -> tuple[Any, Any]:
+    def _join_bus(self) -> tuple[Any, Any]:
         try:
             import canopen
         except ImportError as error:
@@ -96,12 +96,12 @@ class DriveOnSlcan(OnWire):
                 device.say(b"t%03X%d%s\r" % (can_id, len(data), bytes(data).hex().upper().encode()))
 
         network = Network()
-        node: Any = network.create_node(NODE, _dictionary(canopen.objectdictionary))
-        node.set_data(profile.LIMITS, profile.LOWEST, _bytes(self.table.counts(self.table.minimum)))
-        node.set_data(profile.LIMITS, profile.HIGHEST, _bytes(self.table.counts(self.table.maximum)))
-        node.set_data(profile.IDENTITY, 4, _bytes(self.serial))
-        node.add_read_callback(self._shown)
-        node.add_write_callback(self._written)
+        node: Any = network.create_node(NODE, _make_dictionary(canopen.objectdictionary))
+        node.set_data(profile.LIMITS, profile.LOWEST, _encode(self.table.counts(self.table.minimum)))
+        node.set_data(profile.LIMITS, profile.HIGHEST, _encode(self.table.counts(self.table.maximum)))
+        node.set_data(profile.IDENTITY, 4, _encode(self.serial))
+        node.add_read_callback(self._on_read)
+        node.add_write_callback(self._on_write)
         return network, node
 
     def hear(self, data: bytes) -> None:
@@ -116,15 +116,15 @@ class DriveOnSlcan(OnWire):
             elif line:
                 self.say(b"\r")
 
-    def _shown(self, index: int, subindex: int, od: Any) -> int | None:
-        """What the drive shows now; None for what only the dictionary keeps."""
+    def _on_read(self, index: int, subindex: int, od: Any) -> int | None:
+        """The present value of an object; None if the dictionary has it."""
         match index:
             case profile.STATUS:
-                return self.status()
+                return self.compose_status()
             case profile.MODE_NOW:
                 return self._mode
             case profile.POSITION_NOW:
-                return round(self._now() - self._origin)
+                return round(self._find_position() - self._origin)
             case profile.VELOCITY_NOW:
                 return 0 if self._goal is None else round((self._goal - self._from) / self._takes_s)
             case profile.ERROR_CODE:
@@ -133,7 +133,7 @@ class DriveOnSlcan(OnWire):
                 return 0x01 if self.error else 0
         return None
 
-    def _written(self, index: int, subindex: int, od: Any, data: bytes) -> None:
+    def _on_write(self, index: int, subindex: int, od: Any, data: bytes) -> None:
         value = int.from_bytes(data, "little", signed=True)
         match index:
             case profile.MODE:
@@ -146,16 +146,18 @@ class DriveOnSlcan(OnWire):
     def _refuse_beyond_ends(self, counts: int) -> None:
         from canopen.sdo.exceptions import SdoAbortedError
 
-        lowest, highest = (self._kept(profile.LIMITS, end) for end in (profile.LOWEST, profile.HIGHEST))
+        lowest, highest = (
+            self._read_object(profile.LIMITS, end) for end in (profile.LOWEST, profile.HIGHEST)
+        )
         if not lowest <= counts <= highest:
             raise SdoAbortedError(0x06090030)  # the value range is exceeded
 
-    def _kept(self, index: int, subindex: int = 0) -> int:
+    def _read_object(self, index: int, subindex: int = 0) -> int:
         return int.from_bytes(self._node.get_data(index, subindex), "little", signed=True)
 
     # -- states ------------------------------------------------------------------------------
 
-    def status(self) -> int:
+    def compose_status(self) -> int:
         """The statusword."""
         word = self.state.value[1] | REMOTE
         if self.state not in (State.DISABLED, State.NOT_READY, State.FAULT):
@@ -182,7 +184,9 @@ class DriveOnSlcan(OnWire):
             return
         if rises & profile.START and self._mode == profile.PROFILE_POSITION:
             self._acknowledged = True
-            self._move(self._kept(profile.TARGET) + self._origin, self._kept(profile.SPEED), "moves")
+            self._move(
+                self._read_object(profile.TARGET) + self._origin, self._read_object(profile.SPEED), "moves"
+            )
         elif rises & profile.START and self._mode == profile.HOMING:
             self._home()
         if not word & profile.START:
@@ -191,7 +195,7 @@ class DriveOnSlcan(OnWire):
                 self._halt()
 
     def _change(self, word: int) -> None:
-        """The transitions that a controlword asks for."""
+        """Make the transitions that a controlword requests."""
         if not word & 0x02:
             self._halt()
             self.state = State.DISABLED
@@ -209,7 +213,7 @@ class DriveOnSlcan(OnWire):
             self.state = State.ENABLED
 
     def fail(self, code: int) -> None:
-        """The drive stands still and tells of its fault."""
+        """The drive stops and reports a fault."""
         self._halt()
         self.state, self.error = State.FAULT, code
         if self._node is not None:
@@ -220,14 +224,14 @@ class DriveOnSlcan(OnWire):
 
     # -- motions -----------------------------------------------------------------------------
 
-    def _now(self) -> float:
+    def _find_position(self) -> float:
         if self._goal is None:
             return self.stands
         share = min((self.now_s() - self._since_s) / self._takes_s, 1.0)
         return self._from + (self._goal - self._from) * (0.01 * share if self.blocked else share)
 
     def _halt(self) -> None:
-        self.stands, self._goal = self._now(), None
+        self.stands, self._goal = self._find_position(), None
         self._reached = True
         self.forget_plans()
 
@@ -235,7 +239,7 @@ class DriveOnSlcan(OnWire):
         self._halt()
         self._from, self._goal, self._since_s = self.stands, goal, self.now_s()
         way = abs(goal - self.stands)
-        self._takes_s = way / counts_per_s + counts_per_s / self._kept(profile.ACCELERATION) + 1e-3
+        self._takes_s = way / counts_per_s + counts_per_s / self._read_object(profile.ACCELERATION) + 1e-3
         self._reached = False
         self.world.work(self.name, verb)
         if self.hot:
@@ -252,42 +256,42 @@ class DriveOnSlcan(OnWire):
                 self._failed = self._reached = True
                 return
             # Zero lies where the home offset leads from the home.
-            self._origin = goal + self._kept(profile.HOME_OFFSET)
+            self._origin = goal + self._read_object(profile.HOME_OFFSET)
             self.homed = self._attained = True
         where = self.table.position(self.stands - self._origin)
         self.world.work(self.name, f"stands at {where:g}")
         self._reached = True
 
     def _home(self) -> None:
-        """To the switch at the lower end."""
+        """Move to the switch at the lower end."""
         self._attained = self._failed = self.homed = False
-        speed = self._kept(profile.HOMING_SPEEDS, profile.SWITCH_SPEED)
+        speed = self._read_object(profile.HOMING_SPEEDS, profile.SWITCH_SPEED)
         self._move(float(self.table.counts(self.table.minimum)), speed, "homes")
 
 
-def _dictionary(od: Any) -> Any:
+def _make_dictionary(od: Any) -> Any:
     """The drive's object dictionary."""
     found = od.ObjectDictionary()
     for index, name, size, signed, access, value in OBJECTS:
-        found.add_object(_variable(od, index, 0, name, size, signed, access, value))
+        found.add_object(_make_variable(od, index, 0, name, size, signed, access, value))
     for index, name, signed, first, second in (
         (profile.LIMITS, "software position limit", True, "lowest", "highest"),
         (profile.HOMING_SPEEDS, "homing speeds", False, "to the switch", "to zero"),
     ):
         record = od.ODRecord(name, index)
-        record.add_member(_variable(od, index, 0, "highest subindex", 1, False, "ro", 2))
+        record.add_member(_make_variable(od, index, 0, "highest subindex", 1, False, "ro", 2))
         for subindex, member in ((1, first), (2, second)):
-            record.add_member(_variable(od, index, subindex, member, 4, signed, "rw", 0))
+            record.add_member(_make_variable(od, index, subindex, member, 4, signed, "rw", 0))
         found.add_object(record)
     identity = od.ODRecord("identity object", profile.IDENTITY)
-    identity.add_member(_variable(od, profile.IDENTITY, 0, "highest subindex", 1, False, "ro", 4))
+    identity.add_member(_make_variable(od, profile.IDENTITY, 0, "highest subindex", 1, False, "ro", 4))
     for subindex, member in enumerate(("vendor", "product code", "revision", "serial number"), 1):
-        identity.add_member(_variable(od, profile.IDENTITY, subindex, member, 4, False, "ro", 0))
+        identity.add_member(_make_variable(od, profile.IDENTITY, subindex, member, 4, False, "ro", 0))
     found.add_object(identity)
     return found
 
 
-def _variable(
+def _make_variable(
     od: Any, index: int, subindex: int, name: str, size: int, signed: bool, access: str, value: int
 ) -> Any:
     variable = od.ODVariable(name, index, subindex)
@@ -296,5 +300,5 @@ def _variable(
     return variable
 
 
-def _bytes(value: int) -> bytes:
+def _encode(value: int) -> bytes:
     return value.to_bytes(4, "little", signed=True)

@@ -13,7 +13,7 @@ from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire
 from labos.node import Setup, under_way
 from labos.node.node import handle_keeper
-from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.barty import protocol
 from labos_drivers.barty.protocol import PINS
 
@@ -28,7 +28,7 @@ WHO = "a pigpio daemon"
 
 
 class Dose(msgspec.Struct, frozen=True):
-    """What runs, or ran, in the daemon: the number of its script, and the mark that it bears."""
+    """A dose in the daemon: the number of its script, and the mark that the script bears."""
 
     script: int
     owner: int
@@ -43,18 +43,18 @@ class Dose(msgspec.Struct, frozen=True):
 
 
 class BartyDriver(Wired):
-    """A dose is checked, stored, journalled, started, and watched until the daemon says that it ended.
-    There is no sensor of flow: that a motor turned so long is all that is known."""
+    """A dose is checked, stored, journalled, started, and watched until the daemon reports its end. There is
+    no flow sensor: that a motor turned for so long is all that is known."""
 
     deadlines = ("answer", "lost")
     where = ("host", "192.168.0.50")
     link: Link
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
-        self._ml_per_s = rates_of(setup)
+        self._ml_per_s = read_rates(setup)
         self._dose: Dose | None = None
-        host, port = host_and_port(address, protocol.PORT)
+        host, port = parse_host_port(address, protocol.PORT)
         self.link = Link(
             TcpWire(host, port),
             protocol.Framing(),
@@ -72,7 +72,7 @@ class BartyDriver(Wired):
         await self._pump(pumps, amount_ml, fill=False)
 
     async def _pump(self, pumps: list[int], amount_ml: float, *, fill: bool) -> None:
-        """Pumps of one rate run at the same time, those of another rate after them."""
+        """Pumps with the same rate run at the same time, those with another rate after them."""
         rates = sorted({self._ml_per_s[pump] for pump in pumps})
         if (longest_s := amount_ml / rates[0]) > LONGEST_S:
             raise DeviceError(
@@ -83,9 +83,9 @@ class BartyDriver(Wired):
         for number, rate in enumerate(rates):
             group = [pump for pump in pumps if self._ml_per_s[pump] == rate]
             with under_way() if number else nullcontext():
-                await self._one(group, amount_ml / rate, fill=fill)
+                await self._give_dose(group, amount_ml / rate, fill=fill)
 
-    async def _one(self, pumps: list[int], seconds: float, *, fill: bool) -> None:
+    async def _give_dose(self, pumps: list[int], seconds: float, *, fill: bool) -> None:
         dose = await self.store(pumps, seconds, fill=fill)
         keep = handle_keeper.get()
         if keep is not None:
@@ -94,12 +94,12 @@ class BartyDriver(Wired):
 
     @off_loop
     def store(self, pumps: list[int], seconds: float, *, fill: bool) -> Dose:
-        """Nothing turns yet: a script that is stored does not run."""
-        self.unless_stopped()
+        """Store the script of a dose; nothing turns, as a stored script does not run."""
+        self.check_not_stopped()
         owner = secrets.randbelow(2**31 - 1) + 1
-        script = protocol.dose(pumps, max(round(seconds * 1000), 1), owner, fill=fill)
+        script = protocol.write_script(pumps, max(round(seconds * 1000), 1), owner, fill=fill)
         try:
-            if not self._at_rest():
+            if not self._is_at_rest():
                 raise DeviceError(f"{self.name}: a pump runs already.", remedy="Wait, or reset the module.")
             self._delete_last()
             number = self._ask(protocol.PROC, more=script.encode())[0]
@@ -119,7 +119,7 @@ class BartyDriver(Wired):
 
     @off_loop
     def carry_out(self, dose: Dose) -> None:
-        """Start it and see it through."""
+        """Start a dose and wait for its end."""
         with self.motion():
             self._dose = dose
             try:
@@ -128,28 +128,29 @@ class BartyDriver(Wired):
                 if error.effects == "none":
                     raise
                 # Whether it was heard is told by the script itself.
-                self._see_through(dose)
+                self._await_end(dose)
                 return
             if result < 0:
                 raise DeviceError(
                     f"{self.name}: the daemon does not start the dose (error {result}).", effects="none"
                 )
-            self._see_through(dose)
+            self._await_end(dose)
 
     @off_loop
     def follow(self, handle: str) -> None:
-        """The end of a dose that was stored before, and perhaps started; if not, it never will be."""
+        """Wait for the end of a dose that was stored before, and perhaps started; if it was not, it never
+        will be."""
         with self.motion():
             self._dose = dose = Dose.read(handle)
-            self._see_through(dose)
+            self._await_end(dose)
 
-    def _see_through(self, dose: Dose) -> None:
+    def _await_end(self, dose: Dose) -> None:
         deadline = time.monotonic() + LONGEST_S + SLACK_S
         with self.under_way():
             while True:
-                status, told = self._again(dose)
-                if told[protocol.BEGUN] and told[protocol.OWNER] != dose.owner:
-                    raise self._forgotten()
+                status, parameters = self._poll_script(dose)
+                if parameters[protocol.BEGUN] and parameters[protocol.OWNER] != dose.owner:
+                    raise self._make_forgotten_error()
                 if status not in (protocol.INITING, protocol.RUNNING, protocol.WAITING):
                     break
                 if time.monotonic() > deadline:
@@ -160,12 +161,12 @@ class BartyDriver(Wired):
                 f"{self.name}: the daemon says that the dose is in the state {status}, which is not known.",
                 remedy="Look whether a pump runs and how full the reservoirs are, then reset the module.",
             )
-        if not told[protocol.BEGUN]:
+        if not parameters[protocol.BEGUN]:
             # A script that is deleted cannot be started any more.
             with suppress(LinkError):
                 self._delete_last()
             raise DeviceError(f"{self.name}: the pumps were not started.", effects="none")
-        if not told[protocol.ENDED]:
+        if not parameters[protocol.ENDED]:
             raise DeviceError(
                 f"{self.name}: the pumps were stopped before the dose was done.",
                 effects="partial",
@@ -173,48 +174,49 @@ class BartyDriver(Wired):
             )
 
     def _delete_last(self) -> None:
-        """A script is kept until the next dose: after a restart one can still see how it ended."""
+        """Delete the script of the last dose. It is kept until the next dose, so that its end can be seen
+        after a restart."""
         last, self._dose = self._dose, None
         if last is not None:
             self._ask(protocol.PROCD, last.script)
 
     def _delete_ended(self) -> None:
-        """Those that nodes before this one have left."""
+        """Delete scripts that earlier nodes have left."""
         for script in range(protocol.ROOM):
             result, more = self._ask(protocol.PROCP, script)
             if result != protocol.STATUS.size:
                 continue
-            status, *told = protocol.STATUS.unpack(more)
-            if status == protocol.HALTED and told[protocol.ENDED] and told[protocol.OWNER]:
+            status, *parameters = protocol.STATUS.unpack(more)
+            if status == protocol.HALTED and parameters[protocol.ENDED] and parameters[protocol.OWNER]:
                 self._ask(protocol.PROCD, script)
 
     # -- the device itself -------------------------------------------------------------------
 
-    @aside
+    @during_motion
     def stop(self) -> None:
-        """All motors, here and now."""
+        """Stop all motors at once."""
         self._halted.set()
-        self._still()
+        self._stop_all()
 
     @off_loop
     def reset(self) -> None:
-        self._still()
+        self._stop_all()
         self.resume()
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
-        return self._at_rest()
+        return self._is_at_rest()
 
-    @aside
-    def look(self) -> dict[str, Any]:
+    @during_motion
+    def observe(self) -> dict[str, Any]:
         """Nothing: Barty has no sensor of level or flow."""
-        self._at_rest()
+        self._is_at_rest()
         return {}
 
-    def _at_rest(self) -> bool:
+    def _is_at_rest(self) -> bool:
         return not any(self._ask(protocol.READ, pins.enable)[0] for pins in PINS)
 
-    def _still(self) -> None:
+    def _stop_all(self) -> None:
         dose = self._dose
         if dose is not None:
             self._ask(protocol.PROCS, dose.script)
@@ -224,8 +226,8 @@ class BartyDriver(Wired):
 
     # -- one question ------------------------------------------------------------------------
 
-    def _again(self, dose: Dose) -> tuple[int, tuple[int, ...]]:
-        """Status and parameters of a script; a daemon that is out of reach for a while is asked again."""
+    def _poll_script(self, dose: Dose) -> tuple[int, tuple[int, ...]]:
+        """Status and parameters of a script; a daemon that cannot be reached for a while is asked again."""
         deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
@@ -236,56 +238,56 @@ class BartyDriver(Wired):
                     raise
             time.sleep(POLL_S)
         if result < 0:
-            raise self._forgotten()
+            raise self._make_forgotten_error()
         if len(more) != protocol.STATUS.size:
             raise Garbled(f"{self.name}: {more!r} is no status of a script.")
-        status, *told = protocol.STATUS.unpack(more)
-        return status, tuple(told)
+        status, *parameters = protocol.STATUS.unpack(more)
+        return status, tuple(parameters)
 
-    def _forgotten(self) -> DeviceError:
+    def _make_forgotten_error(self) -> DeviceError:
         return DeviceError(
             f"{self.name}: the daemon has been restarted, and knows nothing of the dose.",
             remedy="Look how much ink is in the reservoirs, then reset the module.",
         )
 
     def _ask(self, command: int, p1: int = 0, p2: int = 0, more: bytes = b"") -> tuple[int, bytes]:
-        """The result, and what follows it."""
-        question = protocol.question(command, p1, p2, more)
+        """Send a command; returns the result, and the data after it."""
+        question = protocol.make_command(command, p1, p2, more)
         answer = self.link.exchange(question, self.limit_s("answer", ANSWER_S))
-        told = protocol.HEADER.unpack_from(answer)
-        if told[:3] != (command, p1, p2):
+        header = protocol.HEADER.unpack_from(answer)
+        if header[:3] != (command, p1, p2):
             raise Garbled(f"{self.name}: {answer[:16]!r} is no answer to command {command}.")
-        return told[3], answer[protocol.HEADER.size :]
+        return header[3], answer[protocol.HEADER.size :]
 
     def _recognise(self) -> str:
-        answer = self.link.exchange(protocol.question(protocol.PIGPV), self.limit_s("answer", ANSWER_S))
+        answer = self.link.exchange(protocol.make_command(protocol.PIGPV), self.limit_s("answer", ANSWER_S))
         command, _, _, version = protocol.HEADER.unpack_from(answer)
         return WHO if command == protocol.PIGPV and version > 0 else f"what answers {answer[:16]!r}"
 
 
-def checked(name: str, pumps: list[int], amount_ml: float) -> None:
-    """Raise DeviceError for a dose that no pump may give."""
+def check_dose(name: str, pumps: list[int], amount_ml: float) -> None:
+    """Raise DeviceError for a dose that the pumps cannot give."""
     why = ""
     # 1.0 and True are 1 to Python, but name no pump.
     if unknown := [pump for pump in pumps if type(pump) is not int or pump not in range(len(PINS))]:
         why = f"has no pump {unknown[0]}"
     elif not pumps:
-        why = "was told of no pump"
+        why = "was given no pump"
     elif len(set(pumps)) < len(pumps):
-        why = "was told of a pump twice"
+        why = "was given a pump twice"
     elif not LEAST_ML <= amount_ml <= MOST_ML:
         why = f"pumps {LEAST_ML:g} to {MOST_ML:g} mL at a time, not {amount_ml:g}"
     if why:
         raise DeviceError(f"{name} {why}.", effects="none", remedy="Use pumps 0 to 3, each once.")
 
 
-def rates_of(setup: Setup) -> tuple[float, ...]:
-    """mL/s of each pump, as ``ml_per_s:`` says: one number, or one for each. Raises DeviceError."""
-    told = setup.config.get("ml_per_s", protocol.ML_PER_S)
-    rates = list(told) if isinstance(told, list | tuple) else [told] * len(PINS)
+def read_rates(setup: Setup) -> tuple[float, ...]:
+    """mL/s of each pump, from ``ml_per_s:``: one number, or one for each. Raises DeviceError."""
+    configured = setup.config.get("ml_per_s", protocol.ML_PER_S)
+    rates = list(configured) if isinstance(configured, list | tuple) else [configured] * len(PINS)
     if len(rates) != len(PINS) or not all(isinstance(rate, int | float) and rate > 0 for rate in rates):
         raise DeviceError(
-            f"{setup.name}: {told!r} are no rates of {len(PINS)} pumps.",
+            f"{setup.name}: {configured!r} are no rates of {len(PINS)} pumps.",
             effects="none",
             remedy="Write `ml_per_s:` as one number, or as a list of four.",
         )

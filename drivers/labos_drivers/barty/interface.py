@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from labos.node import DeviceError, Param, action
 from labos_drivers._wired import OnBenchOrWire
-from labos_drivers.barty.driver import LEAST_ML, MOST_ML, BartyDriver, checked
+from labos_drivers.barty.driver import LEAST_ML, MOST_ML, BartyDriver, check_dose
 from labos_drivers.barty.simulator import BartySimulator
 from labos_drivers.barty.wire import BartyOnWire
 
@@ -27,13 +27,13 @@ class Barty(OnBenchOrWire):
     @action(duration_s=3.5)
     async def fill(self, pumps: Pumps, amount: Amount = 5.0) -> None:
         """Pump ink into the reservoirs of some pumps."""
-        checked(self.setup.name, pumps, amount)
+        check_dose(self.setup.name, pumps, amount)
         await self.device.fill(pumps, amount)
 
     @action(duration_s=3.5)
     async def drain(self, pumps: Pumps, amount: Amount = 5.0) -> None:
         """Pump ink back from the reservoirs of some pumps."""
-        checked(self.setup.name, pumps, amount)
+        check_dose(self.setup.name, pumps, amount)
         await self.device.drain(pumps, amount)
 
     @action(duration_s=42, aliases=("fill_ink_all_motors",))
@@ -54,7 +54,7 @@ class Barty(OnBenchOrWire):
     ) -> None:
         """Pump ink into the reservoirs of some pumps, named as motors."""
         pumps = [self._pump_of(motor) for motor in motors]
-        checked(self.setup.name, pumps, amount)
+        check_dose(self.setup.name, pumps, amount)
         await self.device.fill(pumps, amount)
 
     async def take_up(self, name: str, handle: str) -> Any:

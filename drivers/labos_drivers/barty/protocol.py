@@ -38,7 +38,7 @@ ML_PER_S = 1.427
 
 
 class Pins(NamedTuple):
-    """Of one motor's bridge, as the Broadcom chip numbers them."""
+    """The pins of one motor's bridge, by Broadcom number."""
 
     forward: int
     backward: int
@@ -66,26 +66,26 @@ class Framing:
         return _cut(buffer, whole) if len(buffer) >= whole else None
 
 
-def question(command: int, p1: int = 0, p2: int = 0, more: bytes = b"") -> bytes:
+def make_command(command: int, p1: int = 0, p2: int = 0, more: bytes = b"") -> bytes:
     return HEADER.pack(command, p1, p2, len(more)) + more
 
 
-def dose(pumps: list[int], milliseconds: int, owner: int, *, fill: bool) -> str:
-    """The script that runs some pumps at the same time for so long. The shift of one against the other
-    is that of a few instructions of the daemon."""
-    told = [f"ld p9 {owner} ld p1 1"]
+def write_script(pumps: list[int], milliseconds: int, owner: int, *, fill: bool) -> str:
+    """The script that runs some pumps at the same time for so long (ms). They start and stop a few
+    instructions of the daemon apart."""
+    commands = [f"ld p9 {owner} ld p1 1"]
     for pump in pumps:
         pins = PINS[pump]
-        told += [f"m {pin} w" for pin in pins]
-        told += [f"w {pins.enable} 0 w {pins.forward} {int(not fill)} w {pins.backward} {int(fill)}"]
-    told += [f"w {PINS[pump].enable} 1" for pump in pumps]
+        commands += [f"m {pin} w" for pin in pins]
+        commands += [f"w {pins.enable} 0 w {pins.forward} {int(not fill)} w {pins.backward} {int(fill)}"]
+    commands += [f"w {PINS[pump].enable} 1" for pump in pumps]
     while milliseconds > 0:
-        told += [f"mils {min(milliseconds, LONGEST_DELAY_MS)}"]
+        commands += [f"mils {min(milliseconds, LONGEST_DELAY_MS)}"]
         milliseconds -= LONGEST_DELAY_MS
-    told += [f"w {PINS[pump].enable} 0" for pump in pumps]
+    commands += [f"w {PINS[pump].enable} 0" for pump in pumps]
     for pump in pumps:
-        told += [f"w {PINS[pump].forward} 0 w {PINS[pump].backward} 0"]
-    return " ".join([*told, "ld p0 1"])
+        commands += [f"w {PINS[pump].forward} 0 w {PINS[pump].backward} 0"]
+    return " ".join([*commands, "ld p0 1"])
 
 
 def _cut(buffer: bytearray, size: int) -> bytes:

@@ -46,6 +46,6 @@ class BartySimulator(Simulated):
         self.beakers[pump] -= ml
         self.reservoirs[pump] += ml
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """Nothing: Barty has no sensor of level or flow."""
         return {}

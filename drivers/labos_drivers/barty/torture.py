@@ -9,7 +9,7 @@ from labos_drivers.barty.wire import BartyOnWire
 HERE = "labos_drivers.barty.driver"
 
 
-def _runs(barty: BartyOnWire, world: World) -> None:
+def _switch_pump_on(barty: BartyOnWire, world: World) -> None:
     barty.press(PINS[2].enable)
 
 
@@ -23,7 +23,7 @@ TORTURE = Torture(
     ),
     faults=(
         Fault.by_setting("the daemon has no room for a dose", "refuses"),
-        Fault("somebody has switched a pump on", _runs),
+        Fault("somebody has switched a pump on", _switch_pump_on),
     ),
     foreign=(Foreign("pigpio's Python client", "1.78", "tests/drivers/test_barty_wire.py"),),
     motion="drain_all",

@@ -23,7 +23,7 @@ RATE_NOISE = 0.02
 
 
 class Daemon(TcpEnd):
-    """A port that serves several clients; each is answered before the next is heard."""
+    """A port that serves several clients; each is answered before the next one is heard."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class Daemon(TcpEnd):
 
 
 class Script(msgspec.Struct):
-    """Its words, and where it is in them."""
+    """The words of a script, and its position in them."""
 
     words: list[str]
     at: int = 0
@@ -63,7 +63,7 @@ class Script(msgspec.Struct):
 
 
 class BartyOnWire(OnWire):
-    """What the device is and does. A pump may be ``stuck``: its motor hums and moves nothing."""
+    """The simulated device. A pump may be ``stuck``: its motor hums and moves nothing."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         super().__init__(setup, end)
@@ -79,7 +79,7 @@ class BartyOnWire(OnWire):
         self._since_s: dict[int, float] = {}
         self._heard = b""
 
-    def own_end(self) -> FarEnd:
+    def make_end(self) -> FarEnd:
         return Daemon()
 
     @property
@@ -87,7 +87,7 @@ class BartyOnWire(OnWire):
         return self.end.address.removeprefix("socket://")
 
     def close(self) -> None:
-        """The power goes: whatever turned stops."""
+        """Power off: everything that turned stops."""
         super().close()
         for pump in list(self._since_s):
             self._stop(pump, self.now_s())
@@ -157,7 +157,7 @@ class BartyOnWire(OnWire):
         return 0
 
     def _halt(self, script: Script) -> None:
-        """Pins stay as they are."""
+        """Stop a script; pins stay as they are."""
         script.status = protocol.HALTED
         script.run += 1
 
@@ -187,7 +187,7 @@ class BartyOnWire(OnWire):
     # -- pumps -------------------------------------------------------------------------------
 
     def _write(self, pin: int, level: int, at_s: float | None = None) -> None:
-        """A script keeps its own time: it is not late because this machine is."""
+        """Set a pin. A script keeps its own time, however late this computer is."""
         was, self.levels[pin] = self.levels[pin], level
         for pump, pins in enumerate(PINS):
             if pins.enable == pin and was != level:
@@ -218,4 +218,4 @@ class BartyOnWire(OnWire):
         self.reservoirs[pump] += ml
 
     def damage(self, crash: Exception) -> None:
-        """Ink runs over the deck, and nothing notices."""
+        """Ink runs over the deck; the device does not notice."""

@@ -8,10 +8,10 @@ from labos.node import Needs, Param, Requires, Sets, Station, action
 from labos_drivers.biometra.driver import LARGEST_PROGRAM, BiometraDriver
 from labos_drivers.biometra.simulator import BiometraSimulator
 from labos_drivers.biometra.wire import BiometraOnWire
-from labos_drivers.gateway.driver import BehindGateway
+from labos_drivers.gateway.driver import GatewayInstrument
 
 
-class Biometra(BehindGateway):
+class Biometra(GatewayInstrument):
     """Thermal cycler with a motorised, heated lid."""
 
     driver = "biometra"

@@ -11,8 +11,8 @@ class BiometraSimulator(Gated):
     async def run_program(self, number: int) -> None:
         block = self.place("default")
         with self.motion():
-            self.needs_closed()
-            self.needs_bare(block, "heats a lid")
+            self.check_closed()
+            self.crash_if_lidded(block, "heats a lid")
             self.world.work(self.name, "heat", block, program=number)
             await self.take_time(5400)
             self.world.work(self.name, "cycle", block, program=number)

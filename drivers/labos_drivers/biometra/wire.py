@@ -10,4 +10,4 @@ class BiometraOnWire(GatewayOnWire[BiometraSimulator]):
     instrument = "biometra"
     kind = BiometraSimulator
     actions = {"open_lid": "open_gate", "close_lid": "close_gate", "run_program": "run_program"}
-    shown_by = {"open_lid": {"lid": "open"}, "close_lid": {"lid": "closed"}}
+    sensors_after = {"open_lid": {"lid": "open"}, "close_lid": {"lid": "closed"}}

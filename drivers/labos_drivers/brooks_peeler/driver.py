@@ -9,8 +9,8 @@ from typing import Any
 from labos.errors import DeviceError, Garbled, NoReply, NotConnected, OutcomeUnknown, StrayReply
 from labos.link import Link, Terminated
 from labos.node import Setup
-from labos_drivers._limits import serial_wire
-from labos_drivers._wired import Behind, Wired, off_loop
+from labos_drivers._limits import make_serial_wire
+from labos_drivers._wired import DeviceOnWire, Wired, off_loop
 from labos_drivers.brooks_peeler import protocol
 from labos_drivers.brooks_peeler.protocol import CODES, Code
 
@@ -22,18 +22,18 @@ VERSION = re.compile(rb"\*\d+[.\d]*")
 
 
 class PeelerDriver(Wired):
-    """Commands of the device. ``*ack`` is not the end of a motion, and a ``*ready`` before it tells
-    of an earlier one."""
+    """Commands of the device. ``*ack`` is not the end of a motion, and a ``*ready`` before it belongs to an
+    earlier one."""
 
     deadlines = ("ack", "answer", "homing", "motion", "silent")
     link: Link
 
-    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, port: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, port, simulator)
         self._restarted = False
         self._tape: dict[str, float] = {}
         self.link = Link(
-            serial_wire(setup, port, baudrate=protocol.BAUDRATE),
+            make_serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             Terminated(protocol.END),
             name=setup.name,
             unasked=self._hear,
@@ -52,7 +52,8 @@ class PeelerDriver(Wired):
 
     @off_loop
     def find_seal(self) -> None:
-        """What a peel does to a plate without a seal is not published. Raises DeviceError."""
+        """Check that the plate has a seal: what a peel does without one is not published. Raises
+        DeviceError."""
         if self._look_for_seal() != "sealed":
             raise DeviceError(
                 f"{self.name}: XPeel seal check 00: no seal on the plate.",
@@ -61,14 +62,14 @@ class PeelerDriver(Wired):
             )
 
     @staticmethod
-    def peeling(parameter_set: int, adhere_s: float) -> str:
+    def make_peel_command(parameter_set: int, adhere_s: float) -> str:
         """The command that peels."""
         return f"*xpeel:{parameter_set}{protocol.ADHERE_S.index(adhere_s) + 1}"
 
     @off_loop
     def peel(self, command: str) -> None:
-        """After the seal was found."""
-        self.unless_stopped()
+        """Peel, after the seal was found."""
+        self.check_not_stopped()
         self._judge(self._move(command.encode()))
 
     @off_loop
@@ -77,7 +78,7 @@ class PeelerDriver(Wired):
         seal check would tell too, but moves the conveyor, which nobody may expect any more. Raises
         DeviceError, and OutcomeUnknown if the device has been switched off since."""
         with self.motion(), self.under_way():
-            codes = self._last_codes()
+            codes = self._read_last_codes()
             self._ask_tape_left()
         if not command:
             raise DeviceError(
@@ -107,23 +108,22 @@ class PeelerDriver(Wired):
     @off_loop
     def is_idle(self) -> bool:
         """A device that moves or homes does not answer."""
-        self._codes_in(self._ask(b"*stat", b"*ready:"))
+        self._parse_codes(self._ask(b"*stat", b"*ready:"))
         return True
 
     @off_loop
     def reset(self) -> None:
-        """Fresh tape, then the elevator and the conveyor home; the nest comes out."""
+        """Get fresh tape, then home the elevator and the conveyor; the nest comes out."""
         self._judge(self._move(b"*reset", self.limit_s("homing", HOMING_S)))
         self.resume()
 
     @off_loop
-    def look(self) -> dict[str, Any]:
-        """Its plate sensor speaks only in a motion."""
+    def observe(self) -> dict[str, Any]:
+        """Nothing: its plate sensor is read only in a motion."""
         return {}
 
-    async def tape(self) -> dict[str, float]:
-        """Seals that can still be peeled, as the device counts them in tens; empty if it does not
-        know."""
+    async def read_tape(self) -> dict[str, float]:
+        """Seals that can still be peeled, as the device counts them in tens; empty if it does not know."""
         if not self.moving:
             await self._ask_tape()
         return self._tape
@@ -144,24 +144,24 @@ class PeelerDriver(Wired):
     # -- one command -------------------------------------------------------------------------
 
     def _ask(self, question: bytes, beginning: bytes) -> bytes:
-        """A question that moves nothing."""
+        """Ask a question that moves nothing."""
         return self.link.exchange(
             question, self.limit_s("answer", ANSWER_S), answers=lambda _, line: line.startswith(beginning)
         )
 
-    def _last_codes(self) -> tuple[int, ...]:
-        """Of the last motion, when it has ended."""
+    def _read_last_codes(self) -> tuple[int, ...]:
+        """The codes of the last motion, when it has ended."""
         deadline = time.monotonic() + self.limit_s("motion", MOTION_S)
         while True:
             try:
-                return self._codes_in(self._ask(b"*stat", b"*ready:"))
+                return self._parse_codes(self._ask(b"*stat", b"*ready:"))
             except NoReply:
                 if time.monotonic() > deadline:
                     raise
 
-    def _codes_in(self, line: bytes) -> tuple[int, ...]:
+    def _parse_codes(self, line: bytes) -> tuple[int, ...]:
         try:
-            return protocol.codes_of(line)
+            return protocol.parse_codes(line)
         except ValueError as error:
             raise Garbled(f"{self.name}: {error}.") from error
 
@@ -177,11 +177,11 @@ class PeelerDriver(Wired):
                 line = self.link.receive(max(deadline - time.monotonic(), 0.0))
                 if self._hear(line) and self._restarted:
                     raise DeviceError(
-                        f"{self.name}: the peeler started anew in mid-motion.",
+                        f"{self.name}: the peeler restarted in mid-motion.",
                         remedy="Look at the plate, then reset the module.",
                     )
                 if line.startswith(b"*ready"):
-                    return self._codes_in(line)
+                    return self._parse_codes(line)
 
     def _look_for_seal(self) -> str:
         codes = self._move(b"*sealcheck")
@@ -195,15 +195,16 @@ class PeelerDriver(Wired):
         return "sealed" if protocol.SEAL in codes else "unsealed"
 
     def _judge(self, codes: tuple[int, ...]) -> None:
-        """Raise DeviceError for the first code that is no warning; the worst says what is known."""
+        """Raise DeviceError for the first code that is no warning; its effects are those of the worst
+        code."""
         known = [(code, CODES.get(code, Code("an unknown error"))) for code in codes]
         hard = [(code, what) for code, what in known if not what.warning]
         if not hard:
             return
-        told = ", ".join(f"error {code:02d}: {what.meaning}" for code, what in hard)
+        errors = ", ".join(f"error {code:02d}: {what.meaning}" for code, what in hard)
         effects = {what.effects for _, what in hard}
         raise DeviceError(
-            f"{self.name}: XPeel {told}.",
+            f"{self.name}: XPeel {errors}.",
             effects=effects.pop() if len(effects) == 1 else "unknown",
             remedy=hard[0][1].remedy,
         )
@@ -217,12 +218,12 @@ class PeelerDriver(Wired):
         return False
 
     def _recognise(self, link: Link) -> str:
-        """It answers with its firmware's version once it has homed."""
+        """The device answers with its firmware version once it has homed."""
         deadline = time.monotonic() + self.limit_s("homing", HOMING_S)
         while True:
             self._restarted = False
             try:
-                self.note_firmware(self._version(link))
+                self.note_firmware(self._read_version(link))
                 return WHO
             except NoReply:
                 if not self._restarted or time.monotonic() > deadline:
@@ -232,10 +233,10 @@ class PeelerDriver(Wired):
                 if "*ready:" not in error.message or time.monotonic() > deadline:
                     raise
 
-    def _version(self, link: Link) -> str:
+    def _read_version(self, link: Link) -> str:
         answer_s = self.limit_s("answer", ANSWER_S)
-        told = link.exchange(b"*version", answer_s, answers=lambda _, line: bool(VERSION.fullmatch(line)))
-        return told.decode().lstrip("*")
+        answer = link.exchange(b"*version", answer_s, answers=lambda _, line: bool(VERSION.fullmatch(line)))
+        return answer.decode().lstrip("*")
 
 
 class NoPlate(DeviceError):

@@ -22,7 +22,7 @@ class BrooksPeeler(OnBenchOrWire):
     device: PeelerSimulator | PeelerDriver
 
     async def resources(self) -> dict[str, float]:
-        return await self.device.tape() if isinstance(self.device, PeelerDriver) else {}
+        return await self.device.read_tape() if isinstance(self.device, PeelerDriver) else {}
 
     @action(
         Needs(),
@@ -49,7 +49,7 @@ class BrooksPeeler(OnBenchOrWire):
             return
         with device.motion():
             await device.find_seal()
-            command = device.peeling(parameter_set, adhere)
+            command = device.make_peel_command(parameter_set, adhere)
             await self.note_handle(command)
             await device.peel(command)
 

@@ -56,8 +56,8 @@ CODES = {
 }
 
 
-def codes_of(line: bytes) -> tuple[int, ...]:
-    """What ``*ready:04,00,00`` tells, without the zeros. Raises ValueError."""
+def parse_codes(line: bytes) -> tuple[int, ...]:
+    """The codes of ``*ready:04,00,00``, without the zeros. Raises ValueError."""
     found = READY_LINE.fullmatch(line)
     if found is None:
         raise ValueError(f"{line!r} is no ready line")

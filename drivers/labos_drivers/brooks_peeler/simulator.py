@@ -16,7 +16,7 @@ class PeelerSimulator(Simulated):
     async def peel(self, parameter_set: int, adhere_s: float) -> None:
         with self.motion(drawn_in=True):
             await self.take_time(10)
-            match self._sensed():
+            match self._read_seal_sensor():
                 case "no plate":
                     raise DeviceError(
                         f"{self.name}: XPeel error 06: no plate found.",
@@ -29,7 +29,7 @@ class PeelerSimulator(Simulated):
                         effects="none",
                         remedy="Look at the plate before going on.",
                     )
-            self.needs_bare(self.place("default"), "peels a lid")
+            self.crash_if_lidded(self.place("default"), "peels a lid")
             await self.take_time(10 + adhere_s - USUAL_ADHERE_S)
             self.world.use(self.name, "tape", 1)
             self.world.work(self.name, "peel", self.place("default"), set=parameter_set, adhere_s=adhere_s)
@@ -38,9 +38,9 @@ class PeelerSimulator(Simulated):
     async def sealcheck(self) -> str:
         with self.motion(drawn_in=True):
             await self.take_time(10)
-            return self._sensed()
+            return self._read_seal_sensor()
 
-    def _sensed(self) -> str:
+    def _read_seal_sensor(self) -> str:
         plate = self.top(self.place("default"))
         if not plate:
             return "no plate"

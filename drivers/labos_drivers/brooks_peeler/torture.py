@@ -8,25 +8,25 @@ from labos_drivers.brooks_peeler.wire import PeelerOnWire
 HERE = "labos_drivers.brooks_peeler.driver"
 
 
-def _empty_nest(peeler: PeelerOnWire, world: World) -> None:
+def _remove_plate(peeler: PeelerOnWire, world: World) -> None:
     world.carry(peeler.top(peeler.place("default")), "")
 
 
-def _out_of_tape(peeler: PeelerOnWire, world: World) -> None:
-    world.supply(peeler.name, "tape", -(world.left(peeler.name, "tape") or 0.0))
+def _use_up_tape(peeler: PeelerOnWire, world: World) -> None:
+    world.supply(peeler.name, "tape", -(world.find_level(peeler.name, "tape") or 0.0))
 
 
-def _new_tape(peeler: PeelerOnWire, world: World) -> None:
+def _insert_tape(peeler: PeelerOnWire, world: World) -> None:
     world.supply(peeler.name, "tape", 600)
 
 
-def _peeler(setup: Setup) -> PeelerOnWire:
+def _make_peeler(setup: Setup) -> PeelerOnWire:
     """It looks for the seal so quickly that what is interrupted is the peel."""
     return PeelerOnWire(setup, check_s=1.0)
 
 
 TORTURE = Torture(
-    device=_peeler,
+    device=_make_peeler,
     cases=(
         Case(
             "peel",
@@ -36,9 +36,9 @@ TORTURE = Torture(
         Case("sealcheck", stock={"default": "plate96"}),
     ),
     faults=(
-        Fault("no plate in the nest", _empty_nest),
+        Fault("no plate in the nest", _remove_plate),
         Fault.by_setting("the cover is open", "cover_is_shut", to=False, back=True),
-        Fault("out of tape", _out_of_tape, _new_tape),
+        Fault("out of tape", _use_up_tape, _insert_tape),
     ),
     # As after power came back, or when somebody uses its front panel.
     unasked=(b"*poweron\r\n", b"*homing\r\n", b"*ready:00,00,00\r\n"),

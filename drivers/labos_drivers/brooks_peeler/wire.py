@@ -57,12 +57,12 @@ class PeelerOnWire(OnWire):
         name, _, argument = line.partition(":")
         answers: dict[str, Callable[[], None]] = {
             "*stat": lambda: None,
-            "*version": lambda: self._line("*1.4"),
-            "*tapeleft": self._tell_tape,
-            "*sealstat": lambda: self._line(f"*seal:{self._threshold:03d}"),
+            "*version": lambda: self._send_line("*1.4"),
+            "*tapeleft": self._send_tape,
+            "*sealstat": lambda: self._send_line(f"*seal:{self._threshold:03d}"),
         }
         motions: dict[str, tuple[float, Callable[[], tuple[int, ...]]]] = {
-            "*reset": (12, self._fresh),
+            "*reset": (12, self._start_afresh),
             "*sealcheck": (self._check_s, self._check_seal),
             "*movein": (3, lambda: NONE),
             "*moveout": (3, lambda: NONE),
@@ -75,23 +75,23 @@ class PeelerOnWire(OnWire):
         }
         if name in answers and not argument:
             answers[name]()
-            self._ready()
+            self._send_ready()
         elif name == "*restart":
-            self._line("*ack")
+            self._send_line("*ack")
             self.codes = NONE
             self.after(1, self._restart)
         elif name == "*xpeel" and re.fullmatch("[1-9][1-4]", argument):
-            self._line("*ack")
+            self._send_line("*ack")
             self.peels = True
             self._move(
                 17.5 + protocol.ADHERE_S[int(argument[1]) - 1], lambda: self._peel(int(argument[0]), argument)
             )
         elif name in motions:
-            self._line("*ack")
+            self._send_line("*ack")
             self._move(*motions[name])
         else:
             self.codes = (5, 0, 0)
-            self._ready()
+            self._send_ready()
 
     # -- doing -------------------------------------------------------------------------------
 
@@ -102,31 +102,31 @@ class PeelerOnWire(OnWire):
 
         def end() -> None:
             self.codes = (*(work() if self.cover_is_shut else (51,)), 0, 0, 0)[:3]
-            self._rest()
+            self._finish()
 
         self.after(lab_s, end)
 
-    def _rest(self) -> None:
+    def _finish(self) -> None:
         self._busy = self.peels = False
         self.open(*self.drawers)
         self.world.leave(self.name)
-        self._ready()
+        self._send_ready()
 
     def damage(self, crash: Crash) -> None:
         self.forget_plans()
         self.codes = (2, 0, 0)
         self._busy = self.peels = False
-        self._ready()
+        self._send_ready()
 
     def stop_button(self) -> None:
-        """Somebody presses it."""
-        self.after(0, self._stopped, exact=True)
+        """Somebody presses the stop button."""
+        self.after(0, self._stop, exact=True)
 
-    def _stopped(self) -> None:
+    def _stop(self) -> None:
         if self._busy:
             self.forget_plans()
             self.codes = (9, 0, 0)
-            self._rest()
+            self._finish()
 
     def _peel(self, parameter_set: int, argument: str) -> tuple[int, ...]:
         nest = self.place("default")
@@ -135,7 +135,7 @@ class PeelerOnWire(OnWire):
             return (protocol.NO_PLATE,)
         if self._tape_left() < 1:
             return (protocol.OUT_OF_TAPE,)
-        self.needs_bare(nest, "peels a lid")
+        self.crash_if_lidded(nest, "peels a lid")
         self.world.use(self.name, "tape", 1)
         self._used += 1
         self._moved = True
@@ -151,7 +151,7 @@ class PeelerOnWire(OnWire):
             return (protocol.NO_PLATE,)
         return (protocol.SEAL,) if plate and self.is_sealed(plate) else ()
 
-    def _fresh(self) -> tuple[int, ...]:
+    def _start_afresh(self) -> tuple[int, ...]:
         self._moved = True
         return NONE
 
@@ -161,28 +161,28 @@ class PeelerOnWire(OnWire):
 
     def _restart(self) -> None:
         self._busy = True
-        self._line("*poweron")
-        self._line("*homing")
+        self._send_line("*poweron")
+        self._send_line("*homing")
 
-        def homed() -> None:
+        def finish_homing() -> None:
             self.codes = NONE
-            self._rest()
+            self._finish()
 
-        self.after(10, homed)
+        self.after(10, finish_homing)
 
     # -- speaking ----------------------------------------------------------------------------
 
     def _tape_left(self) -> float:
-        left = self.world.left(self.name, "tape")
+        left = self.world.find_level(self.name, "tape")
         return ROLL - self._used if left is None else left
 
-    def _tell_tape(self) -> None:
+    def _send_tape(self) -> None:
         supply, room = int(self._tape_left() // 10), (ROLL - self._used) // 10
         unknown = (protocol.UNKNOWN_TAPE,) * 2
-        self._line("*tape:{:02d},{:02d}".format(*((supply, room) if self._moved else unknown)))
+        self._send_line("*tape:{:02d},{:02d}".format(*((supply, room) if self._moved else unknown)))
 
-    def _ready(self) -> None:
-        self._line("*ready:{:02d},{:02d},{:02d}".format(*self.codes))
+    def _send_ready(self) -> None:
+        self._send_line("*ready:{:02d},{:02d},{:02d}".format(*self.codes))
 
-    def _line(self, text: str) -> None:
+    def _send_line(self, text: str) -> None:
         self.say(text.encode() + protocol.END)

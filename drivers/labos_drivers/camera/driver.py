@@ -7,9 +7,9 @@ from typing import Any
 
 from labos.errors import DeviceError
 from labos.node import Attachment, Setup
-from labos_drivers._wired import Behind, Wired, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, off_loop
 from labos_drivers.camera import vision
-from labos_drivers.camera.source import source_of
+from labos_drivers.camera.source import make_source
 from labos_drivers.camera.vision import Picture
 
 OWN = "plate_station"
@@ -23,11 +23,11 @@ class CameraDriver(Wired):
     where = ("source", "/dev/video0")
     deadlines = ("open", "frame", "answer")
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
-        self._views = views_of(setup)
+        self._views = read_views(setup)
         self._reads = bool(setup.config.get("reads"))
-        self._source = source_of(setup.name, address, setup.config, self.limit_s)
+        self._source = make_source(setup.name, address, setup.config, self.limit_s)
         self.link = self._source.link
 
     @off_loop
@@ -40,25 +40,25 @@ class CameraDriver(Wired):
         """The picture as a file."""
         vision.format_of(file_name)
         with self.motion():
-            picture = vision.rotate(self._picture(focus), rotation_deg)
+            picture = vision.rotate(self._take_picture(focus), rotation_deg)
             return Attachment(str(PurePosixPath(folder) / file_name), vision.encode(picture, file_name))
 
     @off_loop
     def read_barcode(self) -> str:
-        """Of the plate in its own nest; empty if there is none that can be read."""
+        """The label of the plate in the camera's own nest; empty if none can be read."""
         with self.motion():
-            return vision.label_in(vision.part(self._picture(), self._views[OWN]))
+            return vision.read_label(vision.part(self._take_picture(), self._views[OWN]))
 
     @off_loop
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """Of each place that it sees 0 or 1, or the label if it ``reads`` them; nothing of places of
         which the picture does not tell it."""
-        picture = self._picture(glance=True)
+        picture = self._take_picture(glance=True)
         seen: dict[str, int | str] = {}
         for place, view in self._views.items():
-            there = vision.stands_there(vision.part(picture, view))
+            there = vision.is_occupied(vision.part(picture, view))
             if there is not None:
-                label = vision.label_in(vision.part(picture, view)) if there and self._reads else ""
+                label = vision.read_label(vision.part(picture, view)) if there and self._reads else ""
                 seen[place] = label or int(there)
         return {"labware": seen}
 
@@ -75,11 +75,11 @@ class CameraDriver(Wired):
 
     # -- one picture -------------------------------------------------------------------------
 
-    def _picture(self, focus: int | None = None, *, glance: bool = False) -> Picture:
-        """Raises DeviceError for one that shows nothing, or not the present."""
+    def _take_picture(self, focus: int | None = None, *, glance: bool = False) -> Picture:
+        """Take a picture. Raises DeviceError if it is black, or if the camera is frozen."""
         *before, picture = self._source.take(focus, glance=glance)
         # The picture has been taken, and has changed nothing.
-        self.unless_stopped(effects="all")
+        self.check_not_stopped(effects="all")
         if vision.is_black(picture):
             raise DeviceError(
                 f"{self.name}: the picture is black.",
@@ -95,15 +95,18 @@ class CameraDriver(Wired):
         return picture
 
 
-def views_of(setup: Setup) -> dict[str, View]:
-    """Which part of the picture shows each place: as ``views:`` says, else strips of one width from left
-    to right. Raises DeviceError."""
+def read_views(setup: Setup) -> dict[str, View]:
+    """The part of the picture that shows each place: from ``views:``, else strips of one width from left to
+    right. Raises DeviceError."""
     places = [OWN, *map(str, setup.config.get("observes") or ())]
-    told = setup.config.get("views")
-    if told is None:
+    configured = setup.config.get("views")
+    if configured is None:
         share = 1 / len(places)
         return {place: (n * share, 0.0, (n + 1) * share, 1.0) for n, place in enumerate(places)}
-    views = {OWN: EVERYTHING, **{str(place): _view(setup.name, place, view) for place, view in told.items()}}
+    views = {
+        OWN: EVERYTHING,
+        **{str(place): _read_view(setup.name, place, view) for place, view in configured.items()},
+    }
     if missing := [place for place in places if place not in views]:
         raise DeviceError(
             f"{setup.name}: `views:` does not say where in the picture {missing[0]} is.", effects="none"
@@ -111,9 +114,9 @@ def views_of(setup: Setup) -> dict[str, View]:
     return views
 
 
-def _view(name: str, place: str, told: Any) -> View:
+def _read_view(name: str, place: str, configured: Any) -> View:
     try:
-        left, top, right, bottom = map(float, told)
+        left, top, right, bottom = map(float, configured)
     except (TypeError, ValueError):
         left, top, right, bottom = 1.0, 1.0, 0.0, 0.0
     if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):

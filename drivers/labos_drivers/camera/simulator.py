@@ -28,12 +28,12 @@ class CameraSimulator(Simulated):
                 file=file_name,
                 rotation_deg=rotation_deg,
             )
-            trouble = self._trouble()
+            trouble = self._find_trouble()
             scene = sketch(self.world, self.top(nest), draw_placement(self._random, trouble))
             shown = as_file(take_photo(scene, self._random, trouble), file_name, rotation_deg)
             return Attachment(str(PurePosixPath(folder) / file_name), shown)
 
-    def _trouble(self) -> str:
+    def _find_trouble(self) -> str:
         """What is wrong with the picture that is taken now; mostly nothing."""
         often = float(self.config.get("bad_pictures", 0.0))
         return self._random.choice(TROUBLES) if self._random.random() < often else ""
@@ -46,7 +46,7 @@ class CameraSimulator(Simulated):
             self.world.work(self.name, "scan", nest if plate else "")
             return self.world.barcode(plate) if plate else ""
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """How much stands in its nest and at the places that it ``observes``; what it reads there, if it
         ``reads`` labels."""
         seen = ["plate_station", *self.config.get("observes", ())]

@@ -32,7 +32,7 @@ WHO = "a camera that gives pictures"
 
 
 class Source(Protocol):
-    """``link`` is how it is found."""
+    """A source of pictures; ``link`` is how it is reached."""
 
     link: Life
 
@@ -42,7 +42,7 @@ class Source(Protocol):
         need not be a good picture. Raises DeviceError."""
 
 
-def source_of(name: str, address: str, config: Mapping[str, Any], limit_s: Limit) -> Source:
+def make_source(name: str, address: str, config: Mapping[str, Any], limit_s: Limit) -> Source:
     """The source that an address names; ``limit_s`` says how long something may take."""
     if address.startswith(("http://", "https://")):
         return NetworkCamera(name, address, config, limit_s)
@@ -67,11 +67,11 @@ class VideoDevice(Life):
         if not self.is_open:
             self.open()
         with self._judge():
-            return self._within(self._limit_s("frame", FRAME_S), lambda: self._frames(focus))
+            return self._run_within(self._limit_s("frame", FRAME_S), lambda: self._read_frames(focus))
 
     def _connect(self) -> None:
         try:
-            self._within(self._limit_s("open", OPEN_S), lambda: self._open_device().release())
+            self._run_within(self._limit_s("open", OPEN_S), lambda: self._open_device().release())
         except LinkLost as error:
             raise NotConnected(error.message, remedy=error.remedy) from error
 
@@ -87,10 +87,10 @@ class VideoDevice(Life):
             )
         return capture
 
-    def _frames(self, focus: int | None) -> list[Picture]:
+    def _read_frames(self, focus: int | None) -> list[Picture]:
         capture = self._open_device()
         try:
-            count = self._focus(capture, focus)
+            count = self._set_focus(capture, focus)
             frames: list[Picture] = []
             for _ in range(count + 1):
                 there, frame = capture.read()
@@ -105,18 +105,19 @@ class VideoDevice(Life):
         finally:
             capture.release()
 
-    def _focus(self, capture: Any, focus: int | None) -> int:
-        """Returns how many frames have to be thrown away. Raises DeviceError."""
+    def _set_focus(self, capture: Any, focus: int | None) -> int:
+        """Set the focus; returns how many frames have to be thrown away. Raises DeviceError."""
         if focus is None:
             capture.set(cv().CAP_PROP_AUTOFOCUS, 1)  # one that has no such thing says no
             return SETTLES
         capture.set(cv().CAP_PROP_AUTOFOCUS, 0)
         if not capture.set(cv().CAP_PROP_FOCUS, focus):
-            raise no_focus(self.name)
+            raise make_focus_error(self.name)
         return REFOCUSES
 
-    def _within(self, limit_s: float, work: Callable[[], T]) -> T:
-        """OpenCV may wait for ever for a camera that hangs. Its thread is then left behind."""
+    def _run_within(self, limit_s: float, work: Callable[[], T]) -> T:
+        """Run something in a thread, for so long at most: OpenCV may wait for ever for a camera that hangs.
+        The thread is then left behind."""
         done: list[T] = []
         failed: list[Exception] = []
 
@@ -155,23 +156,23 @@ class NetworkCamera:
         self.link = self._http = HttpLink(
             f"{parts.scheme}://{parts.netloc}",
             name=name,
-            headers=_authorization(name, config),
+            headers=_make_authorization(name, config),
             identify=lambda _: self._recognise(),
             expected=WHO,
         )
 
     def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
         if focus is not None:
-            raise no_focus(self._name)
+            raise make_focus_error(self._name)
         if glance and self._last is not None:
-            before, self._last = self._last, self._shot()
+            before, self._last = self._last, self._take_shot()
             return [before, self._last]
-        first = self._shot()
+        first = self._take_shot()
         with under_way():
-            self._last = self._shot()
+            self._last = self._take_shot()
         return [first, self._last]
 
-    def _shot(self) -> Picture:
+    def _take_shot(self) -> Picture:
         reply = self._http.get(self._path, timeout_s=self._limit_s("frame", FRAME_S))
         if not reply.ok:
             raise NoReply(
@@ -194,7 +195,7 @@ class NetworkCamera:
                 f"{self._name}: the camera does not know this user and password.",
                 remedy="Check `user:` and `password_env:` (or `password_file:`) of the module.",
             )
-        kind = _kind(reply)
+        kind = _read_kind(reply)
         if reply.status in (405, 501) or (reply.ok and kind in ("", "image")):
             return WHO  # some do not take the question
         return f"what answers {reply.status} {kind}".rstrip()
@@ -210,11 +211,11 @@ class StoredPictures(Life):
 
     def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
         if focus is not None:
-            raise no_focus(self.name)
+            raise make_focus_error(self.name)
         if not self.is_open:
             self.open()
         with self._judge():
-            files = self._files()
+            files = self._list_files()
             if not files:
                 raise LinkLost(
                     f"{self.name}: there is no picture at {self._path}.",
@@ -229,7 +230,7 @@ class StoredPictures(Life):
             return [picture]
 
     def _connect(self) -> None:
-        if not self._files():
+        if not self._list_files():
             raise NotConnected(
                 f"{self.name}: there is no picture at {self._path}.", remedy="Check `source:` of the module."
             )
@@ -237,13 +238,13 @@ class StoredPictures(Life):
     def _disconnect(self) -> None:
         """Nothing is held open."""
 
-    def _files(self) -> list[Path]:
+    def _list_files(self) -> list[Path]:
         found = sorted(self._path.iterdir()) if self._path.is_dir() else [self._path]
         return [file for file in found if file.suffix.lower() in PICTURES and file.is_file()]
 
 
-def no_focus(name: str) -> DeviceError:
-    """This source has none that could be set."""
+def make_focus_error(name: str) -> DeviceError:
+    """The error for a source whose focus cannot be set."""
     return DeviceError(
         f"{name}: the focus of this camera cannot be set.",
         effects="none",
@@ -251,12 +252,12 @@ def no_focus(name: str) -> DeviceError:
     )
 
 
-def _kind(reply: HttpReply) -> str:
+def _read_kind(reply: HttpReply) -> str:
     return reply.headers.get("content-type", "").partition("/")[0].strip().lower()
 
 
-def _authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
-    """For cameras that know their users. Raises DeviceError."""
+def _make_authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
+    """The header for cameras that ask for user and password. Raises DeviceError."""
     user = config.get("user")
     if not user:
         return {}

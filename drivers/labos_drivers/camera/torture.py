@@ -6,15 +6,15 @@ from labos.node import Fault, Torture, World
 from labos_drivers.camera.wire import CameraOnWire
 
 
-def _light(camera: CameraOnWire, world: World, *, off: bool) -> None:
+def _set_light(camera: CameraOnWire, world: World, *, off: bool) -> None:
     camera.is_dark = off
 
 
-def _sensor(camera: CameraOnWire, world: World, *, hangs: bool) -> None:
+def _set_sensor(camera: CameraOnWire, world: World, *, hangs: bool) -> None:
     camera.is_frozen = hangs
 
 
-def _sending(camera: CameraOnWire, world: World, *, fails: bool) -> None:
+def _set_sending(camera: CameraOnWire, world: World, *, fails: bool) -> None:
     camera.is_silent = fails
 
 
@@ -26,18 +26,18 @@ TORTURE = Torture(
     faults=(
         Fault(
             "the light is off",
-            lambda camera, world: _light(camera, world, off=True),
-            lambda camera, world: _light(camera, world, off=False),
+            lambda camera, world: _set_light(camera, world, off=True),
+            lambda camera, world: _set_light(camera, world, off=False),
         ),
         Fault(
             "its sensor hangs",
-            lambda camera, world: _sensor(camera, world, hangs=True),
-            lambda camera, world: _sensor(camera, world, hangs=False),
+            lambda camera, world: _set_sensor(camera, world, hangs=True),
+            lambda camera, world: _set_sensor(camera, world, hangs=False),
         ),
         Fault(
             "a picture that never comes",
-            lambda camera, world: _sending(camera, world, fails=True),
-            lambda camera, world: _sending(camera, world, fails=False),
+            lambda camera, world: _set_sending(camera, world, fails=True),
+            lambda camera, world: _set_sending(camera, world, fails=False),
         ),
     ),
     motion="grab_image",

@@ -33,7 +33,7 @@ MOSTLY = 0.8
 
 
 def cv() -> Any:
-    """OpenCV. Raises NotConnected if it is not installed."""
+    """The module OpenCV. Raises NotConnected if it is not installed."""
     try:
         import cv2
     except ImportError as error:
@@ -97,34 +97,34 @@ def is_black(picture: Picture) -> bool:
 
 
 def is_same(one: Picture, other: Picture) -> bool:
-    """Bit by bit, which the noise of a living camera never is."""
+    """Whether two pictures are equal bit by bit: with the noise of a working camera they never are."""
     return bool(one.shape == other.shape and (one == other).all())
 
 
 def part(picture: Picture, view: tuple[float, float, float, float]) -> Picture:
-    """Left, top, right, bottom of it, as fractions."""
+    """A part of a picture; left, top, right and bottom are fractions of it."""
     height, width = picture.shape[:2]
     left, top, right, bottom = view
     return picture[round(top * height) : round(bottom * height), round(left * width) : round(right * width)]
 
 
-def label_in(picture: Picture) -> str:
+def read_label(picture: Picture) -> str:
     """What a label in it says: QR, EAN or UPC, which OpenCV reads. Empty if there is none, or more than
     one."""
     grey = cv().cvtColor(picture, cv().COLOR_BGR2GRAY)
     sizes = [grey if scale == 1 else cv().resize(grey, None, fx=scale, fy=scale) for scale in SCALES]
     qr = (cv().QRCodeDetectorAruco(), cv().QRCodeDetector())
-    found = _texts(qr, sizes) or _texts((cv().barcode.BarcodeDetector(),), sizes)
+    found = _read_texts(qr, sizes) or _read_texts((cv().barcode.BarcodeDetector(),), sizes)
     return found.pop() if len(found) == 1 else ""
 
 
-def _texts(detectors: tuple[Any, ...], pictures: list[Picture]) -> set[str]:
+def _read_texts(detectors: tuple[Any, ...], pictures: list[Picture]) -> set[str]:
     """All that any of them reads anywhere."""
     each = (detector.detectAndDecodeMulti(picture)[1] for picture in pictures for detector in detectors)
     return {text for texts in each for text in texts if text}
 
 
-def stands_there(view: Picture) -> bool | None:
+def is_occupied(view: Picture) -> bool | None:
     """Whether a plate stands in the nest that a view shows; None if that cannot be told.
 
     A label or a grid of wells is a plate. A bare nest is one whose marker is seen: the plate would cover
@@ -133,7 +133,7 @@ def stands_there(view: Picture) -> bool | None:
     """
     if is_black(view):
         return None
-    plate = bool(label_in(view)) or has_wells(view)
+    plate = bool(read_label(view)) or has_wells(view)
     bare = has_marker(view)
     return None if plate == bare else plate
 

@@ -7,7 +7,7 @@ import queue
 import time
 
 from labos.node import Setup
-from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
+from labos_drivers._onhttp import HttpEnd, OnHttp, Reply, Request
 from labos_drivers.camera.render import picture_of
 from labos_drivers.camera.vision import Picture, cv, encode
 
@@ -32,22 +32,22 @@ class CameraOnWire(OnHttp):
     def listen(self, timeout_s: float) -> None:
         """A picture takes its time, and is sent when it is done."""
         try:
-            question = self.end.questions.get(timeout=timeout_s)
+            request = self.end.requests.get(timeout=timeout_s)
         except queue.Empty:
             return
-        if question.parts != (PATH,):
-            question.answers.put(Reply(404, b""))
-        elif question.method == "HEAD":
-            question.answers.put(Reply(200, b"", {"Content-Type": "image/jpeg"}))
-        elif question.method == "GET":
-            self._send(question)
+        if request.parts != (PATH,):
+            request.replies.put(Reply(404, b""))
+        elif request.method == "HEAD":
+            request.replies.put(Reply(200, b"", {"Content-Type": "image/jpeg"}))
+        elif request.method == "GET":
+            self._send(request)
         else:
-            question.answers.put(Reply(405, b""))
+            request.replies.put(Reply(405, b""))
 
-    def _send(self, question: Question) -> None:
+    def _send(self, request: Request) -> None:
         shot = Reply(200, encode(self._expose(), PATH), {"Content-Type": "image/jpeg"})
         if not self.is_silent:
-            self.after(EXPOSES_S, lambda: question.answers.put(shot))
+            self.after(EXPOSES_S, lambda: request.replies.put(shot))
 
     def _expose(self) -> Picture:
         """What is there now."""

@@ -8,7 +8,7 @@ from labos.node import Param, Requires, Sets, Station, Transfers, action
 from labos_drivers.chemspeed.driver import ChemspeedDriver
 from labos_drivers.chemspeed.simulator import ChemspeedSimulator
 from labos_drivers.chemspeed.wire import ChemspeedOnWire
-from labos_drivers.gateway.driver import BehindGateway
+from labos_drivers.gateway.driver import GatewayInstrument
 
 MONOMERS = ("monomer_A", "monomer_B", "monomer_C")
 
@@ -18,7 +18,7 @@ Volumes = Annotated[
 ]
 
 
-class Chemspeed(BehindGateway):
+class Chemspeed(GatewayInstrument):
     """Synthesis platform under a hood."""
 
     driver = "chemspeed"

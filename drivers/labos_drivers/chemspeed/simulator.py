@@ -30,7 +30,7 @@ class ChemspeedSimulator(Gated):
                     remedy="Give one value a well.",
                 )
         with self.motion():
-            self.needs_closed()
+            self.check_closed()
             await self.take_time(3600)
             place = self.place("default")
             if wells and not self.top(place):

@@ -12,7 +12,7 @@ from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeU
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos.node.node import handle_keeper
-from labos_drivers._wired import Behind, OnBenchOrWire, Wired, aside, off_loop
+from labos_drivers._wired import DeviceOnWire, OnBenchOrWire, Wired, during_motion, off_loop
 
 ANSWER_S, POLL_S, LOST_S = 10.0, 1.0, 60.0
 """How long a gateway may be out of reach while its instrument works."""
@@ -43,14 +43,14 @@ class GatewayDriver(Wired):
     instrument: ClassVar[str] = ""
     link: HttpLink
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._journal = ""
         self.link = HttpLink(
             address,
             name=setup.name,
             identify=lambda _: self._recognise(),
-            expected=self._who(self.instrument),
+            expected=self._describe_gateway(self.instrument),
         )
 
     @property
@@ -73,7 +73,7 @@ class GatewayDriver(Wired):
 
     @off_loop
     def carry_out(self, start: Start, action: str, args: Mapping[str, Any]) -> Any:
-        """Start it and see it through."""
+        """Start an action and wait for its end."""
         with self.motion():
             return self._carry_out(start, action, args)
 
@@ -86,7 +86,7 @@ class GatewayDriver(Wired):
         with self.motion():
             with self.under_way():
                 entry = self._void(start)
-            return self._see_through(start, entry)
+            return self._await_end(start, entry)
 
     @off_loop
     def reset(self) -> None:
@@ -95,34 +95,37 @@ class GatewayDriver(Wired):
         self.link.open()
         self._carry_out(Start(self._journal, secrets.token_hex(8)), "reset", {})
 
-    @aside
+    @during_motion
     def stop(self) -> None:
         """Raises DeviceError if the instrument cannot be stopped from its PC."""
         self._halted.set()
-        if not self._told(self.link.post("/stop", timeout_s=self._answer_s)).get("stopped") and self.moving:
+        if (
+            not self._check_reply(self.link.post("/stop", timeout_s=self._answer_s)).get("stopped")
+            and self.moving
+        ):
             raise DeviceError(
                 f"{self.name}: its own software takes no stop; it ends what it has begun.",
                 remedy="Use the button or switch on the device.",
             )
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
-        """One that does not say so is not."""
-        return self._state().get("busy") is False
+        """An instrument that does not report that it is idle is busy."""
+        return self._read_state().get("busy") is False
 
-    @aside
-    def look(self) -> dict[str, Any]:
-        seen = self._state().get("seen")
+    @during_motion
+    def observe(self) -> dict[str, Any]:
+        seen = self._read_state().get("seen")
         return dict(seen) if isinstance(seen, dict) else {}
 
     # -- one action --------------------------------------------------------------------------
 
     def _carry_out(self, start: Start, action: str, args: Mapping[str, Any]) -> Any:
-        self.unless_stopped()
+        self.check_not_stopped()
         order = {"action": action, "args": dict(args), "journal": start.journal}
         try:
             reply = self.link.exchange("PUT", f"/actions/{start.name}", json=order, timeout_s=self._answer_s)
-            answer = self._read(reply)
+            answer = self._parse_reply(reply)
         except LinkError as error:
             if error.effects == "none":
                 raise
@@ -137,14 +140,14 @@ class GatewayDriver(Wired):
                     effects="none",
                     remedy=str(answer.get("remedy") or "Wait, or look at the instrument's own software."),
                 )
-            entry = self._told(reply)
-        return self._see_through(start, entry)
+            entry = self._check_reply(reply)
+        return self._await_end(start, entry)
 
-    def _see_through(self, start: Start, entry: dict[str, Any]) -> Any:
+    def _await_end(self, start: Start, entry: dict[str, Any]) -> Any:
         with self.under_way():
             while entry.get("status") == "running":
                 time.sleep(POLL_S)
-                entry = self._again("GET", start)
+                entry = self._poll_action("GET", start)
         match entry.get("status"):
             case "succeeded":
                 return entry.get("result")
@@ -165,19 +168,20 @@ class GatewayDriver(Wired):
         raise Garbled(f"{self.name}: {entry!r} is no state of an action.")
 
     def _forget_another(self, answer: dict[str, Any]) -> None:
-        """A gateway with another journal than before is asked anew who it is."""
+        """Connect again to a gateway whose journal is another one than before, to find out which it is."""
         if answer.get("journal") != self._journal:
             self.link.close()
 
     def _void(self, start: Start) -> dict[str, Any]:
-        return self._again("DELETE", start)
+        return self._poll_action("DELETE", start)
 
-    def _again(self, method: str, start: Start) -> dict[str, Any]:
-        """Ask for an action; a gateway that is out of reach for a while is asked again."""
+    def _poll_action(self, method: str, start: Start) -> dict[str, Any]:
+        """Read the state of an action, or void it; a gateway that cannot be reached for a while is asked
+        again."""
         deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
-                return self._told(
+                return self._check_reply(
                     self.link.exchange(method, f"/actions/{start.name}", timeout_s=self._answer_s)
                 )
             except WrongDevice:
@@ -189,17 +193,17 @@ class GatewayDriver(Wired):
 
     # -- one answer --------------------------------------------------------------------------
 
-    def _state(self) -> dict[str, Any]:
-        return self._told(self.link.get("/state", timeout_s=self._answer_s))
+    def _read_state(self) -> dict[str, Any]:
+        return self._check_reply(self.link.get("/state", timeout_s=self._answer_s))
 
-    def _told(self, reply: HttpReply) -> dict[str, Any]:
-        """Raises DeviceError for what is no success."""
-        body = self._read(reply)
+    def _check_reply(self, reply: HttpReply) -> dict[str, Any]:
+        """The body of a successful reply. Raises DeviceError for any other."""
+        body = self._parse_reply(reply)
         if not reply.ok:
             raise DeviceError(f"{self.name}: the gateway answers {reply.status}: {body.get('error')}.")
         return body
 
-    def _read(self, reply: HttpReply) -> dict[str, Any]:
+    def _parse_reply(self, reply: HttpReply) -> dict[str, Any]:
         body = reply.json()
         if not isinstance(body, dict):
             raise Garbled(f"{self.name}: {reply.body[:80]!r} is no answer of a gateway.")
@@ -216,16 +220,16 @@ class GatewayDriver(Wired):
         self._journal = body["journal"]
         self.see_unit(body.get("serial"))
         self.note_firmware(body.get("firmware"))
-        return self._who(str(body.get("instrument")))
+        return self._describe_gateway(str(body.get("instrument")))
 
     @staticmethod
-    def _who(instrument: str) -> str:
+    def _describe_gateway(instrument: str) -> str:
         return f"a gateway to {instrument}"
 
 
-class BehindGateway(OnBenchOrWire):
-    """A node whose real device stands behind a gateway: what went on while the node was away is taken up
-    again."""
+class GatewayInstrument(OnBenchOrWire):
+    """A node whose real device stands behind a gateway. What went on while the node was not running is taken
+    up again."""
 
     async def take_up(self, name: str, handle: str) -> Any:
         if name == "reset" or not isinstance(self.device, GatewayDriver):

@@ -107,8 +107,8 @@ class Hands:
         """Whether the instrument stands still, also if it was not we who moved it."""
         return True
 
-    def seen(self) -> dict[str, Any]:
-        """What sensors see, as ``{"lid": "open"}``."""
+    def read_sensors(self) -> dict[str, Any]:
+        """The values of the instrument's sensors, as ``{"lid": "open"}``."""
         return {}
 
     def stop(self) -> bool:
@@ -117,22 +117,22 @@ class Hands:
 
 
 class Gateway:
-    """Actions by their ids, each started once; what was started is written down before it moves."""
+    """Actions by their ids, each started once; each start is written down before anything moves."""
 
     def __init__(self, hands: Hands, journal: Path) -> None:
         self.hands = hands
         self.busy = ""
-        self._known: dict[str, dict[str, Any]] = {}
+        self._entries: dict[str, dict[str, Any]] = {}
         self._lock = threading.Lock()
         self._folder = journal.with_suffix(".files")
         journal.parent.mkdir(parents=True, exist_ok=True)
         self.journal = ""
-        for entry in _entries_of(journal):
+        for entry in _read_entries(journal):
             if "journal" in entry:
                 self.journal = entry["journal"]
             else:
-                self._known[entry["id"]] = entry
-        self._left = [entry for entry in self._known.values() if entry["status"] == "running"]
+                self._entries[entry["id"]] = entry
+        self._left = [entry for entry in self._entries.values() if entry["status"] == "running"]
         torn = journal.exists() and not journal.read_bytes().endswith(b"\n")
         self._file = open(journal, "a", encoding="utf-8")  # noqa: SIM115 (as long as it lives)
         if torn:
@@ -146,12 +146,12 @@ class Gateway:
             self._file.close()
 
     def start(self, name: str, body: Any) -> tuple[int, dict[str, Any]]:
-        """Raises ValueError."""
+        """Start an action; returns HTTP status and answer. Raises ValueError."""
         action, args = body.get("action"), body.get("args") or {}
         with self._lock:
             self._look_back()
-            if name in self._known:
-                return 200, self._known[name]
+            if name in self._entries:
+                return 200, self._entries[name]
             if self._file.closed:
                 return 503, {"error": "the gateway shuts down"}
             if body.get("journal", self.journal) != self.journal:
@@ -173,14 +173,14 @@ class Gateway:
     def state(self, name: str) -> dict[str, Any] | None:
         with self._lock:
             self._look_back()
-            return self._known.get(name)
+            return self._entries.get(name)
 
     def void(self, name: str) -> dict[str, Any]:
         with self._lock:
             self._look_back()
-            if name not in self._known:
+            if name not in self._entries:
                 self._keep({"id": name, "status": "void"})
-            return self._known[name]
+            return self._entries[name]
 
     def file(self, name: str, file: str) -> bytes | None:
         path = self._folder / name / file
@@ -188,21 +188,22 @@ class Gateway:
         return path.read_bytes() if plain and path.is_file() else None
 
     def _carry_out(self, name: str, action: str, args: dict[str, Any]) -> None:
-        end = self._end_of(name, action, lambda folder: self.hands.do(action, args, folder))
+        end = self._run_action(name, action, lambda folder: self.hands.do(action, args, folder))
         with self._lock:
             self.busy = ""
             self._keep(end)
 
     def _look_back(self) -> None:
-        """What the gateway died in is under way until the instrument stands still."""
+        """Find out how the action ended in whose middle the gateway died. It counts as running until the
+        instrument stands still."""
         while self._left and self.hands.is_idle():
             entry = self._left.pop()
             action = entry["action"]
             look = functools.partial(self.hands.look_back, action)
-            self._keep(self._end_of(entry["id"], action, look))
+            self._keep(self._run_action(entry["id"], action, look))
 
-    def _end_of(self, name: str, action: str, work: Callable[[Path], Any]) -> dict[str, Any]:
-        """How an action in ``work`` ended."""
+    def _run_action(self, name: str, action: str, work: Callable[[Path], Any]) -> dict[str, Any]:
+        """Do the work of an action, and return the entry of its end."""
         folder = self._folder / name
         end: dict[str, Any] = {"id": name, "action": action}
         try:
@@ -220,7 +221,7 @@ class Gateway:
         return end
 
     def _keep(self, entry: dict[str, Any]) -> None:
-        self._known[entry["id"]] = entry
+        self._entries[entry["id"]] = entry
         if not self._file.closed:
             self._write(entry)
 
@@ -230,8 +231,8 @@ class Gateway:
         os.fsync(self._file.fileno())
 
 
-def _entries_of(journal: Path) -> list[dict[str, Any]]:
-    """What stands in it, but for the line that the gateway died in: what that tells of was not begun."""
+def _read_entries(journal: Path) -> list[dict[str, Any]]:
+    """The entries of a journal, without a line that is cut off: what that is about was not begun."""
     entries = []
     for line in journal.read_text("utf-8").splitlines() if journal.exists() else ():
         try:
@@ -252,7 +253,7 @@ class Server(ThreadingHTTPServer):
         super().__init__((host, port), Handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Clients that hang up are nobody's business."""
+        """Clients that close their connection are no error."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -261,61 +262,61 @@ class Handler(BaseHTTPRequestHandler):
     server: Server
 
     def do_GET(self) -> None:
-        gateway, parts = self.server.gateway, self._parts()
+        gateway, parts = self.server.gateway, self._split_path()
         if not parts:
             hands = gateway.hands
             about = {"gateway": VERSION, "instrument": hands.instrument, "actions": list(hands.actions)}
             unit = {"serial": hands.serial(), "firmware": hands.firmware()}
-            self._tell(200, {**about, **unit, "journal": gateway.journal})
+            self._send(200, {**about, **unit, "journal": gateway.journal})
         elif parts == ["state"]:
             busy = bool(gateway.busy) or not gateway.hands.is_idle()
-            self._tell(200, {"busy": busy, "action": gateway.busy, "seen": gateway.hands.seen()})
+            self._send(200, {"busy": busy, "action": gateway.busy, "seen": gateway.hands.read_sensors()})
         elif len(parts) == 2 and parts[0] == "actions":
             state = gateway.state(parts[1])
-            self._tell(*((200, self._known(state)) if state else (404, {"error": "never heard of"})))
+            self._send(*((200, self._with_journal(state)) if state else (404, {"error": "never heard of"})))
         elif len(parts) == 4 and (parts[0], parts[2]) == ("actions", "files"):
             data = gateway.file(parts[1], parts[3])
-            self._tell(*((200, data) if data is not None else (404, {"error": "there is no such file"})))
+            self._send(*((200, data) if data is not None else (404, {"error": "there is no such file"})))
         else:
-            self._tell(404, {"error": "there is nothing here"})
+            self._send(404, {"error": "there is nothing here"})
 
     def do_PUT(self) -> None:
-        parts = self._parts()
+        parts = self._split_path()
         size = int(self.headers.get("Content-Length") or 0)
         if len(parts) != 2 or parts[0] != "actions" or not NAME.fullmatch(parts[1]) or size > LARGEST:
-            self._tell(422, {"error": "the request is no action"})
+            self._send(422, {"error": "the request is no action"})
             return
         try:
             body = json.loads(self.rfile.read(size))
             status, answer = self.server.gateway.start(parts[1], body)
         except (ValueError, AttributeError):
             status, answer = 422, {"error": "the request is no JSON object"}
-        self._tell(status, self._known(answer))
+        self._send(status, self._with_journal(answer))
 
     def do_DELETE(self) -> None:
-        parts = self._parts()
+        parts = self._split_path()
         if len(parts) == 2 and parts[0] == "actions" and NAME.fullmatch(parts[1]):
-            self._tell(200, self._known(self.server.gateway.void(parts[1])))
+            self._send(200, self._with_journal(self.server.gateway.void(parts[1])))
         else:
-            self._tell(404, {"error": "there is nothing here"})
+            self._send(404, {"error": "there is nothing here"})
 
     def do_POST(self) -> None:
-        if self._parts() == ["stop"]:
-            self._tell(200, {"stopped": bool(self.server.gateway.hands.stop())})
+        if self._split_path() == ["stop"]:
+            self._send(200, {"stopped": bool(self.server.gateway.hands.stop())})
         else:
-            self._tell(404, {"error": "there is nothing here"})
+            self._send(404, {"error": "there is nothing here"})
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is written to the terminal."""
 
-    def _known(self, entry: dict[str, Any]) -> dict[str, Any]:
-        """With the name of the journal that says so."""
+    def _with_journal(self, entry: dict[str, Any]) -> dict[str, Any]:
+        """An entry with the name of the journal that has it."""
         return {**entry, "journal": self.server.gateway.journal}
 
-    def _parts(self) -> list[str]:
+    def _split_path(self) -> list[str]:
         return [unquote(part) for part in self.path.partition("?")[0].split("/") if part]
 
-    def _tell(self, status: int, body: Any) -> None:
+    def _send(self, status: int, body: Any) -> None:
         data = body if isinstance(body, bytes) else json.dumps(body).encode()
         self.send_response(status)
         kind = "application/octet-stream" if isinstance(body, bytes) else "application/json"
@@ -332,12 +333,12 @@ def main() -> None:
     parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 lets other computers in; see the page")
     parser.add_argument("--port", type=int, default=2100)
     parser.add_argument("--journal", type=Path, required=True, help="a file that outlives the gateway")
-    told = parser.parse_args()
+    options = parser.parse_args()
     sys.path.insert(0, os.getcwd())
-    module, _, name = told.hands.partition(":")
+    module, _, name = options.hands.partition(":")
     hands = getattr(importlib.import_module(module), name)()
-    server = Server(Gateway(hands, told.journal), told.host, told.port)
-    sys.stdout.write(f"{hands.instrument} at http://{told.host}:{server.server_port}\n")
+    server = Server(Gateway(hands, options.journal), options.host, options.port)
+    sys.stdout.write(f"{hands.instrument} at http://{options.host}:{server.server_port}\n")
     sys.stdout.flush()
     server.serve_forever()
 

@@ -19,7 +19,7 @@ def config(address: str) -> Mapping[str, Any]:
     return {"url": address}
 
 
-def _fails(gateway: GatewayOnWire[Any], world: World) -> None:
+def _make_fail(gateway: GatewayOnWire[Any], world: World) -> None:
     gateway.hands.fails_with = "a dialog is on its screen"
 
 
@@ -29,10 +29,10 @@ def _take_away(gateway: GatewayOnWire[Any], world: World) -> None:
             world.carry(plates[-1], "")
 
 
-def _open(gateway: GatewayOnWire[Any], world: World) -> None:
+def _open_gate(gateway: GatewayOnWire[Any], world: World) -> None:
     gateway.device.open("default")
 
 
-SOFTWARE_FAILS = Fault("its own software ends with an error", _fails)
+SOFTWARE_FAILS = Fault("its own software ends with an error", _make_fail)
 NO_PLATE = Fault("no plate is there", _take_away)
-OPEN = Fault("somebody has opened it by hand", _open)
+OPEN = Fault("somebody has opened it by hand", _open_gate)

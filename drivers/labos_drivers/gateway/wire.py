@@ -24,11 +24,11 @@ class SimulatedHands(Hands):
         instrument: str,
         device: Simulated,
         actions: Mapping[str, Callable[..., Awaitable[Any]]],
-        shown_by: Mapping[str, dict[str, Any]],
+        sensors_after: Mapping[str, dict[str, Any]],
         leave_files: Collection[str],
     ) -> None:
         self.instrument, self.actions = instrument, tuple(actions)
-        self._shown_by, self._leave_files = shown_by, leave_files
+        self._sensors_after, self._leave_files = sensors_after, leave_files
         self.fails_with = ""
         """The next action ends so, after all that it did."""
         self.serial_number, self.firmware_version = f"{instrument}-2041", "1.7"
@@ -68,20 +68,20 @@ class SimulatedHands(Hands):
         return result
 
     def look_back(self, action: str, folder: Path) -> Any:
-        """A sensor that sees what the action was for, or the one file that it leaves."""
+        """By a sensor that shows what the action was for, or by the one file that it leaves."""
         files = [path.name for path in folder.iterdir()] if action in self._leave_files else []
         if len(files) == 1:
             return files[0]
-        wanted = self._shown_by.get(action)
-        if wanted and self.seen() == wanted:
+        wanted = self._sensors_after.get(action)
+        if wanted and self.read_sensors() == wanted:
             return None
         raise Unknown(f"the gateway was restarted in mid-action, and nothing shows what became of {action}")
 
     def is_idle(self) -> bool:
         return not self._is_at_work and self._device.is_idle()
 
-    def seen(self) -> dict[str, Any]:
-        return self._device.look()
+    def read_sensors(self) -> dict[str, Any]:
+        return self._device.observe()
 
     def stop(self) -> bool:
         self._loop.call_soon_threadsafe(self._device.stop)
@@ -94,24 +94,26 @@ class SimulatedHands(Hands):
 
 
 class GatewayOnWire(Generic[D]):
-    """The gateway with a simulated device of a kind. ``actions`` names the methods that the instrument's
-    actions are; ``shown_by`` says what its sensors see when one is done, ``leave_files`` which of them have
-    the name of a file as their result. Its journal lies beside the bench, and outlives a loss of power; in
-    ``folder`` if given."""
+    """The gateway with a simulated device of a kind. ``actions`` maps the instrument's actions to the
+    device's methods; ``sensors_after`` has what its sensors report after some of them, ``leave_files`` names
+    those whose result is the name of a file. Its journal lies beside the bench, and outlives a loss of power;
+    in ``folder`` if given."""
 
     instrument: ClassVar[str]
     kind: Callable[[Setup], D]
     actions: ClassVar[Mapping[str, str]]
-    shown_by: ClassVar[Mapping[str, dict[str, Any]]] = {}
+    sensors_after: ClassVar[Mapping[str, dict[str, Any]]] = {}
     leave_files: ClassVar[Collection[str]] = ()
 
     def __init__(self, setup: Setup, folder: Path | None = None) -> None:
         self.device: D = type(self).kind(setup)
-        folder = folder or _beside(self.device.world, setup.name)
+        folder = folder or _find_folder(self.device.world, setup.name)
         self._temporary = tempfile.TemporaryDirectory(prefix="labos-gateway-") if folder is None else None
         self._folder = Path(self._temporary.name) if self._temporary else Path(str(folder))
         methods = {name: getattr(self.device, method) for name, method in self.actions.items()}
-        self.hands = SimulatedHands(self.instrument, self.device, methods, self.shown_by, self.leave_files)
+        self.hands = SimulatedHands(
+            self.instrument, self.device, methods, self.sensors_after, self.leave_files
+        )
         self._port = 0
         self._server: Server | None = None
         self._gateway = self._boot()
@@ -165,6 +167,6 @@ class GatewayOnWire(Generic[D]):
             self._temporary.cleanup()
 
 
-def _beside(world: World, name: str) -> Path | None:
-    """The disk of the PC of a device; None for a bench that lives in memory."""
+def _find_folder(world: World, name: str) -> Path | None:
+    """The disk of the PC of a device, beside the bench; None for a bench in memory."""
     return None if world.path == ":memory:" else Path(f"{world.path}.{name}.pc")

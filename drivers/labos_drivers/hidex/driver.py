@@ -22,30 +22,32 @@ class HidexDriver(GatewayDriver):
         await self.call("close")
 
     async def run_assay(self, assay: str) -> str:
-        self._check(assay)
-        file = self.result_of("run_assay", await self.call("run_assay", assay=assay))
+        self._check_assay(assay)
+        file = self.parse_result("run_assay", await self.call("run_assay", assay=assay))
         return str(file)
 
     async def read_plate(self, assay: str) -> dict[str, Any]:
-        self._check(assay)
-        table: dict[str, Any] = self.result_of("read_plate", await self.call("read_plate", assay=assay))
+        self._check_assay(assay)
+        table: dict[str, Any] = self.parse_result("read_plate", await self.call("read_plate", assay=assay))
         return table
 
-    def result_of(self, action: str, told: Any) -> Any:
-        """What an action resulted in. Raises Garbled for what is no result of it: an assay that fails may end
-        as others do, but leaves no file."""
-        if action == "run_assay" and not (isinstance(told, str) and told):
+    def parse_result(self, action: str, result: Any) -> Any:
+        """The result of an action. Raises Garbled for what is no result: an assay that fails may end like
+        others, but leaves no file."""
+        if action == "run_assay" and not (isinstance(result, str) and result):
             raise Garbled(
-                f"{self.name}: the assay has ended without a file: {str(told)[:80]!r}.",
+                f"{self.name}: the assay has ended without a file: {str(result)[:80]!r}.",
                 remedy="Look at the reader's own software for what became of it, then reset the module.",
             )
-        if action == "read_plate" and not (isinstance(told, dict) and isinstance(told.get("wells"), dict)):
-            raise Garbled(f"{self.name}: {str(told)[:80]!r} is no table of wells.", effects="all")
+        if action == "read_plate" and not (
+            isinstance(result, dict) and isinstance(result.get("wells"), dict)
+        ):
+            raise Garbled(f"{self.name}: {str(result)[:80]!r} is no table of wells.", effects="all")
         if action == "read_plate":  # what was too dark for the reader has no value
-            told.setdefault("overflow", [well for well, value in told["wells"].items() if value is None])
-        return told
+            result.setdefault("overflow", [well for well, value in result["wells"].items() if value is None])
+        return result
 
-    def _check(self, assay: str) -> None:
+    def _check_assay(self, assay: str) -> None:
         """Raise DeviceError for what cannot be the name of a template."""
         if not assay or len(assay) > LONGEST_NAME or not assay.isprintable():
             raise DeviceError(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from labos.node import Needs, Param, Requires, Sets, Station, action
-from labos_drivers.gateway.driver import BehindGateway
+from labos_drivers.gateway.driver import GatewayInstrument
 from labos_drivers.hidex.driver import HidexDriver
 from labos_drivers.hidex.simulator import HidexSimulator
 from labos_drivers.hidex.wire import HidexOnWire
 
 
-class Hidex(BehindGateway):
+class Hidex(GatewayInstrument):
     """Plate reader; its lid is the plate carrier, open when it is out."""
 
     driver = "hidex"
@@ -24,7 +24,7 @@ class Hidex(BehindGateway):
 
     async def take_up(self, name: str, handle: str) -> Any:
         result = await super().take_up(name, handle)
-        return self.device.result_of(name, result) if isinstance(self.device, HidexDriver) else result
+        return self.device.parse_result(name, result) if isinstance(self.device, HidexDriver) else result
 
     @action(Sets("module", "lid", "open"), duration_s=10, safe_to_repeat=True, aliases=("open",))
     async def open_lid(self) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from zlib import crc32
 
 from labos.node import Setup
-from labos_drivers._growth import Stay, growth_of
+from labos_drivers._growth import Stay, compute_growth
 from labos_drivers._optics import absorbance_of
 from labos_drivers._simulation import Gated
 
@@ -31,8 +31,8 @@ class HidexSimulator(Gated):
 
     async def run_assay(self, assay: str) -> str:
         with self.motion():
-            self.needs_closed()
-            self.needs_bare(self.place("default"), "reads through a lid")
+            self.check_closed()
+            self.crash_if_lidded(self.place("default"), "reads through a lid")
             await self.take_time(300)
             self.world.work(self.name, "read", self.place("default"), assay=assay)
             self.reads += 1
@@ -41,15 +41,15 @@ class HidexSimulator(Gated):
     async def read_plate(self, assay: str) -> dict[str, Any]:
         """What the plate holds is its own: the same plate reads the same twice, but for noise."""
         with self.motion():
-            self.needs_closed()
-            self.needs_bare(self.place("default"), "reads through a lid")
+            self.check_closed()
+            self.crash_if_lidded(self.place("default"), "reads through a lid")
             await self.take_time(300)
             plate = self.world.work(self.name, "read", self.place("default"), assay=assay)
             kind = self.world.kind(plate)
             rows, columns = next(grid for mark, grid in GRIDS.items() if mark in kind)
             wells = [f"{chr(65 + row)}{column + 1}" for row in range(rows) for column in range(columns)]
             self.reads += 1
-            read = self._absorbances(plate, wells, assay)
+            read = self._read_absorbances(plate, wells, assay)
             return {
                 "file": f"{assay}_{self.reads:04}.csv",
                 "quantity": "absorbance",
@@ -58,24 +58,24 @@ class HidexSimulator(Gated):
                 "overflow": [well for well, level in read.items() if level is None],
             }
 
-    def _absorbances(self, plate: str, wells: list[str], assay: str) -> dict[str, float | None]:
+    def _read_absorbances(self, plate: str, wells: list[str], assay: str) -> dict[str, float | None]:
         """Of what was pipetted into it, at the wavelength in the assay's name (nm). A plate into which
         nothing was holds something of its own."""
         contents = self.world.contents(plate)
-        told = re.search(r"[2-9][0-9]{2}", assay)
-        nm = float(told[0]) if told else USUAL_NM
+        named = re.search(r"[2-9][0-9]{2}", assay)
+        nm = float(named[0]) if named else USUAL_NM
         found: dict[str, float | None] = {}
-        stays = self._stays(plate) if contents else []
+        stays = self._list_stays(plate) if contents else []
         for well in wells:
             own = 0.05 + crc32(f"{plate}/{well}".encode()) % 2000 / 1000
             held = contents.get(well, {})
-            level = absorbance_of(held, nm) + growth_of(held, stays) if contents else own
+            level = absorbance_of(held, nm) + compute_growth(held, stays) if contents else own
             shown = round(level + self._random.gauss(0.0, 0.005), 4)
             found[well] = shown if shown <= HIGHEST_OD else None
         return found
 
-    def _stays(self, plate: str) -> list[Stay]:
-        """How long the plate was kept warm so far, each time that it was."""
+    def _list_stays(self, plate: str) -> list[Stay]:
+        """The times that the plate was kept warm so far (h, °C)."""
         stays: list[Stay] = []
         since: tuple[float, float] | None = None
         for motion in self.world.history(plate, "incubate", "cool"):

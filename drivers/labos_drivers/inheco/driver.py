@@ -10,8 +10,8 @@ from typing import Any
 from labos.errors import DeviceError, Garbled
 from labos.link import Link
 from labos.node import Setup
-from labos_drivers._limits import serial_wire
-from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers._limits import make_serial_wire
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.inheco import protocol
 
 ANSWER_S, DRAWER_S, SHAKER_S = 3.0, 15.0, 20.0
@@ -40,13 +40,13 @@ class InhecoDriver(Wired):
     deadlines = ("answer", "drawer", "shaker")
     link: Link
 
-    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, port: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, port, simulator)
-        self._device = whole(setup, "id", protocol.USUAL_ID, 0, 15)
-        self._floor = whole(setup, "floor", 0, 0, 5)
+        self._device = read_integer(setup, "id", protocol.USUAL_ID, 0, 15)
+        self._floor = read_integer(setup, "floor", 0, 0, 5)
         self._target_c: float | None = None
         self.link = Link(
-            serial_wire(setup, port, baudrate=protocol.BAUDRATE),
+            make_serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             protocol.Answers(self._device),
             name=setup.name,
             identify=lambda _: self._recognise(),
@@ -68,16 +68,16 @@ class InhecoDriver(Wired):
     def _move_drawer(self, command: str, goal: str) -> None:
         if self._ask("RSE", "[012]") != "0":
             raise DeviceError(f"{self.name}: it shakes.", effects="none", remedy="Stop shaking first.")
-        self.unless_stopped()
+        self.check_not_stopped()
         self._order(command, self.limit_s("drawer", DRAWER_S))
         with self.under_way():
             self._await(
-                lambda: self._drawer() == goal,
+                lambda: self._read_drawer() == goal,
                 self.limit_s("drawer", DRAWER_S),
                 "the drawer has not come to its end",
             )
 
-    def _drawer(self) -> str:
+    def _read_drawer(self) -> str:
         """``0`` closed, ``1`` open, empty in between."""
         try:
             return self._ask("RDS", "[01]")
@@ -111,11 +111,11 @@ class InhecoDriver(Wired):
             self._order("SHE0")
             self._target_c = None
 
-    @aside
-    def temperature(self) -> float:
-        return self._temperature()
+    @during_motion
+    def read_temperature(self) -> float:
+        return self._read_temperature()
 
-    def _temperature(self) -> float:
+    def _read_temperature(self) -> float:
         return int(self._ask("RAT1", r"-?\d{1,4}")) / 10
 
     # -- shaker ------------------------------------------------------------------------------
@@ -127,7 +127,7 @@ class InhecoDriver(Wired):
         with self.motion():
             if self._ask("RTS", "[0-3]") not in (protocol.MP_SHAKER, protocol.DWP_SHAKER):
                 raise DeviceError(f"{self.name}: this incubator has no shaker.", effects="none")
-            if self._drawer() != "0":
+            if self._read_drawer() != "0":
                 raise DeviceError(
                     f"{self.name}: the door is not closed.", effects="none", remedy="Close the door first."
                 )
@@ -135,7 +135,7 @@ class InhecoDriver(Wired):
                 self._stop_shaking()
             tenths_hz, tenths_mm = round(rpm / 6), round(amplitude_mm * 10)
             self._order(f"SSP{tenths_mm},{tenths_mm},{tenths_hz},{tenths_hz},90")
-            self.unless_stopped()
+            self.check_not_stopped()
             self._order("ASE1")
             with self.under_way():
                 self._await(
@@ -167,45 +167,47 @@ class InhecoDriver(Wired):
         self._order("AID", self.limit_s("drawer", DRAWER_S), again=True)
         with self.under_way():
             self._await(
-                lambda: self._drawer() == "0", self.limit_s("drawer", DRAWER_S), "the drawer has not closed"
+                lambda: self._read_drawer() == "0",
+                self.limit_s("drawer", DRAWER_S),
+                "the drawer has not closed",
             )
             if self._target_c is not None:
                 self._heat(self._target_c)
         self.resume()
 
-    @aside
+    @during_motion
     def stop(self) -> None:
         """The shaker stops; the drawer ends what it has begun."""
         self._halted.set()
         self._order("ASE0")
-        if self._drawer() == "":
+        if self._read_drawer() == "":
             raise DeviceError(
                 f"{self.name}: the drawer cannot be stopped over the wire; it ends what it has begun.",
                 remedy="Use the switch on the device.",
             )
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
         """Shaking and heating are states, not work."""
-        return self._drawer() != ""
+        return self._read_drawer() != ""
 
-    @aside
-    def status(self) -> dict[str, Any]:
-        drawer = self._drawer()
+    @during_motion
+    def read_status(self) -> dict[str, Any]:
+        drawer = self._read_drawer()
         return {
             "door": {"0": "closed", "1": "open"}.get(drawer, "moving"),
-            "plate": self._plate(),
+            "plate": self._detect_plate(),
             "shaking": self._ask("RSE", "[012]") != "0",
             "heating": self._ask("RHE", "[012]") != "0",
-            "temperature": self._temperature(),
+            "temperature": self._read_temperature(),
             "target": int(self._ask("RTT", r"\d{1,3}")) / 10,
             "errors": int(self._ask("REF", r"\d{1,10}")),
         }
 
-    @aside
-    def look(self) -> dict[str, Any]:
+    @during_motion
+    def observe(self) -> dict[str, Any]:
         """The plate is felt when the drawer closes; while it is open, and after a reset, nobody knows."""
-        drawer, plate = self._drawer(), self._plate()
+        drawer, plate = self._read_drawer(), self._detect_plate()
         seen: dict[str, Any] = {"shaking": self._ask("RSE", "[012]") != "0"}
         if drawer:
             seen["door"] = "open" if drawer == "1" else "closed"
@@ -213,7 +215,7 @@ class InhecoDriver(Wired):
             seen["labware"] = {"default": plate}
         return seen
 
-    def _plate(self) -> bool | None:
+    def _detect_plate(self) -> bool | None:
         said = self._ask("RLW", "[0178]")
         return said == protocol.PLATE if said in (protocol.PLATE, protocol.NO_PLATE) else None
 
@@ -222,7 +224,8 @@ class InhecoDriver(Wired):
     def _ask(self, command: str, form: str, limit_s: float = 0.0) -> str:
         """Raises Refused, and Garbled for what cannot be the answer."""
         message = self.link.exchange(
-            protocol.question(command, self._floor, self._device), limit_s or self.limit_s("answer", ANSWER_S)
+            protocol.make_command(command, self._floor, self._device),
+            limit_s or self.limit_s("answer", ANSWER_S),
         )
         code, text = message[0], message[1:].decode("ascii", "replace").strip("\0 ")
         if code:
@@ -232,7 +235,8 @@ class InhecoDriver(Wired):
         return text
 
     def _order(self, command: str, limit_s: float = 0.0, *, again: bool = False) -> None:
-        """``again``: a reset that the device had is told once, in the place of doing what was asked."""
+        """Send a command. ``again``: a device that was reset reports that once, in place of carrying out the
+        command; it is then sent again."""
         try:
             self._ask(command, "", limit_s)
         except Refused as error:
@@ -257,10 +261,10 @@ class InhecoDriver(Wired):
         except Refused as error:
             if error.code not in (protocol.RESET, protocol.NOT_INITIALISED):
                 return f"what answers with error {error.code}"
-        self.see_unit(self._serial())
+        self.see_unit(self._read_serial())
         return WHO
 
-    def _serial(self) -> str:
+    def _read_serial(self) -> str:
         """Empty if this incubator does not tell it. One that was just switched on may tell that first."""
         for _ in range(2):
             try:
@@ -271,11 +275,11 @@ class InhecoDriver(Wired):
         return ""
 
 
-def whole(setup: Setup, key: str, usual: int, low: int, high: int) -> int:
+def read_integer(setup: Setup, key: str, usual: int, low: int, high: int) -> int:
     """A whole number of the configuration. Raises DeviceError."""
-    told = setup.config.get(key, usual)
-    if isinstance(told, bool) or not isinstance(told, int) or not low <= told <= high:
+    configured = setup.config.get(key, usual)
+    if isinstance(configured, bool) or not isinstance(configured, int) or not low <= configured <= high:
         raise DeviceError(
-            f"{setup.name}: `{key}:` is {told!r}.", effects="none", remedy=f"Write {low} to {high}."
+            f"{setup.name}: `{key}:` is {configured!r}.", effects="none", remedy=f"Write {low} to {high}."
         )
-    return told
+    return configured

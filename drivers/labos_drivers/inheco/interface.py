@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from labos.node import Claims, Needs, Param, Releases, Requires, Sets, Station, action
-from labos_drivers._simulation import told
+from labos_drivers._simulation import await_answer
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.inheco.driver import InhecoDriver
 from labos_drivers.inheco.simulator import InhecoSimulator
@@ -57,22 +57,22 @@ class Inheco(OnBenchOrWire):
     )
     async def set_temperature(self, temperature: Celsius) -> None:
         """Heat to a temperature, and keep it; it takes its time to get there."""
-        await told(self.device.set_temperature(temperature))
+        await await_answer(self.device.set_temperature(temperature))
 
     @action(Releases("temperature"), duration_s=1, safe_to_repeat=True)
     async def stop_temperature(self) -> None:
         """Switch the heater off."""
-        await told(self.device.stop_temperature())
+        await await_answer(self.device.stop_temperature())
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_temperature(self) -> float:
         """The temperature at the plate, in °C."""
-        return await told(self.device.temperature())
+        return await await_answer(self.device.read_temperature())
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_status(self) -> dict[str, Any]:
         """Door, plate (null: nobody knows), shaker, heater, temperatures in °C, error flags."""
-        return await told(self.device.status())
+        return await await_answer(self.device.read_status())
 
     @action(
         Needs(),

@@ -53,14 +53,14 @@ def check_sum(data: bytes) -> int:
     return register
 
 
-def question(command: str, floor: int, device: int = USUAL_ID) -> bytes:
+def make_command(command: str, floor: int, device: int = USUAL_ID) -> bytes:
     """As a host sends it."""
     text = f"T0{floor}{command}".encode("ascii")
     head = bytes((len(text) + 3, 0x30 + device, 0xC0 + len(text)))
     return head + text + bytes((check_sum(head + text),))
 
 
-def answer(text: str, error: int, device: int = USUAL_ID) -> bytes:
+def make_answer(text: str, error: int, device: int = USUAL_ID) -> bytes:
     """As the device says it."""
     head = bytes((0xB0 + device,))
     return (head + text.encode("ascii") if text else b"") + head + bytes((0x20 + error, END))

@@ -43,17 +43,17 @@ class InhecoSimulator(Gated):
         self._aim(None)
 
     def _aim(self, celsius: float | None) -> None:
-        self._from_c, self._since_s = self.temperature(), asyncio.get_running_loop().time()
+        self._from_c, self._since_s = self.read_temperature(), asyncio.get_running_loop().time()
         self.target_c = celsius
 
-    def temperature(self) -> float:
+    def read_temperature(self) -> float:
         goal = ROOM_C if self.target_c is None else self.target_c
         passed_s = (asyncio.get_running_loop().time() - self._since_s) * self._setup.pace
         return round(goal + (self._from_c - goal) * math.exp(-passed_s / SETTLES_S), 1)
 
     async def begin_shake(self, rpm: float, amplitude_mm: float) -> None:
         with self.motion():
-            self.needs_closed()
+            self.check_closed()
             await self.take_time(2)
             self.world.work(self.name, "shake", self.place("default"), rpm=rpm, mm=amplitude_mm)
             self.shaking = True
@@ -63,7 +63,7 @@ class InhecoSimulator(Gated):
             await self.take_time(3)
             self.shaking = False
 
-    def status(self) -> dict[str, Any]:
+    def read_status(self) -> dict[str, Any]:
         """The plate is felt when the drawer is closed."""
         plate = bool(self.top(self.place("default"))) if self.is_closed() else None
         return {
@@ -71,7 +71,7 @@ class InhecoSimulator(Gated):
             "plate": plate,
             "shaking": self.shaking,
             "heating": self.target_c is not None,
-            "temperature": self.temperature(),
+            "temperature": self.read_temperature(),
             "target": self.target_c,
             "errors": 0,
         }
@@ -81,7 +81,7 @@ class InhecoSimulator(Gated):
         self.shaking = False
         self.shut(*self.behind)
 
-    def look(self) -> dict[str, Any]:
-        status = self.status()
+    def observe(self) -> dict[str, Any]:
+        status = self.read_status()
         labware = {} if status["plate"] is None else {"default": status["plate"]}
         return {"door": status["door"], "shaking": self.shaking, "labware": labware}

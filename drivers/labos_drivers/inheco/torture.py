@@ -8,19 +8,19 @@ from labos_drivers.inheco.wire import InhecoOnWire
 HERE = "labos_drivers.inheco.driver"
 
 
-def _pulled_out(incubator: InhecoOnWire, world: World) -> None:
+def _pull_drawer_out(incubator: InhecoOnWire, world: World) -> None:
     incubator.pull(open_=True)
 
 
-def _pushed_in(incubator: InhecoOnWire, world: World) -> None:
+def _push_drawer_in(incubator: InhecoOnWire, world: World) -> None:
     incubator.pull(open_=False)
 
 
 TORTURE = Torture(
     device=InhecoOnWire,
     cases=(
-        Case("open_door", prepare=_pushed_in),
-        Case("close_door", prepare=_pulled_out),
+        Case("open_door", prepare=_push_drawer_in),
+        Case("close_door", prepare=_pull_drawer_out),
         Case("set_temperature", {"temperature": 37.0}),
         Case(
             "begin_shake",

@@ -73,7 +73,7 @@ class InhecoOnWire(OnWire):
             self._answer("", protocol.BAD_COMMAND)
 
     def _answer(self, text: str, error: int) -> None:
-        self.say(protocol.answer(text, error))
+        self.say(protocol.make_answer(text, error))
 
     def _obey(self, name: str, arguments: str) -> tuple[str, int]:
         if self._tells_reset:
@@ -97,22 +97,22 @@ class InhecoOnWire(OnWire):
     def _report(self, name: str, arguments: str) -> tuple[str, int]:
         if name == "RDS" and self.drawer == "":
             return "", protocol.BETWEEN
-        told = {
+        reports = {
             "RTS": self.kind,
             "RDA": "1",
             "RDS": self.drawer,
-            "RLW": self._plate(),
+            "RLW": self._sense_plate(),
             "RSE": self.shaker,
             "RHE": str(int(self.heats)),
             "RTT": str(self.target),
-            "RAT": str(round(self.temperature() * 10)),
+            "RAT": str(round(self.compute_temperature() * 10)),
             "REF": str(HEATER_FLAG * self.heater_broken),
             "RFV": self.serial if arguments == "2" else "V3.0",
             "REE": "0" if self._initialised and self.plate_known else "1" if self._initialised else "3",
         }
-        return (told[name], protocol.OK) if name in told else ("", protocol.BAD_COMMAND)
+        return (reports[name], protocol.OK) if name in reports else ("", protocol.BAD_COMMAND)
 
-    def _plate(self) -> str:
+    def _sense_plate(self) -> str:
         if self.drawer != "0":
             return "8"
         if not self.plate_known:
@@ -161,12 +161,12 @@ class InhecoOnWire(OnWire):
         return protocol.OK
 
     def _aim(self) -> None:
-        self._from_c, self._since_s = self.temperature(), self.now_s()
+        self._from_c, self._since_s = self.compute_temperature(), self.now_s()
         self._goal_c = self.target / 10 if self.heats else ROOM_C
 
     _goal_c = ROOM_C
 
-    def temperature(self) -> float:
+    def compute_temperature(self) -> float:
         """First order, towards what it is set to."""
         return self._goal_c + (self._from_c - self._goal_c) * math.exp(
             -(self.now_s() - self._since_s) / SETTLES_S
@@ -186,11 +186,11 @@ class InhecoOnWire(OnWire):
         if how == "0":
             if self.shaker == protocol.SHAKES:
                 self.shaker = protocol.RUNS_DOWN
-                self.after(RUNS_DOWN_S, self._rest)
+                self.after(RUNS_DOWN_S, self._come_to_rest)
             return protocol.OK
         if self.drawer != "0":
             return protocol.NOT_EXECUTABLE
-        if how == "1" and self._plate() != protocol.PLATE:
+        if how == "1" and self._sense_plate() != protocol.PLATE:
             return protocol.LABWARE
         if how not in ("1", "ND"):
             return protocol.BAD_OPERAND
@@ -207,7 +207,7 @@ class InhecoOnWire(OnWire):
             self.name, "shake", place if self.top(place) else "", rpm=round(x_hz * 6), mm=x_mm / 10
         )
 
-    def _rest(self) -> None:
+    def _come_to_rest(self) -> None:
         self.shaker = "0"
 
     def damage(self, crash: Crash) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 from labos.errors import DeviceError, Garbled
 from labos.link import Link, SerialWire, Terminated
 from labos.node import Setup
-from labos_drivers._limits import serial_wire
-from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers._limits import make_serial_wire
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.liconic import protocol
 
 ANSWER_S, BEGIN_S, MOVE_S, START_S = 2.0, 2.0, 60.0, 300.0
@@ -29,12 +29,14 @@ class LiconicDriver(Wired):
     deadlines = ("answer", "begin", "move", "start")
     link: Link
 
-    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, port: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, port, simulator)
         # A pseudo-terminal takes even parity once; who connects again is refused.
         real = simulator is None
         self.link = Link(
-            serial_wire(setup, port, baudrate=protocol.BAUDRATE, parity="E") if real else SerialWire(port),
+            make_serial_wire(setup, port, baudrate=protocol.BAUDRATE, parity="E")
+            if real
+            else SerialWire(port),
             Terminated(protocol.ANSWER_END, send_end=protocol.ASK_END),
             name=setup.name,
             identify=self._recognise,
@@ -45,22 +47,23 @@ class LiconicDriver(Wired):
 
     @off_loop
     def load_plate(self, stacker: int, slot: int) -> None:
-        """From the transfer station into a slot."""
+        """Move a plate from the transfer station into a slot."""
         with self.motion():
-            self._needs(
+            self._check_relay(
                 protocol.ON_STATION, True, "no plate stands on the transfer station", "Put one there."
             )
             self._transfer(protocol.IMPORT, stacker, slot, arrives=False)
 
     @off_loop
     def unload_plate(self, stacker: int, slot: int) -> None:
-        """From a slot to the transfer station."""
+        """Move a plate from a slot to the transfer station."""
         with self.motion():
             self._unload(stacker, slot)
 
     @off_loop
     def store(self) -> str:
-        """The controller keeps no inventory, and does not notice a slot that is taken: it chooses none."""
+        """The controller keeps no inventory, and does not notice an occupied slot: it chooses none. Raises
+        DeviceError."""
         raise DeviceError(
             f"{self.name}: this device does not choose slots.",
             effects="none",
@@ -69,7 +72,7 @@ class LiconicDriver(Wired):
 
     @off_loop
     def retrieve(self, slot: str) -> None:
-        """From the slot that is named so."""
+        """Bring the plate from a slot, by its name."""
         named = NAMED_SLOT.fullmatch(slot)
         if named is None:
             raise DeviceError(
@@ -82,95 +85,102 @@ class LiconicDriver(Wired):
     def empty_shovel(self) -> None:
         """Bring what is on the shovel to the transfer station."""
         with self.motion():
-            self._needs(protocol.ON_SHOVEL, True, "no plate is on the shovel", "Look where the plate is.")
-            self._needs(protocol.ON_STATION, False, "a plate stands on the transfer station", "Take it away.")
-            self._set(protocol.SHOVEL_OUT)
+            self._check_relay(
+                protocol.ON_SHOVEL, True, "no plate is on the shovel", "Look where the plate is."
+            )
+            self._check_relay(
+                protocol.ON_STATION, False, "a plate stands on the transfer station", "Take it away."
+            )
+            self._write_relay(protocol.SHOVEL_OUT)
             with self.under_way():
-                self._await_end(lambda: self._relay(protocol.ON_STATION))
+                self._await_end(lambda: self._read_relay(protocol.ON_STATION))
                 self._check_sensors(True, "the shovel")
 
     @off_loop
     def reset(self) -> None:
         """Clear an error and start anew: the shovel, the lift and the carousel find their ends."""
         self._ask(b"CR")
-        self._set(protocol.RESET)
+        self._write_relay(protocol.RESET)
         time.sleep(RESET_PAUSE_S)
-        self._set(protocol.INITIALISE)
+        self._write_relay(protocol.INITIALISE)
         self._await_end(lambda: False, self.limit_s("start", START_S), begins=False)
         self.resume()
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
         """A unit that was just switched on is not ready until it has been reset."""
-        return self._relay(protocol.READY)
+        return self._read_relay(protocol.READY)
 
-    @aside
-    def look(self) -> dict[str, Any]:
+    @during_motion
+    def observe(self) -> dict[str, Any]:
         return {
-            "shaking": self._relay(protocol.SHAKING),
+            "shaking": self._read_relay(protocol.SHAKING),
             "labware": {
-                "exchange": self._relay(protocol.ON_STATION),
-                "gripper": self._relay(protocol.ON_SHOVEL),
+                "exchange": self._read_relay(protocol.ON_STATION),
+                "gripper": self._read_relay(protocol.ON_SHOVEL),
             },
         }
 
     # -- climate and shaker ------------------------------------------------------------------
 
-    @aside
-    def current_temp(self) -> float:
-        return self._word(protocol.TEMPERATURE_NOW) / 10
+    @during_motion
+    def read_temperature(self) -> float:
+        return self._read_word(protocol.TEMPERATURE_NOW) / 10
 
-    @aside
-    def target_temp(self) -> float:
-        return self._word(protocol.TEMPERATURE) / 10
+    @during_motion
+    def read_target_temperature(self) -> float:
+        return self._read_word(protocol.TEMPERATURE) / 10
 
-    @aside
-    def set_temp(self, celsius: float) -> None:
-        self._write(protocol.TEMPERATURE, round(celsius * 10))
+    @during_motion
+    def set_temperature(self, celsius: float) -> None:
+        self._write_word(protocol.TEMPERATURE, round(celsius * 10))
 
-    @aside
-    def current_humidity(self) -> float:
-        return self._word(protocol.HUMIDITY_NOW) / 10
+    @during_motion
+    def read_humidity(self) -> float:
+        return self._read_word(protocol.HUMIDITY_NOW) / 10
 
-    @aside
-    def target_humidity(self) -> float:
-        return self._word(protocol.HUMIDITY) / 10
+    @during_motion
+    def read_target_humidity(self) -> float:
+        return self._read_word(protocol.HUMIDITY) / 10
 
-    @aside
+    @during_motion
     def set_humidity(self, percent: float) -> None:
-        self._write(protocol.HUMIDITY, round(percent * 10))
+        self._write_word(protocol.HUMIDITY, round(percent * 10))
 
     @off_loop
     def shake(self, speed: int) -> None:
         """0 stops. The public drivers disagree on the scale of the speed: this is the plain number."""
         if speed:
-            self._write(protocol.SHAKER, speed)
-        self._set(protocol.SHAKING, bool(speed))
+            self._write_word(protocol.SHAKER, speed)
+        self._write_relay(protocol.SHAKING, bool(speed))
 
     # -- one motion --------------------------------------------------------------------------
 
     def _unload(self, stacker: int, slot: int) -> None:
-        self._needs(protocol.ON_STATION, False, "a plate stands on the transfer station", "Take it away.")
+        self._check_relay(
+            protocol.ON_STATION, False, "a plate stands on the transfer station", "Take it away."
+        )
         self._transfer(protocol.EXPORT, stacker, slot, arrives=True)
 
     def _transfer(self, order: int, stacker: int, slot: int, *, arrives: bool) -> None:
-        """A plate comes to the transfer station, or leaves it."""
-        if self._relay(protocol.ERROR):
-            raise self._fault("none")
-        self._needs(protocol.READY, True, "it is not ready", "Wait, or reset the module.")
-        self._needs(protocol.SHAKING, False, "it shakes", "Stop shaking first.")
-        self._write(protocol.STACKER, stacker)
-        self._write(protocol.SLOT, slot)
-        self.unless_stopped()
-        self._set(order)
+        """Move a plate to the transfer station (``arrives``) or from it."""
+        if self._read_relay(protocol.ERROR):
+            raise self._make_error("none")
+        self._check_relay(protocol.READY, True, "it is not ready", "Wait, or reset the module.")
+        self._check_relay(protocol.SHAKING, False, "it shakes", "Stop shaking first.")
+        self._write_word(protocol.STACKER, stacker)
+        self._write_word(protocol.SLOT, slot)
+        self.check_not_stopped()
+        self._write_relay(order)
         with self.under_way():
-            self._await_end(lambda: self._relay(protocol.ON_STATION) == arrives)
+            self._await_end(lambda: self._read_relay(protocol.ON_STATION) == arrives)
             self._check_sensors(arrives, f"stacker {stacker}, slot {slot}")
-            self._set(protocol.END_OF_ACCESS)
+            self._write_relay(protocol.END_OF_ACCESS)
 
     def _check_sensors(self, arrives: bool, where: str) -> None:
-        """That it is ready again says that it stands still, not where the plate is. Raises DeviceError."""
-        if self._relay(protocol.ON_STATION) != arrives or self._relay(protocol.ON_SHOVEL):
+        """Check where the plate is: that the controller is ready again says only that it stands still. Raises
+        DeviceError."""
+        if self._read_relay(protocol.ON_STATION) != arrives or self._read_relay(protocol.ON_SHOVEL):
             raise DeviceError(
                 f"{self.name}: the motion to or from {where} ended, but its sensors do not show the plate "
                 "where it should be.",
@@ -187,10 +197,10 @@ class LiconicDriver(Wired):
         began = time.monotonic()
         was_busy = False
         while True:
-            ready = self._relay(protocol.READY)
+            ready = self._read_relay(protocol.READY)
             was_busy = was_busy or not ready
-            if self._relay(protocol.ERROR):
-                raise self._fault("unknown")
+            if self._read_relay(protocol.ERROR):
+                raise self._make_error("unknown")
             passed_s = time.monotonic() - began
             if ready and (was_busy or shows()):
                 return
@@ -208,12 +218,12 @@ class LiconicDriver(Wired):
                 )
             time.sleep(POLL_S)
 
-    def _needs(self, relay: int, value: bool, why: str, remedy: str) -> None:
-        if self._relay(relay) != value:
+    def _check_relay(self, relay: int, value: bool, why: str, remedy: str) -> None:
+        if self._read_relay(relay) != value:
             raise DeviceError(f"{self.name}: {why}.", effects="none", remedy=remedy)
 
-    def _fault(self, effects: str) -> DeviceError:
-        code = self._word(protocol.ERROR_CODE)
+    def _make_error(self, effects: str) -> DeviceError:
+        code = self._read_word(protocol.ERROR_CODE)
         return DeviceError(
             f"{self.name}: Liconic error {code:05d}: {protocol.meaning_of(code)}.",
             effects=effects,
@@ -233,22 +243,22 @@ class LiconicDriver(Wired):
             )
         return answer
 
-    def _relay(self, number: int) -> bool:
+    def _read_relay(self, number: int) -> bool:
         answer = self._ask(b"RD %d" % number)
         if answer not in ("0", "1"):
             raise Garbled(f"{self.name}: {answer!r} is no state of relay {number}.")
         return answer == "1"
 
-    def _word(self, number: int) -> int:
+    def _read_word(self, number: int) -> int:
         answer = self._ask(b"RD DM%d" % number)
         if not re.fullmatch(r"\d{5}", answer):
             raise Garbled(f"{self.name}: {answer!r} is no word {number}.")
         return int(answer)
 
-    def _set(self, relay: int, value: bool = True) -> None:
+    def _write_relay(self, relay: int, value: bool = True) -> None:
         self._expect_ok(b"%s %d" % (b"ST" if value else b"RS", relay))
 
-    def _write(self, word: int, value: int) -> None:
+    def _write_word(self, word: int, value: int) -> None:
         self._expect_ok(b"WR DM%d %05d" % (word, value))
 
     def _expect_ok(self, command: bytes) -> None:
@@ -256,6 +266,6 @@ class LiconicDriver(Wired):
             raise Garbled(f"{self.name}: {answer!r} is no answer to {command.decode()}.")
 
     def _recognise(self, link: Link) -> str:
-        """Only a controller of this kind opens so."""
+        """Only a controller of this kind opens the conversation like this."""
         answer = link.exchange(b"CR", self.limit_s("answer", ANSWER_S))
         return WHO if answer == b"CC" else f"what answers {answer!r}"

@@ -7,7 +7,7 @@ from typing import Annotated
 from labos.core.ids import StationName
 from labos.node import Move, Param, Requires, Sets, Station, action
 from labos_drivers._arm import GRIPPER
-from labos_drivers._simulation import told
+from labos_drivers._simulation import await_answer
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.liconic.driver import LiconicDriver
 from labos_drivers.liconic.simulator import SLOTS, STACKERS, LiconicSimulator, slot_name
@@ -83,41 +83,41 @@ class Liconic(OnBenchOrWire):
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_current_temp(self) -> float:
         """The temperature inside, in °C."""
-        return await told(self.device.current_temp())
+        return await await_answer(self.device.read_temperature())
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_target_temp(self) -> float:
         """The temperature set, in °C."""
-        return await told(self.device.target_temp())
+        return await await_answer(self.device.read_target_temperature())
 
     @action(Sets("module", "target_temp", "{temperature}"), duration_s=1, safe_to_repeat=True)
     async def set_target_temp(self, temperature: Celsius) -> None:
         """Set the temperature; it takes its time to get there."""
-        await told(self.device.set_temp(temperature))
+        await await_answer(self.device.set_temperature(temperature))
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_current_humidity(self) -> float:
         """The humidity inside, in % RH."""
-        return await told(self.device.current_humidity())
+        return await await_answer(self.device.read_humidity())
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_target_humidity(self) -> float:
         """The humidity set, in % RH."""
-        return await told(self.device.target_humidity())
+        return await await_answer(self.device.read_target_humidity())
 
     @action(Sets("module", "target_humidity", "{humidity}"), duration_s=1, safe_to_repeat=True)
     async def set_target_humidity(self, humidity: Percent) -> None:
         """Set the humidity; it takes its time to get there."""
-        await told(self.device.set_humidity(humidity))
+        await await_answer(self.device.set_humidity(humidity))
 
     @action(Sets("module", "shaking", True), duration_s=1, safe_to_repeat=True)
     async def begin_shake(
         self, shaker_speed: Annotated[int, Param(unit="1", minimum=1, maximum=50, aliases=("speed",))] = 10
     ) -> None:
         """Shake all stackers, at a speed of the device's own scale."""
-        await told(self.device.shake(shaker_speed))
+        await await_answer(self.device.shake(shaker_speed))
 
     @action(Sets("module", "shaking", False), duration_s=1, safe_to_repeat=True)
     async def end_shake(self) -> None:
         """Stop shaking."""
-        await told(self.device.shake(0))
+        await await_answer(self.device.shake(0))

@@ -46,19 +46,19 @@ class LiconicSimulator(Simulated):
         self.humidity = Climate(40.0, setup.pace)
         self.shaking = 0
 
-    def current_temp(self) -> float:
+    def read_temperature(self) -> float:
         return self.temperature.now()
 
-    def target_temp(self) -> float:
+    def read_target_temperature(self) -> float:
         return self.temperature.target
 
-    def set_temp(self, celsius: float) -> None:
+    def set_temperature(self, celsius: float) -> None:
         self.temperature.aim(celsius)
 
-    def current_humidity(self) -> float:
+    def read_humidity(self) -> float:
         return self.humidity.now()
 
-    def target_humidity(self) -> float:
+    def read_target_humidity(self) -> float:
         return self.humidity.target
 
     def set_humidity(self, percent: float) -> None:
@@ -133,7 +133,7 @@ class LiconicSimulator(Simulated):
         """Lab time by this machine's clock; only differences mean something."""
         return asyncio.get_running_loop().time() * self._setup.pace / 3600.0
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """Two plate sensors: shovel and transfer station."""
         return {
             "shaking": bool(self.shaking),

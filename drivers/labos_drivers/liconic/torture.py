@@ -8,11 +8,11 @@ from labos_drivers.liconic.wire import LiconicOnWire
 HERE = "labos_drivers.liconic.driver"
 
 
-def _no_plate(liconic: LiconicOnWire, world: World) -> None:
+def _remove_plate(liconic: LiconicOnWire, world: World) -> None:
     world.carry(liconic.top(liconic.place("exchange")), "")
 
 
-def _slot_is_full(liconic: LiconicOnWire, world: World) -> None:
+def _fill_slot(liconic: LiconicOnWire, world: World) -> None:
     world.stock(liconic.place("stacker1_slot2"), "plate96")
 
 
@@ -27,8 +27,8 @@ TORTURE = Torture(
         Case("set_target_humidity", {"humidity": 80.0}),
     ),
     faults=(
-        Fault("no plate on the transfer station", _no_plate),
-        Fault("a plate in the slot already", _slot_is_full),
+        Fault("no plate on the transfer station", _remove_plate),
+        Fault("a plate in the slot already", _fill_slot),
     ),
     settings={"parity": "N"},  # a pseudo-terminal takes even parity once; who connects again is refused
     motion="load_plate",

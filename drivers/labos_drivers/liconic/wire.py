@@ -33,7 +33,7 @@ class LiconicOnWire(OnWire):
         self._heard = b""
 
     def power_cycle(self) -> None:
-        """Off and on: the conversation is closed, and nothing has been initialised."""
+        """Off and on: the conversation is closed, and the device has to be initialised."""
         self._is_open = self.ready = False
 
     # -- hearing -----------------------------------------------------------------------------
@@ -55,16 +55,16 @@ class LiconicOnWire(OnWire):
             self._is_open = False
             return "CF"
         if match := re.fullmatch(r"RD DM(\d+)", line):
-            return f"{self._word(int(match[1])):05d}"
+            return f"{self._read_word(int(match[1])):05d}"
         if match := re.fullmatch(r"WR DM(\d+) (\d{1,5})", line):
             return self._write(int(match[1]), int(match[2]))
         if match := re.fullmatch(r"RD (\d+)", line):
-            return str(int(self._relay(int(match[1]))))
+            return str(int(self._read_relay(int(match[1]))))
         if match := re.fullmatch(r"(ST|RS) (\d+)", line):
             return self._order(int(match[2]), match[1] == "ST")
         return "E1"
 
-    def _relay(self, number: int) -> bool:
+    def _read_relay(self, number: int) -> bool:
         match number:
             case protocol.READY:
                 return self.ready
@@ -78,14 +78,14 @@ class LiconicOnWire(OnWire):
                 return bool(self.top(f"hand:{self.name}"))
         return False
 
-    def _word(self, number: int) -> int:
+    def _read_word(self, number: int) -> int:
         if number == protocol.ERROR_CODE:
             return self._error
         if number in TARGETS:
-            return round(self._climate(TARGETS[number]))
+            return round(self._read_climate(TARGETS[number]))
         return self.words.get(number, 0)
 
-    def _climate(self, target: int) -> float:
+    def _read_climate(self, target: int) -> float:
         """A quantity that goes to its target like a first-order system."""
         began, since_s = self._from[target]
         goal = self.words[target]
@@ -95,7 +95,7 @@ class LiconicOnWire(OnWire):
         if number in TARGETS:
             return "E4"
         if number in self._from:
-            self._from[number] = self._climate(number), self.now_s()
+            self._from[number] = self._read_climate(number), self.now_s()
         self.words[number] = value
         return "OK"
 
@@ -116,7 +116,7 @@ class LiconicOnWire(OnWire):
             case protocol.IMPORT if self.ready:
                 self._begin("exchange", slot, 20)
             case protocol.EXPORT if self.ready:
-                if self._relay(protocol.ON_STATION):
+                if self._read_relay(protocol.ON_STATION):
                     self._fail(EXPORT_BLOCKED)
                 else:
                     self._begin(slot, "exchange", 18)
@@ -126,12 +126,12 @@ class LiconicOnWire(OnWire):
         return "OK"
 
     def _initialise(self) -> None:
-        def done() -> None:
+        def finish_initialising() -> None:
             self.initialised += 1
-            self._is_ready()
+            self._become_ready()
 
         self.ready = False
-        self.after(15, done)
+        self.after(15, finish_initialising)
 
     # -- doing -------------------------------------------------------------------------------
 
@@ -157,19 +157,19 @@ class LiconicOnWire(OnWire):
         if target != "exchange":
             warm = {"at_h": self._hours(), "celsius": self.words[protocol.TEMPERATURE] / 10}
             self.world.work(self.name, "incubate", self.place(target), **warm)
-        self.after(back_s, self._is_ready)
+        self.after(back_s, self._become_ready)
 
     def _hours(self) -> float:
         """Lab time by this machine's clock; only differences mean something."""
         return time.monotonic() * self._pace / 3600.0
 
-    def _is_ready(self) -> None:
+    def _become_ready(self) -> None:
         self.ready = True
         self.world.leave(self.name)
 
     def _fail(self, code: int) -> None:
         self._error = code
-        self._is_ready()
+        self._become_ready()
 
     def damage(self, crash: Crash) -> None:
         self.forget_plans()

@@ -13,7 +13,7 @@ from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos.node.node import handle_keeper
 from labos.node.secrets import secret_of
-from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.mir import protocol
 
 ANSWER_S, DRIVE_S, LOST_S, POLL_S = 10.0, 900.0, 60.0, 1.0
@@ -34,7 +34,7 @@ class MiRDriver(Wired):
     where = ("url", "http://192.168.12.20")
     link: HttpLink
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         user = str(setup.config.get("user", ""))
         password = secret_of(setup.config, "password")
@@ -43,7 +43,7 @@ class MiRDriver(Wired):
             address.rstrip("/") + protocol.BASE,
             name=setup.name,
             headers={
-                "Authorization": protocol.authorization(user, password),
+                "Authorization": protocol.make_authorization(user, password),
                 "Accept-Language": "en_US",
             },
             identify=lambda _: self._recognise(),
@@ -62,13 +62,13 @@ class MiRDriver(Wired):
 
     @off_loop
     def follow(self, name: str) -> None:
-        """The end of the journey that was queued under this name. Raises OutcomeUnknown if the robot
+        """Wait for the end of the journey that was queued under this name. Raises OutcomeUnknown if the robot
         does not know it."""
         with self.motion():
-            entry = self._find(name)
+            entry = self._find_entry(name)
             if entry is None:
                 raise OutcomeUnknown(f"{self.name}: the robot has no mission {name}.")
-            self._see_through(entry)
+            self._await_end(entry)
 
     @off_loop
     def reset(self) -> None:
@@ -76,9 +76,11 @@ class MiRDriver(Wired):
         would go on with it by itself."""
         self.resume()
         self._give_up()
-        self._data(self.link.exchange("PUT", "/status", json={"clear_error": True}, timeout_s=self._answer_s))
-        self._set(protocol.READY)
-        status = self._status()
+        self._parse_data(
+            self.link.exchange("PUT", "/status", json={"clear_error": True}, timeout_s=self._answer_s)
+        )
+        self._set_state(protocol.READY)
+        status = self._read_status()
         if status["state_id"] not in (protocol.READY, protocol.EXECUTING):
             raise DeviceError(
                 f"{self.name}: it is not ready, but {status.get('state_text')}.",
@@ -86,24 +88,24 @@ class MiRDriver(Wired):
                 remedy="Release its emergency stop and turn its key to automatic, then reset the module.",
             )
 
-    @aside
+    @during_motion
     def stop(self) -> None:
-        """It stands still, and gives its journey up."""
+        """The robot stops, and gives its journey up."""
         self._halted.set()
-        self._set(protocol.PAUSE)
+        self._set_state(protocol.PAUSE)
         self._give_up()
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
-        return bool(self._status()["state_id"] in protocol.AT_REST)
+        return bool(self._read_status()["state_id"] in protocol.AT_REST)
 
-    @aside
-    def look(self) -> dict[str, Any]:
-        """Which position of its map it stands at; empty if none is near."""
-        status = self._status()
+    @during_motion
+    def observe(self) -> dict[str, Any]:
+        """The position of its map at which it stands; empty if none is near."""
+        status = self._read_status()
         near = {
-            self._away(status, position): str(position.get("name"))
-            for position in self._positions(status)
+            self._measure_distance(status, position): str(position.get("name"))
+            for position in self._list_positions(status)
             if "pos_x" in position
         }
         closest = min(near, default=NEAR_M)
@@ -121,18 +123,18 @@ class MiRDriver(Wired):
     @off_loop
     def _drive(self, kind: str, target: str, name: str) -> None:
         with self.motion():
-            with self.at_rest():
-                status = self._status()
+            with self.report_no_effects():
+                status = self._read_status()
                 self._refuse_unless_ready(status)
-                position = next((p for p in self._positions(status) if p.get("name") == target), None)
+                position = next((p for p in self._list_positions(status) if p.get("name") == target), None)
                 if position is None:
                     raise DeviceError(
                         f"{self.name}: there is no position {target!r} on its map.",
                         remedy="Name a position as the robot's own map has it.",
                     )
-                mission = self._mission(kind, str(position["guid"]))
-                self.unless_stopped()
-            self._see_through(self._queue(mission, name))
+                mission = self._find_mission(kind, str(position["guid"]))
+                self.check_not_stopped()
+            self._await_end(self._queue(mission, name))
             if kind == "move":
                 with self.under_way():
                     self._refuse_elsewhere(position)
@@ -140,8 +142,11 @@ class MiRDriver(Wired):
     def _refuse_elsewhere(self, position: dict[str, Any]) -> None:
         """Raises DeviceError if it rests elsewhere. One that drives again has been there, and is under way
         for somebody else by now."""
-        status = self._again(self._status)
-        if status["state_id"] != protocol.EXECUTING and self._away(status, self._detail(position)) > NEAR_M:
+        status = self._retry(self._read_status)
+        if (
+            status["state_id"] != protocol.EXECUTING
+            and self._measure_distance(status, self._read_position(position)) > NEAR_M
+        ):
             raise DeviceError(
                 f"{self.name}: the mission is done, but the robot is not at {position.get('name')}.",
                 remedy="Look where it is, and whether it knows.",
@@ -151,18 +156,18 @@ class MiRDriver(Wired):
         body = {"mission_id": mission, "priority": 0, "message": name}
         try:
             return int(
-                self._data(self.link.post("/mission_queue", json=body, timeout_s=self._answer_s))["id"]
+                self._parse_data(self.link.post("/mission_queue", json=body, timeout_s=self._answer_s))["id"]
             )
         except LinkError as error:
             if error.effects == "none":
                 raise
             with self.under_way():
-                entry = self._again(lambda: self._find(name))
+                entry = self._retry(lambda: self._find_entry(name))
             if entry is None:
                 raise
             return int(entry)
 
-    def _see_through(self, entry: int) -> None:
+    def _await_end(self, entry: int) -> None:
         self._entry = entry
         limit_s = self.limit_s("drive", DRIVE_S)
         deadline = time.monotonic() + limit_s
@@ -170,21 +175,23 @@ class MiRDriver(Wired):
             while True:
                 if self._halted.is_set():
                     self._give_up()  # it may have been queued just after the stop
-                told = self._again(
-                    lambda: self._data(self.link.get(f"/mission_queue/{entry}", timeout_s=self._answer_s))
+                answer = self._retry(
+                    lambda: self._parse_data(
+                        self.link.get(f"/mission_queue/{entry}", timeout_s=self._answer_s)
+                    )
                 )
-                state = told.get("state")
+                state = answer.get("state")
                 if state == protocol.DONE:
                     break
                 if state == protocol.ABORTED:
                     raise DeviceError(
-                        f"{self.name}: the mission was aborted. {told.get('message') or ''}".strip(),
+                        f"{self.name}: the mission was aborted. {answer.get('message') or ''}".strip(),
                         remedy="Look where it is, then reset the module.",
                     )
-                status = self._again(self._status)
+                status = self._retry(self._read_status)
                 if status["state_id"] in ENDED:
                     raise DeviceError(
-                        f"{self.name}: {ENDED[status['state_id']]}{_errors(status)}.",
+                        f"{self.name}: {ENDED[status['state_id']]}{_describe_errors(status)}.",
                         remedy="Look at the robot, then reset the module.",
                     )
                 if time.monotonic() > deadline:
@@ -197,38 +204,42 @@ class MiRDriver(Wired):
         self._entry = 0
 
     def _give_up(self) -> None:
-        """Our entry leaves the queue, if there is one."""
+        """Remove our entry from the queue, if there is one."""
         if entry := self._entry:
             reply = self.link.exchange("DELETE", f"/mission_queue/{entry}", timeout_s=self._answer_s)
             if reply.status != 404:
-                self._data(reply)
+                self._parse_data(reply)
             self._entry = 0
 
-    def _find(self, name: str) -> int | None:
+    def _find_entry(self, name: str) -> int | None:
         """The entry of the queue with this message."""
         wanted = {"filters": [{"fieldname": "message", "operator": "=", "value": name}]}
-        found = self._list(self.link.post("/mission_queue/search", json=wanted, timeout_s=self._answer_s))
+        found = self._parse_list(
+            self.link.post("/mission_queue/search", json=wanted, timeout_s=self._answer_s)
+        )
         return int(found[-1]["id"]) if found else None
 
-    def _mission(self, kind: str, position: str) -> str:
-        """One mission for each position, made once: the robot keeps all that are ever made. One that was
-        broken off while it was made has no step yet."""
+    def _find_mission(self, kind: str, position: str) -> str:
+        """The mission for a position, which is made once: the robot keeps all missions. One that was
+        interrupted while it was made has no step yet."""
         name = f"labos {kind} {position}"
         wanted = {"filters": [{"fieldname": "name", "operator": "=", "value": name}]}
-        found = self._list(self.link.post("/missions/search", json=wanted, timeout_s=self._answer_s))
-        guid = str((found[0] if found else self._new_mission(name))["guid"])
+        found = self._parse_list(self.link.post("/missions/search", json=wanted, timeout_s=self._answer_s))
+        guid = str((found[0] if found else self._make_mission(name))["guid"])
         steps = f"/missions/{guid}/actions"
-        if not self._list(self.link.get(steps, timeout_s=self._answer_s)):
-            self._data(self.link.post(steps, json=protocol.steps(kind, position), timeout_s=self._answer_s))
+        if not self._parse_list(self.link.get(steps, timeout_s=self._answer_s)):
+            self._parse_data(
+                self.link.post(steps, json=protocol.make_steps(kind, position), timeout_s=self._answer_s)
+            )
         return guid
 
-    def _new_mission(self, name: str) -> Any:
-        groups = self._data(self.link.get("/mission_groups", timeout_s=self._answer_s))
+    def _make_mission(self, name: str) -> Any:
+        groups = self._parse_data(self.link.get("/mission_groups", timeout_s=self._answer_s))
         body = {"name": name, "description": "", "group_id": groups[0]["guid"]}
-        return self._data(self.link.post("/missions", json=body, timeout_s=self._answer_s))
+        return self._parse_data(self.link.post("/missions", json=body, timeout_s=self._answer_s))
 
-    def _again(self, ask: Any) -> Any:
-        """A robot that is out of reach for a while, as between two access points, is asked again."""
+    def _retry(self, ask: Any) -> Any:
+        """Ask again a robot that cannot be reached for a while, as between two access points."""
         deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
@@ -242,25 +253,31 @@ class MiRDriver(Wired):
 
     # -- one answer --------------------------------------------------------------------------
 
-    def _status(self) -> dict[str, Any]:
-        status = self._data(self.link.get("/status", timeout_s=self._answer_s))
+    def _read_status(self) -> dict[str, Any]:
+        status = self._parse_data(self.link.get("/status", timeout_s=self._answer_s))
         if not isinstance(status, dict) or not isinstance(status.get("state_id"), int):
             raise Garbled(f"{self.name}: the answer does not tell the robot's state.")
         return status
 
-    def _set(self, state: int) -> None:
-        self._data(self.link.exchange("PUT", "/status", json={"state_id": state}, timeout_s=self._answer_s))
+    def _set_state(self, state: int) -> None:
+        self._parse_data(
+            self.link.exchange("PUT", "/status", json={"state_id": state}, timeout_s=self._answer_s)
+        )
 
-    def _positions(self, status: dict[str, Any]) -> list[dict[str, Any]]:
-        found = self._list(self.link.get(f"/maps/{status.get('map_id')}/positions", timeout_s=self._answer_s))
-        return [self._detail(position) if "pos_x" not in position else position for position in found]
+    def _list_positions(self, status: dict[str, Any]) -> list[dict[str, Any]]:
+        found = self._parse_list(
+            self.link.get(f"/maps/{status.get('map_id')}/positions", timeout_s=self._answer_s)
+        )
+        return [self._read_position(position) if "pos_x" not in position else position for position in found]
 
-    def _detail(self, position: dict[str, Any]) -> dict[str, Any]:
+    def _read_position(self, position: dict[str, Any]) -> dict[str, Any]:
         if "pos_x" in position:
             return position
-        return dict(self._data(self.link.get(f"/positions/{position['guid']}", timeout_s=self._answer_s)))
+        return dict(
+            self._parse_data(self.link.get(f"/positions/{position['guid']}", timeout_s=self._answer_s))
+        )
 
-    def _away(self, status: dict[str, Any], position: dict[str, Any]) -> float:
+    def _measure_distance(self, status: dict[str, Any], position: dict[str, Any]) -> float:
         here = status.get("position") or {}
         unclear = Garbled(f"{self.name}: the answer does not tell where the robot is.")
         try:
@@ -276,11 +293,11 @@ class MiRDriver(Wired):
             raise Garbled(f"{self.name}: the answer does not tell whether the robot has errors.")
         if status["state_id"] != protocol.READY or status["errors"]:
             raise DeviceError(
-                f"{self.name}: it is not ready, but {status.get('state_text')}{_errors(status)}.",
+                f"{self.name}: it is not ready, but {status.get('state_text')}{_describe_errors(status)}.",
                 remedy="Look at the robot, then reset the module.",
             )
 
-    def _data(self, reply: HttpReply) -> Any:
+    def _parse_data(self, reply: HttpReply) -> Any:
         """Raises DeviceError for a refusal, Garbled for what is no answer of a MiR, and where its server
         failed, which does not tell what came of the question."""
         if reply.ok:
@@ -295,9 +312,9 @@ class MiRDriver(Wired):
             f"{self.name}: the robot refuses: {why}.", effects="none", remedy="Look at the robot."
         )
 
-    def _list(self, reply: HttpReply) -> list[Any]:
+    def _parse_list(self, reply: HttpReply) -> list[Any]:
         """Of an answer that is a list: only an empty list says that there is nothing. Raises DeviceError."""
-        data = self._data(reply)
+        data = self._parse_data(reply)
         if not isinstance(data, list):
             raise Garbled(f"{self.name}: {reply.body[:80]!r} is no list.")
         return data
@@ -317,7 +334,9 @@ class MiRDriver(Wired):
         return WHO
 
 
-def _errors(status: dict[str, Any]) -> str:
-    """What the robot says is wrong, in brackets."""
-    told = [str(error.get("description")) for error in status.get("errors") or () if isinstance(error, dict)]
-    return f" ({'; '.join(told)})" if told else ""
+def _describe_errors(status: dict[str, Any]) -> str:
+    """The errors that the robot reports, in brackets."""
+    reasons = [
+        str(error.get("description")) for error in status.get("errors") or () if isinstance(error, dict)
+    ]
+    return f" ({'; '.join(reasons)})" if reasons else ""

@@ -23,19 +23,19 @@ MOVE_M = 0.1
 """So near to its target a ``move`` ends."""
 
 
-def authorization(user: str, password: str) -> str:
-    """Not the usual basic scheme: a digest stands in the password's place."""
+def make_authorization(user: str, password: str) -> str:
+    """The header of a user. It is not the usual basic scheme: a digest stands in place of the password."""
     digest = hashlib.sha256(password.encode()).hexdigest()
     return "Basic " + base64.b64encode(f"{user}:{digest}".encode()).decode()
 
 
-def steps(kind: str, position: str) -> dict[str, object]:
+def make_steps(kind: str, position: str) -> dict[str, object]:
     """The one action of a mission that moves to, or docks at, a position."""
-    told: dict[str, object]
+    values: dict[str, object]
     if kind == "docking":
-        told = {"marker": position, "retries": 10, "max_linear_speed": 0.3}
+        values = {"marker": position, "retries": 10, "max_linear_speed": 0.3}
     else:
-        told = {
+        values = {
             "position": position,
             "cart_entry_position": "main",
             "main_or_entry_position": "main",
@@ -43,5 +43,5 @@ def steps(kind: str, position: str) -> dict[str, object]:
             "retries": 10,
             "distance_threshold": MOVE_M,
         }
-    parameters = [{"id": name, "value": value, "input_name": None} for name, value in told.items()]
+    parameters = [{"id": name, "value": value, "input_name": None} for name, value in values.items()]
     return {"action_type": kind, "parameters": parameters, "priority": 1}

@@ -31,5 +31,5 @@ class MiRSimulator(Simulated):
             self.world.work(self.name, "drive", target=target)
             self.position = target
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         return {"position": self.position}

@@ -9,12 +9,12 @@ from labos_drivers.mir.wire import MiROnWire
 HERE = "labos_drivers.mir.driver"
 
 
-def _at_home(mir: MiROnWire, world: World) -> None:
-    """Somebody drives it there, so that it has the whole way before it each time."""
+def _move_home(mir: MiROnWire, world: World) -> None:
+    """Somebody drives it home, so that it has the whole way before it each time."""
     mir.at = mir.positions["home"]
 
 
-def _no_way(mir: MiROnWire, world: World) -> None:
+def _block_way(mir: MiROnWire, world: World) -> None:
     mir.fail("no path to the goal")
 
 
@@ -34,12 +34,12 @@ TORTURE = Torture(
     device=MiROnWire,
     config=lambda address: {"url": address},
     cases=(
-        Case("move", {"target": "bench"}, prepare=_at_home),
-        Case("move", {"target": "the moon"}, prepare=_at_home, refused="there is no position"),
-        Case("dock", {"target": "dock"}, prepare=_at_home),
+        Case("move", {"target": "bench"}, prepare=_move_home),
+        Case("move", {"target": "the moon"}, prepare=_move_home, refused="there is no position"),
+        Case("dock", {"target": "dock"}, prepare=_move_home),
     ),
     faults=(
-        Fault("it finds no way", _no_way),
+        Fault("it finds no way", _block_way),
         Fault.by_setting("something stands in its way", "is_blocked"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
         Fault("its key is turned to manual", _turn_key, _release_stop),

@@ -6,7 +6,7 @@ from math import dist
 from typing import Any
 
 from labos.node import Crash, Setup
-from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
+from labos_drivers._onhttp import HttpEnd, OnHttp, Reply, Request
 from labos_drivers.mir import protocol
 
 TEXTS = {
@@ -33,8 +33,8 @@ class MiROnWire(OnHttp):
         self, setup: Setup, end: HttpEnd | None = None, *, user: str = "", password: str = ""
     ) -> None:
         super().__init__(setup, end)
-        told = setup.config.get("positions") or POSITIONS
-        self.positions = {str(name): (float(x), float(y)) for name, (x, y) in told.items()}
+        configured = setup.config.get("positions") or POSITIONS
+        self.positions = {str(name): (float(x), float(y)) for name, (x, y) in configured.items()}
         drives = [motion for motion in self.world.motions("drive") if motion.device == self.name]
         last = drives[-1].facts["target"] if drives else next(iter(self.positions))
         self.at = self.positions[last]
@@ -44,24 +44,24 @@ class MiROnWire(OnHttp):
         self.errors: list[dict[str, Any]] = []
         self.queue: list[dict[str, Any]] = []
         self.missions: dict[str, dict[str, Any]] = {}
-        self._key = protocol.authorization(user, password)
+        self._key = protocol.make_authorization(user, password)
 
     # -- hearing -----------------------------------------------------------------------------
 
-    def answer(self, question: Question) -> Reply:
-        if question.headers.get("authorization") != self._key:
-            return _refused(401, "Authentication required")
+    def answer(self, request: Request) -> Reply:
+        if request.headers.get("authorization") != self._key:
+            return _refuse(401, "Authentication required")
         try:
-            return self._route(question, *question.parts[2:])
+            return self._route(request, *request.parts[2:])
         except (KeyError, ValueError, TypeError):
-            return _refused(400, "Argument error")
+            return _refuse(400, "Argument error")
 
-    def _route(self, question: Question, *parts: str) -> Reply:
-        match question.method, *parts:
+    def _route(self, request: Request, *parts: str) -> Reply:
+        match request.method, *parts:
             case "GET", "status":
-                return Reply(200, self._status())
+                return Reply(200, self._make_status())
             case "PUT", "status":
-                return self._put(question.json())
+                return self._put(request.json())
             case "GET", "maps", _, "positions":
                 return Reply(200, [{"guid": f"p-{name}", "name": name} for name in self.positions])
             case "GET", "positions", guid if guid.removeprefix("p-") in self.positions:
@@ -71,28 +71,28 @@ class MiROnWire(OnHttp):
             case "GET", "mission_groups":
                 return Reply(200, [{"guid": "group-1", "name": "Missions"}])
             case "POST", "missions":
-                body = question.json()
+                body = request.json()
                 guid = f"mission-{len(self.missions) + 1}"
                 self.missions[guid] = {"guid": guid, "name": body["name"], "actions": []}
                 return Reply(201, {"guid": guid, "name": body["name"]})
             case "POST", "missions", "search":
-                return Reply(200, _search(question, self.missions.values()))
+                return Reply(200, _search(request, self.missions.values()))
             case "GET", "missions", guid, "actions" if guid in self.missions:
                 return Reply(200, self.missions[guid]["actions"])
             case "POST", "missions", guid, "actions" if guid in self.missions:
-                self.missions[guid]["actions"].append(question.json())
-                return Reply(201, question.json())
+                self.missions[guid]["actions"].append(request.json())
+                return Reply(201, request.json())
             case "POST", "mission_queue":
-                return self._add(question.json())
+                return self._add(request.json())
             case "POST", "mission_queue", "search":
-                return Reply(200, _search(question, self.queue))
+                return Reply(200, _search(request, self.queue))
             case method, "mission_queue", number if number.isdecimal() and 0 < int(number) <= len(self.queue):
                 entry = self.queue[int(number) - 1]
                 if method == "DELETE":
                     self._abort(entry)
                     return Reply(204, b"")
                 return Reply(200, entry)
-        return _refused(404, "Not found")
+        return _refuse(404, "Not found")
 
     def _put(self, body: dict[str, Any]) -> Reply:
         if body.get("clear_error"):
@@ -101,19 +101,19 @@ class MiROnWire(OnHttp):
                 self.state = protocol.PAUSE
         if "state_id" in body and self.state not in (protocol.EMERGENCY_STOP, protocol.MANUAL):
             if body["state_id"] not in (protocol.READY, protocol.PAUSE):
-                return _refused(400, "Only 3 and 4 can be set")
+                return _refuse(400, "Only 3 and 4 can be set")
             if self.state == protocol.EXECUTING:
                 self._halt()
             self.state = body["state_id"]
             if self.state == protocol.READY:
-                self._next()
-        return Reply(200, self._status())
+                self._start_next()
+        return Reply(200, self._make_status())
 
     # -- doing -------------------------------------------------------------------------------
 
     def _add(self, body: dict[str, Any]) -> Reply:
         if body["mission_id"] not in self.missions:
-            return _refused(400, "There is no such mission")
+            return _refuse(400, "There is no such mission")
         entry = {
             "id": len(self.queue) + 1,
             "state": "Pending",
@@ -121,10 +121,10 @@ class MiROnWire(OnHttp):
             "message": body.get("message", ""),
         }
         self.queue.append(entry)
-        self.after(1, self._next)
+        self.after(1, self._start_next)
         return Reply(201, entry)
 
-    def _next(self) -> None:
+    def _start_next(self) -> None:
         """Begin what waits longest, or go on with it."""
         if self.state != protocol.READY or self.errors:
             return
@@ -132,8 +132,8 @@ class MiROnWire(OnHttp):
         if entry is None:
             return
         action = self.missions[entry["mission_id"]]["actions"][0]
-        told = {parameter["id"]: parameter["value"] for parameter in action["parameters"]}
-        name = str(told.get("position") or told.get("marker")).removeprefix("p-")
+        values = {parameter["id"]: parameter["value"] for parameter in action["parameters"]}
+        name = str(values.get("position") or values.get("marker")).removeprefix("p-")
         self.state, entry["state"] = protocol.EXECUTING, "Executing"
         self.world.enter(self.name, self.name)
         self.shut(*self.drawers)
@@ -151,14 +151,14 @@ class MiROnWire(OnHttp):
         self.at, self._way = self.positions[name], None
         self.world.work(self.name, "drive", target=name)
         entry["state"] = protocol.DONE
-        self._rest(protocol.READY)
-        self._next()
+        self._come_to_rest(protocol.READY)
+        self._start_next()
 
     def _halt(self) -> None:
-        """It stands still where it is."""
-        self.at, self._way = self._here(), None
+        """The robot stops where it is."""
+        self.at, self._way = self._compute_position(), None
 
-    def _here(self) -> tuple[float, float]:
+    def _compute_position(self) -> tuple[float, float]:
         if self._way is None:
             return self.at
         (x, y), (to_x, to_y), began_s, takes_s = self._way
@@ -171,9 +171,9 @@ class MiROnWire(OnHttp):
             entry["state"] = was
         elif was == "Executing":
             self._halt()
-            self._rest(protocol.READY if self.state == protocol.EXECUTING else self.state)
+            self._come_to_rest(protocol.READY if self.state == protocol.EXECUTING else self.state)
 
-    def _rest(self, state: int) -> None:
+    def _come_to_rest(self, state: int) -> None:
         self.state = state
         self.open(*self.drawers)
         self.world.leave(self.name)
@@ -184,7 +184,7 @@ class MiROnWire(OnHttp):
         self.state = protocol.EMERGENCY_STOP
 
     def fail(self, why: str) -> None:
-        """It finds no way."""
+        """The robot finds no way."""
         self._halt()
         self.state = protocol.ERROR
         self.errors.append({"code": 101, "module": "Planner", "description": why})
@@ -192,7 +192,7 @@ class MiROnWire(OnHttp):
     def damage(self, crash: Crash) -> None:
         self.fail(str(crash))
 
-    def _status(self) -> dict[str, Any]:
+    def _make_status(self) -> dict[str, Any]:
         return {
             "robot_name": self.name,
             "robot_model": "MiR250",
@@ -203,17 +203,17 @@ class MiROnWire(OnHttp):
             "mission_text": "",
             "errors": self.errors,
             "battery_percentage": 80.0,
-            "position": dict(zip("xy", self._here(), strict=True)) | {"orientation": 0.0},
+            "position": dict(zip("xy", self._compute_position(), strict=True)) | {"orientation": 0.0},
             "map_id": MAP,
             "user_prompt": None,
         }
 
 
-def _search(question: Question, items: Any) -> list[dict[str, Any]]:
-    """Only equality is understood."""
-    filters = question.json()["filters"]
+def _search(request: Request, items: Any) -> list[dict[str, Any]]:
+    """The items that a search finds; only equality is understood."""
+    filters = request.json()["filters"]
     return [item for item in items if all(item.get(one["fieldname"]) == one["value"] for one in filters)]
 
 
-def _refused(status: int, why: str) -> Reply:
+def _refuse(status: int, why: str) -> Reply:
     return Reply(status, {"error_code": str(status), "error_human": why})

@@ -45,27 +45,27 @@ class Operator(Node):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._told: dict[str, asyncio.Future[bool]] = {}
+        self._pending: dict[str, asyncio.Future[bool]] = {}
         self.device = OperatorSimulator(setup) if setup.world is not None else None
 
     async def observe(self) -> dict[str, Any]:
-        return self.device.look() if self.device is not None else {}
+        return self.device.observe() if self.device is not None else {}
 
     async def settle(self, action: str, done: bool) -> None:
         """Somebody has confirmed it, or said that it cannot be done."""
-        told = self._told.get(action)
-        if told is not None and not told.done():
-            told.set_result(done)
+        settled = self._pending.get(action)
+        if settled is not None and not settled.done():
+            settled.set_result(done)
 
     @action(Move(SOURCE, TARGET), duration_s=300, by_person=True, aliases=("transfer",))
     async def carry_plate(self, source: Place, target: Place, within: Within = 0.0) -> None:
         """Carry labware from one station to another."""
-        await self._until_done(300, lambda person: person.carry(source, target))
+        await self._await_done(300, lambda person: person.carry(source, target))
 
     @action(Take(SOURCE, StationName("{station}")), duration_s=300, by_person=True)
     async def load(self, source: Place, station: Place, within: Within = 0.0) -> None:
         """Take fresh labware from the store ``source`` and put it on ``station``."""
-        await self._until_done(300, lambda person: person.carry(source, station))
+        await self._await_done(300, lambda person: person.carry(source, station))
 
     @action(Replaces("{module}", "{resource}", "{lot}", "{expires}"), duration_s=600, by_person=True)
     async def replace(
@@ -81,23 +81,23 @@ class Operator(Node):
 
         Without ``module`` the log knows nothing of it.
         """
-        await self._until_done(600, lambda person: person.refill(module, resource))
+        await self._await_done(600, lambda person: person.refill(module, resource))
 
     @action(duration_s=600, by_person=True)
     async def do(self, instruction: Instruction, within: Within = 0.0) -> Any:
         """Do what the instruction says; the result is what the person answers."""
-        await self._until_done(600, lambda person: person.work("do", instruction))
+        await self._await_done(600, lambda person: person.work("do", instruction))
 
-    async def _until_done(self, nominal_s: float, work: Callable[[OperatorSimulator], None]) -> None:
+    async def _await_done(self, nominal_s: float, work: Callable[[OperatorSimulator], None]) -> None:
         """The work goes on until the lab says that it is settled, or the simulated person is done."""
         name = current_action.get()
-        told = self._told[name] = asyncio.get_running_loop().create_future()
+        settled = self._pending[name] = asyncio.get_running_loop().create_future()
         try:
             if self.device is not None and self.device.alone:
-                await self.device.take_time_unless(told, nominal_s)
-            if (told.done() or self.device is None or not self.device.alone) and not await told:
+                await self.device.wait_until_settled(settled, nominal_s)
+            if (settled.done() or self.device is None or not self.device.alone) and not await settled:
                 raise DeviceError("The person says that it cannot be done.", effects="none")
             if self.device is not None and self.device.alone:
                 work(self.device)
         finally:
-            del self._told[name]
+            del self._pending[name]

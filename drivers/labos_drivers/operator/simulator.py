@@ -22,12 +22,12 @@ class OperatorSimulator(Arm):
         self.alone = bool(self.config.get("alone", True))
         self.late = float(self.config.get("late", 0.2))
 
-    async def take_time_unless(self, told: asyncio.Future[bool], nominal_s: float) -> None:
-        """Time passes until the work is done, or somebody has confirmed it before."""
+    async def wait_until_settled(self, settled: asyncio.Future[bool], nominal_s: float) -> None:
+        """Wait until the work is done, or somebody has confirmed it before."""
         share = LATE if self._random.random() < self.late else USUAL
         working = asyncio.ensure_future(self.take_time(share * nominal_s))
         try:
-            ends: set[asyncio.Future[Any]] = {working, told}
+            ends: set[asyncio.Future[Any]] = {working, settled}
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             working.cancel()
@@ -39,7 +39,7 @@ class OperatorSimulator(Arm):
     def refill(self, module: str, resource: str) -> None:
         """Take out what is left in a device, and put in as much as it was given at first."""
         device = module.rpartition("/")[2]
-        left = self.world.left(device, resource) if device else None
+        left = self.world.find_level(device, resource) if device else None
         packs = [m for m in self.world.motions("supply") if m.place == device]
         full = [m.facts["amount"] for m in packs if m.facts["resource"] == resource]
         if left is not None and full:

@@ -14,12 +14,12 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 from labos_drivers.ot2.expressions import (
-    COMPARED,
+    COMPARISONS,
     UNARY,
     UNKNOWN,
-    applied,
-    called,
-    combined,
+    apply,
+    call_builtin,
+    combine,
     is_flat,
     is_known,
     item_of,
@@ -38,7 +38,7 @@ UNHARMFUL = {"print", "len", "isinstance", "range", "next", "iter", "str", "type
 
 
 class Doubt(Exception):
-    """Why a number of tips is not certain, as half a sentence."""
+    """The reason why a number of tips is not certain, as half a sentence."""
 
 
 class Protocol:
@@ -89,8 +89,8 @@ class Returned(Exception):
 
 
 class Calls(ABC):
-    """Goes through expressions, and counts. ``where`` is the line it is at; while ``unsure`` says why, what
-    is read may be done or not, and while ``bound`` does, nothing may be left early."""
+    """Goes through expressions, and counts tips. ``where`` is the present line. While ``unsure`` has a
+    reason, what is read may be carried out or not; while ``bound`` has one, nothing may be left early."""
 
     def __init__(self) -> None:
         self.tips = 0.0
@@ -102,27 +102,27 @@ class Calls(ABC):
         self._takes: dict[ast.AST, list[ast.Attribute]] = {}
 
     @abstractmethod
-    def each(self, body: Sequence[ast.stmt], scope: Scope) -> None:
+    def read_all(self, body: Sequence[ast.stmt], scope: Scope) -> None:
         """Go through statements."""
 
     @abstractmethod
     def assign(self, target: ast.expr, value: Any, scope: Scope) -> None:
-        """Give names what they stand for."""
+        """Give names their values."""
 
     def step(self) -> None:
-        """One more thing is done."""
+        """Count one more statement. Raises Doubt if there are too many."""
         self._steps += 1
         if self._steps > MOST_STEPS:
             raise Doubt(f"it does more than {MOST_STEPS} things")
 
-    def takes(self, node: ast.AST) -> list[ast.Attribute]:
-        """Where tips are taken in it; looked for once."""
+    def find_tip_uses(self, node: ast.AST) -> list[ast.Attribute]:
+        """The places in a syntax tree at which tips are taken; looked for once."""
         if node not in self._takes:
-            self._takes[node] = list(takes(node))
+            self._takes[node] = list(find_tip_uses(node))
         return self._takes[node]
 
-    def inside(self, node: ast.AST) -> Iterator[ast.AST]:
-        """All parts of it. Raises Doubt if too many were looked at."""
+    def walk(self, node: ast.AST) -> Iterator[ast.AST]:
+        """All parts of a syntax tree. Raises Doubt if too many were looked at."""
         for part in ast.walk(node):
             self._looked_at += 1
             if self._looked_at > MOST_LOOKED_AT:
@@ -131,89 +131,87 @@ class Calls(ABC):
 
     # -- what an expression is worth ---------------------------------------------------------
 
-    def value(self, node: ast.expr, scope: Scope) -> Any:
-        """What an expression is worth. Raises Doubt."""
+    def evaluate(self, node: ast.expr, scope: Scope) -> Any:
+        """The value of an expression. Raises Doubt."""
         match node:
             case ast.Constant():
                 return node.value
             case ast.Name():
-                return scope.find(node.id) if has(scope, node.id) else UNKNOWN
+                return scope.find(node.id) if is_defined(scope, node.id) else UNKNOWN
             case ast.NamedExpr():
-                value = self.value(node.value, scope)
+                value = self.evaluate(node.value, scope)
                 self.assign(node.target, value, scope)
                 return value
             case ast.List() | ast.Tuple():
-                items = [self.value(item, scope) for item in node.elts]
+                items = [self.evaluate(item, scope) for item in node.elts]
                 if any(isinstance(item, ast.Starred) for item in node.elts):
                     return UNKNOWN
                 return items if isinstance(node, ast.List) else tuple(items)
             case ast.Dict():
-                keys = [self.value(key, scope) if key is not None else UNKNOWN for key in node.keys]
-                values = [self.value(value, scope) for value in node.values]
+                keys = [self.evaluate(key, scope) if key is not None else UNKNOWN for key in node.keys]
+                values = [self.evaluate(value, scope) for value in node.values]
                 return dict(zip(keys, values, strict=True)) if is_known(keys) else UNKNOWN
             case ast.ListComp():
-                return self._listed(node, scope)
+                return self._evaluate_list(node, scope)
             case ast.Subscript() | ast.Slice() | ast.Attribute():
-                return self._part(node, scope)
+                return self._evaluate_part(node, scope)
             case ast.BinOp() | ast.UnaryOp() | ast.Compare():
-                return self._worked_out(node, scope)
+                return self._evaluate_operation(node, scope)
             case ast.BoolOp():
-                return self._either(node, scope)
+                return self._evaluate_logic(node, scope)
             case ast.IfExp():
-                decided = self.truth(self.value(node.test, scope))
+                decided = self.find_truth(self.evaluate(node.test, scope))
                 if decided is not None:
-                    return self.value(node.body if decided else node.orelse, scope)
+                    return self.evaluate(node.body if decided else node.orelse, scope)
                 self.forget(node.body, scope)
                 self.forget(node.orelse, scope)
                 return UNKNOWN
             case ast.Call():
                 return self._call(node, scope)
             case ast.Starred() | ast.FormattedValue():
-                return self.value(node.value, scope) and UNKNOWN
+                return self.evaluate(node.value, scope) and UNKNOWN
             case ast.JoinedStr():
                 for part in node.values:
-                    self.value(part, scope)
+                    self.evaluate(part, scope)
                 return UNKNOWN
         self.forget(node, scope)
         return UNKNOWN
 
-    def _part(self, node: ast.Subscript | ast.Slice | ast.Attribute, scope: Scope) -> Any:
+    def _evaluate_part(self, node: ast.Subscript | ast.Slice | ast.Attribute, scope: Scope) -> Any:
         if isinstance(node, ast.Slice):
             bounds = [
-                self.value(part, scope) if part is not None else None
+                self.evaluate(part, scope) if part is not None else None
                 for part in (node.lower, node.upper, node.step)
             ]
             return slice(*bounds) if is_known(bounds) else UNKNOWN
-        held = self.value(node.value, scope)
+        held = self.evaluate(node.value, scope)
         if isinstance(node, ast.Attribute):
             return held.has_tip if isinstance(held, Pipette) and node.attr == "has_tip" else UNKNOWN
-        key = self.value(node.slice, scope)
+        key = self.evaluate(node.slice, scope)
         return UNKNOWN if id(held) in self._spoiled else item_of(held, key)
 
-    def _worked_out(self, node: ast.BinOp | ast.UnaryOp | ast.Compare, scope: Scope) -> Any:
+    def _evaluate_operation(self, node: ast.BinOp | ast.UnaryOp | ast.Compare, scope: Scope) -> Any:
         if isinstance(node, ast.BinOp):
-            left, right = self.value(node.left, scope), self.value(node.right, scope)
+            left, right = self.evaluate(node.left, scope), self.evaluate(node.right, scope)
             spoiled = id(left) in self._spoiled or id(right) in self._spoiled
-            return UNKNOWN if spoiled else combined(type(node.op), left, right)
+            return UNKNOWN if spoiled else combine(type(node.op), left, right)
         if isinstance(node, ast.UnaryOp):
-            held = self.value(node.operand, scope)
+            held = self.evaluate(node.operand, scope)
             if isinstance(node.op, ast.Not):
-                truth = self.truth(held)
+                truth = self.find_truth(held)
                 return UNKNOWN if truth is None else not truth
-            return (
-                applied(UNARY[type(node.op)], held) if is_known(held) and type(node.op) in UNARY else UNKNOWN
-            )
-        sides = [self.value(side, scope) for side in (node.left, *node.comparators)]
+            return apply(UNARY[type(node.op)], held) if is_known(held) and type(node.op) in UNARY else UNKNOWN
+        sides = [self.evaluate(side, scope) for side in (node.left, *node.comparators)]
         if len(sides) > 2 or not all(map(is_flat, sides)) or any(id(side) in self._spoiled for side in sides):
             return UNKNOWN
-        return applied(COMPARED[type(node.ops[0])], *sides)
+        return apply(COMPARISONS[type(node.ops[0])], *sides)
 
-    def _either(self, node: ast.BoolOp, scope: Scope) -> Any:
-        """``a and b``, ``a or b``: what comes later is looked at only if need be."""
+    def _evaluate_logic(self, node: ast.BoolOp, scope: Scope) -> Any:
+        """``a and b``, ``a or b``: later parts are evaluated only if needed."""
         value: Any = UNKNOWN
         for number, part in enumerate(node.values):
-            value = self.value(part, scope)
-            truth = self.truth(value)
+            value = self.evaluate(part, scope)
+            truth = self.find_truth(value)
             if truth is None:
                 for later in node.values[number + 1 :]:
                     self.forget(later, scope)
@@ -222,10 +220,10 @@ class Calls(ABC):
                 return value
         return value
 
-    def _listed(self, node: ast.ListComp, scope: Scope) -> Any:
-        """A list of known length, whatever its items are."""
+    def _evaluate_list(self, node: ast.ListComp, scope: Scope) -> Any:
+        """A list comprehension: a list of known length, whatever its items are."""
         (first, *more) = node.generators
-        items = self.items(self.value(first.iter, scope))
+        items = self.list_items(self.evaluate(first.iter, scope))
         if items is None or more or first.ifs:
             self.forget(node, scope)
             return UNKNOWN
@@ -233,16 +231,16 @@ class Calls(ABC):
         for item in items:
             self.step()
             self.assign(first.target, item, inner)
-            found.append(self.value(node.elt, inner))
+            found.append(self.evaluate(node.elt, inner))
         return found
 
-    def items(self, value: Any) -> Sequence[Any] | None:
-        """What a loop goes through; None if that is not known."""
+    def list_items(self, value: Any) -> Sequence[Any] | None:
+        """The items that a loop goes through; None if they are not known."""
         if id(value) in self._spoiled or not isinstance(value, list | tuple | range | dict | str):
             return None
         return value if isinstance(value, range) else list(value)
 
-    def truth(self, value: Any) -> bool | None:
+    def find_truth(self, value: Any) -> bool | None:
         """Whether a value counts as true; None if that is not known."""
         plain = isinstance(value, bool | int | float | str | list | tuple | dict | range) or value is None
         return bool(value) if plain and id(value) not in self._spoiled else None
@@ -250,37 +248,37 @@ class Calls(ABC):
     # -- calls -------------------------------------------------------------------------------
 
     def _call(self, node: ast.Call, scope: Scope) -> Any:
-        args = [self.value(arg.value if isinstance(arg, ast.Starred) else arg, scope) for arg in node.args]
-        named = {key.arg or "**": self.value(key.value, scope) for key in node.keywords}
+        args = [self.evaluate(arg.value if isinstance(arg, ast.Starred) else arg, scope) for arg in node.args]
+        named = {key.arg or "**": self.evaluate(key.value, scope) for key in node.keywords}
         spread = "**" in named or any(isinstance(arg, ast.Starred) for arg in node.args)
         if isinstance(node.func, ast.Attribute):
-            held = self.value(node.func.value, scope)
-            return self._method(node.func, held, args, named, spread)
-        function = self.value(node.func, scope)
+            held = self.evaluate(node.func.value, scope)
+            return self._call_method(node.func, held, args, named, spread)
+        function = self.evaluate(node.func, scope)
         if isinstance(function, Function):
             return self.enter(function, args, named, spread)
-        name = node.func.id if isinstance(node.func, ast.Name) and not has(scope, node.func.id) else ""
+        name = node.func.id if isinstance(node.func, ast.Name) and not is_defined(scope, node.func.id) else ""
         if name and not named and not spread and not any(id(arg) in self._spoiled for arg in args):
-            found = called(name, args)
+            found = call_builtin(name, args)
             if found is not UNKNOWN or name in UNHARMFUL:
                 return found
-        return self._elsewhere(name or "what it calls", [*args, *named.values()])
+        return self._call_unknown(name or "what it calls", [*args, *named.values()])
 
-    def _elsewhere(self, name: str, given: list[Any]) -> Any:
-        """A call that cannot be followed: it gets no hand on a pipette."""
+    def _call_unknown(self, name: str, given: list[Any]) -> Any:
+        """A call that cannot be followed: it must not get a pipette."""
         for part in parts_of(given):
             if isinstance(part, Pipette | Protocol):
                 raise Doubt(f"line {self.where}: what `{name}` does with a pipette cannot be told")
             self.spoil(part)
-            self.not_given(part)
+            self.check_takes_no_tips(part)
         return UNKNOWN
 
-    def _method(
+    def _call_method(
         self, method: ast.Attribute, held: Any, args: list[Any], named: dict[str, Any], spread: bool
     ) -> Any:
         name = method.attr
         if isinstance(held, Pipette):
-            return self._pipetting(method, held, named, spread)
+            return self._call_pipette(method, held, named, spread)
         if name in TAKES:
             raise Doubt(f"line {method.lineno}: with which pipette `{name}` is done cannot be told")
         if isinstance(held, Protocol):
@@ -295,9 +293,11 @@ class Calls(ABC):
                 return list(getattr(held, name)())
             if name not in ("copy", "index", "count", "get"):
                 self.spoil(held)
-        return self._elsewhere(name, [*args, *named.values()])
+        return self._call_unknown(name, [*args, *named.values()])
 
-    def _pipetting(self, method: ast.Attribute, pipette: Pipette, named: dict[str, Any], spread: bool) -> Any:
+    def _call_pipette(
+        self, method: ast.Attribute, pipette: Pipette, named: dict[str, Any], spread: bool
+    ) -> Any:
         name = method.attr
         if name in ("drop_tip", "return_tip"):
             pipette.has_tip = UNKNOWN if self.unsure else False
@@ -315,15 +315,15 @@ class Calls(ABC):
             )
         if not isinstance(pipette.name, str):
             raise Doubt(f"line {method.lineno}: which pipette `{name}` is done with cannot be told")
-        self.tips += channels(pipette.name)
+        self.tips += count_channels(pipette.name)
         pipette.has_tip = UNKNOWN if self.unsure else name == "pick_up_tip"
         return pipette
 
     def enter(self, function: Function, args: list[Any], named: dict[str, Any], spread: bool = False) -> Any:
-        """Go through a function of the protocol's own; what it returns. Raises Doubt."""
+        """Go through a function of the protocol's own; returns its result. Raises Doubt."""
         node, inner = function.node, Scope(function.scope)
         if function.yields:
-            return self._elsewhere(node.name, [function, *args, *named.values()])
+            return self._call_unknown(node.name, [function, *args, *named.values()])
         given = [arg.arg for arg in (*node.args.posonlyargs, *node.args.args)]
         for name in (*given, *(arg.arg for arg in node.args.kwonlyargs)):
             inner[name] = UNKNOWN if spread else function.defaults.get(name, UNKNOWN)
@@ -336,7 +336,7 @@ class Calls(ABC):
             raise Doubt(f"line {node.lineno}: `{node.name}` calls itself")
         before, self.bound = self.bound, ""  # coming back early is the function's own affair
         try:
-            self.each(node.body, inner)
+            self.read_all(node.body, inner)
         except Returned as returned:
             return returned.value
         finally:
@@ -348,25 +348,25 @@ class Calls(ABC):
     def forget(self, node: ast.AST, scope: Scope) -> None:
         """Pass over what is done nobody knows how often: names that it sets are unknown, and it may not
         take tips."""
-        for first in self.takes(node):
+        for first in self.find_tip_uses(node):
             raise Doubt(f"line {first.lineno}: how often `{first.attr}` is done only the robot knows")
-        for inner in self.inside(node):
+        for inner in self.walk(node):
             if isinstance(inner, ast.Name) and isinstance(inner.ctx, ast.Store):
                 scope.put(inner.id, UNKNOWN)
             elif isinstance(inner, ast.Name):
                 found = scope.find(inner.id)
                 for part in parts_of(found):
                     self.spoil(part)
-                    self.not_given(part)
+                    self.check_takes_no_tips(part)
             elif isinstance(inner, ast.Call):
-                self._not_handed(inner, scope)
+                self._check_call(inner, scope)
 
-    def _not_handed(self, call: ast.Call, scope: Scope) -> None:
-        """A call that is passed over gets no hand on a pipette, unless it is of the protocol's own."""
+    def _check_call(self, call: ast.Call, scope: Scope) -> None:
+        """A call that is passed over must not get a pipette, unless the function is the protocol's own."""
         if isinstance(call.func, ast.Name) and isinstance(scope.find(call.func.id), Function):
             return
         for arg in (*call.args, *(key.value for key in call.keywords)):
-            for inner in self.inside(arg):
+            for inner in self.walk(arg):
                 found = scope.find(inner.id) if isinstance(inner, ast.Name) else None
                 if any(isinstance(part, Pipette | Protocol) for part in parts_of(found)):
                     raise Doubt(f"line {call.lineno}: what is done with a pipette there cannot be told")
@@ -378,7 +378,7 @@ class Calls(ABC):
         if isinstance(value, Pipette):
             value.has_tip = UNKNOWN
 
-    def not_given(self, value: Any) -> None:
+    def check_takes_no_tips(self, value: Any) -> None:
         """A function of the protocol's own, called where it cannot be followed, may not take tips."""
         open_, seen = [value], set()
         while open_:
@@ -387,13 +387,13 @@ class Calls(ABC):
                 continue
             self._looked_at += len(function.names)
             seen.add(function.node)
-            if self.takes(function.node):
+            if self.find_tip_uses(function.node):
                 raise Doubt(f"line {self.where}: how often `{function.node.name}` is done cannot be told")
             open_ += [part for name in function.names for part in parts_of(function.scope.find(name))]
 
     @contextmanager
-    def may_be(self, why: str) -> Iterator[None]:
-        """What is read meanwhile may be done or not."""
+    def suppose(self, why: str) -> Iterator[None]:
+        """What is read meanwhile may be carried out or not."""
         before = self.unsure, self.bound
         self.unsure, self.bound = self.unsure or why, why
         try:
@@ -402,20 +402,20 @@ class Calls(ABC):
             self.unsure, self.bound = before
 
 
-def channels(name: str) -> int:
+def count_channels(name: str) -> int:
     """How many tips a pipette of this name picks up at once."""
     return 96 if "_96" in name else 8 if "_multi" in name or "_8channel" in name else 1
 
 
-def takes(node: ast.AST) -> Iterator[ast.Attribute]:
-    """Where tips are taken."""
+def find_tip_uses(node: ast.AST) -> Iterator[ast.Attribute]:
+    """The places in a syntax tree at which tips are taken."""
     for inner in ast.walk(node):
         if isinstance(inner, ast.Attribute) and inner.attr in TAKES:
             yield inner
 
 
-def has(scope: Scope | None, name: str) -> bool:
-    """Whether a name stands for something."""
+def is_defined(scope: Scope | None, name: str) -> bool:
+    """Whether a name has a value."""
     while scope is not None:
         if name in scope:
             return True

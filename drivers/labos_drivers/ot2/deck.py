@@ -22,25 +22,28 @@ LARGEST_DEFINITION = 1024 * 1024
 OFFSET_KEYS = frozenset({"labware", "slot", "x", "y", "z"})
 
 
-def offsets_in(name: str, config: Mapping[str, Any]) -> list[dict[str, Any]]:
+def read_offsets(name: str, config: Mapping[str, Any]) -> list[dict[str, Any]]:
     """``labware_offsets:`` of the configuration, as ``POST /runs`` takes them. Raises BadInput."""
-    told = config.get("labware_offsets") or []
-    if not isinstance(told, list):
+    configured = config.get("labware_offsets") or []
+    if not isinstance(configured, list):
         raise BadInput(f"{name}: `labware_offsets` is no list.", remedy=_EXAMPLE)
-    return [_offset(f"{name}: `labware_offsets[{number}]`", entry) for number, entry in enumerate(told)]
+    return [
+        _parse_offset(f"{name}: `labware_offsets[{number}]`", entry)
+        for number, entry in enumerate(configured)
+    ]
 
 
-def definitions_in(name: str, config: Mapping[str, Any]) -> list[tuple[str, bytes]]:
+def read_definitions(name: str, config: Mapping[str, Any]) -> list[tuple[str, bytes]]:
     """The files of ``labware_definitions:`` (paths of JSON files, or of folders of them, on the node's
     computer), by name. Raises BadInput."""
-    told = config.get("labware_definitions") or []
-    paths = [told] if isinstance(told, str) else told
+    configured = config.get("labware_definitions") or []
+    paths = [configured] if isinstance(configured, str) else configured
     if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
         raise BadInput(f"{name}: `labware_definitions` is no list of paths.")
     files: dict[str, bytes] = {}
     for path in map(Path, paths):
         for file in sorted(path.glob("*.json")) if path.is_dir() else [path]:
-            files[file.name] = _definition(name, file)
+            files[file.name] = _read_definition(name, file)
     return list(files.items())
 
 
@@ -50,7 +53,7 @@ _EXAMPLE = (
 )
 
 
-def _offset(where: str, entry: Any) -> dict[str, Any]:
+def _parse_offset(where: str, entry: Any) -> dict[str, Any]:
     if not isinstance(entry, Mapping) or set(entry) - OFFSET_KEYS or not {"labware", "slot"} <= set(entry):
         raise BadInput(f"{where} is no offset.", remedy=_EXAMPLE)
     uri, slot = str(entry["labware"]), str(entry["slot"])
@@ -65,13 +68,13 @@ def _offset(where: str, entry: Any) -> dict[str, Any]:
     return {"definitionUri": uri, "location": {"slotName": slot}, "vector": vector}
 
 
-def _definition(name: str, file: Path) -> bytes:
+def _read_definition(name: str, file: Path) -> bytes:
     try:
         content = file.read_bytes()
-        told = json.loads(content) if len(content) <= LARGEST_DEFINITION else None
+        definition = json.loads(content) if len(content) <= LARGEST_DEFINITION else None
     except (OSError, ValueError, RecursionError) as error:
         raise BadInput(f"{name}: the labware definition {file} cannot be read: {error}.") from error
-    if not isinstance(told, dict) or "wells" not in told or "parameters" not in told:
+    if not isinstance(definition, dict) or "wells" not in definition or "parameters" not in definition:
         raise BadInput(
             f"{name}: {file} is no labware definition.",
             remedy="Use the JSON file of Opentrons' Labware Creator (schema version 2).",

@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
-from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.ot2 import protocol
-from labos_drivers.ot2.deck import definitions_in, offsets_in
-from labos_drivers.ot2.translate import translated
+from labos_drivers.ot2.deck import read_definitions, read_offsets
+from labos_drivers.ot2.translate import translate
 
 ANSWER_S, UPLOAD_S, CREATE_S, ANALYSIS_S, HOME_S = 10.0, 600.0, 60.0, 900.0, 120.0
 POLL_S, BEGIN_S, LOST_S = 1.0, 10.0, 60.0
@@ -34,13 +34,13 @@ class OT2Driver(Wired):
     where = ("url", f"http://192.168.0.20:{protocol.PORT}")
     link: HttpLink
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._run = ""
         self.waits_for = ""
         """What the run waits for a person to do; empty while it goes on."""
-        self._offsets = offsets_in(setup.name, setup.config)
-        self._definitions = definitions_in(setup.name, setup.config)
+        self._offsets = read_offsets(setup.name, setup.config)
+        self._definitions = read_definitions(setup.name, setup.config)
         self.link = HttpLink(
             address,
             name=setup.name,
@@ -61,31 +61,33 @@ class OT2Driver(Wired):
     ) -> str:
         """Upload the protocol, have it analysed and make a run; returns the robot's name for it. Nothing
         moves. ``parameters`` are values for the protocol's own run-time parameters. Raises DeviceError."""
-        with self.motion(), self._nothing_moved():
-            name, content = self._protocol(path, values)
+        with self.motion(), self.report_no_effects():
+            name, content = self._read_protocol(path, values)
             files = [("files", (name, content))]
             if name.endswith(".py"):  # a JSON protocol has its definitions in itself
                 files += [("files", definition) for definition in self._definitions]
             given = {"runTimeParameterValues": dict(parameters)} if parameters else {}
             form = {key: json.dumps(value) for key, value in given.items()}
-            uploaded = self._data(
+            uploaded = self._parse_data(
                 self.link.post(
                     "/protocols", files=files, form=form, timeout_s=self.limit_s("upload", UPLOAD_S)
                 )
             )
-            held = self._name_of(uploaded)
+            held = self._parse_id(uploaded)
             self._await_analysis(held)
             body: dict[str, dict[str, Any]] = {"data": {"protocolId": held, **given}}
             if self._offsets:
                 body["data"]["labwareOffsets"] = self._offsets
-            made = self._data(self.link.post("/runs", json=body, timeout_s=self.limit_s("create", CREATE_S)))
-            run = self._name_of(made)
+            made = self._parse_data(
+                self.link.post("/runs", json=body, timeout_s=self.limit_s("create", CREATE_S))
+            )
+            run = self._parse_id(made)
             self._check_offsets(run, made)
             return run
 
     @off_loop
     def carry_out(self, run: str) -> dict[str, Any]:
-        """Start a run and see it through."""
+        """Start a run and wait for its end."""
         with self.motion():
             self._run = run
             try:
@@ -93,28 +95,28 @@ class OT2Driver(Wired):
             except LinkError as error:
                 if error.effects == "none" or not self._has_begun(run, error):
                     raise
-            return self._see_through(run)
+            return self._await_end(run)
 
     @off_loop
     def follow(self, run: str) -> dict[str, Any]:
-        """See a run through that was started before. Raises DeviceError, also if it never was, and
+        """Wait for the end of a run that was started before. Raises DeviceError, also if it never was, and
         OutcomeUnknown if the robot does not know it any more."""
         with self.motion():
             self._run = run
             with self.under_way():
                 try:
-                    begun = not self._is_fresh(self._state_again(run)) or not self._give_up(run)
+                    begun = not self._is_fresh(self._poll_state(run)) or not self._give_up(run)
                 except _Forgotten as error:
                     raise OutcomeUnknown(error.message) from error
             if not begun:
                 raise DeviceError(f"{self.name}: the run {run} was never started.", effects="none")
-            return self._see_through(run)
+            return self._await_end(run)
 
-    @aside
+    @during_motion
     def resume_run(self) -> None:
         """Go on with a run that waits. Raises DeviceError."""
-        run = self._run or self._current()
-        status = self._state(run)["status"] if run else protocol.IDLE
+        run = self._run or self._find_current_run()
+        status = self._read_state(run)["status"] if run else protocol.IDLE
         action = protocol.RESUMED_BY.get(status)
         if action is None:
             why = protocol.WAITS_FOR.get(status) or f"the run is {status}"
@@ -122,7 +124,7 @@ class OT2Driver(Wired):
                 f"{self.name}: nothing can be resumed: {why}." if run else f"{self.name}: no run waits.",
                 effects="none",
             )
-        self._data(
+        self._parse_data(
             self.link.post(
                 f"/runs/{run}/actions", json={"data": {"actionType": action}}, timeout_s=self._answer_s
             )
@@ -130,7 +132,7 @@ class OT2Driver(Wired):
 
     # -- the device itself -------------------------------------------------------------------
 
-    @aside
+    @during_motion
     def stop(self) -> None:
         """Cancels the run; the robot stops at once and homes its gantry."""
         self._halted.set()
@@ -139,46 +141,46 @@ class OT2Driver(Wired):
                 f"/runs/{self._run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
             )
             if reply.status not in (404, 409):  # it has ended by itself
-                self._data(reply)
+                self._parse_data(reply)
 
     @off_loop
     def reset(self) -> None:
         """Cancels what runs, and homes the gantry."""
         self.resume()
-        run = self._current()
-        if run and self._state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
+        run = self._find_current_run()
+        if run and self._read_state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
             self.link.post(
                 f"/runs/{run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
             )
             with self.under_way(), suppress(_Ended):
-                self._see_through(run)
+                self._await_end(run)
         with self.under_way():
             reply = self.link.post(
                 "/robot/home", json={"target": "robot"}, timeout_s=self.limit_s("home", HOME_S)
             )
             if not reply.ok:
-                raise self._refused(reply, "unknown")
+                raise self._make_refusal(reply, "unknown")
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
         """A run that nobody here follows may wait for a person as well: then that is why it is not idle."""
         status = ""
         try:
-            run = self._current()
-            status = self._state(run)["status"] if run else protocol.IDLE
+            run = self._find_current_run()
+            status = self._read_state(run)["status"] if run else protocol.IDLE
         finally:
             self.waits_for = protocol.WAITS_FOR.get(status, "")
         return status in (protocol.IDLE, *protocol.TERMINAL)
 
-    @aside
-    def look(self) -> dict[str, Any]:
+    @during_motion
+    def observe(self) -> dict[str, Any]:
         """It has no sensor for labware."""
         return {}
 
     # -- inside ------------------------------------------------------------------------------
 
-    def _protocol(self, path: str, values: Mapping[str, Any]) -> tuple[str, bytes]:
-        """The file as the robot takes it. Raises DeviceError."""
+    def _read_protocol(self, path: str, values: Mapping[str, Any]) -> tuple[str, bytes]:
+        """Name and content of the file, in the form that the robot takes. Raises DeviceError."""
         file = Path(path)
         if not file.is_file():
             raise DeviceError(
@@ -189,14 +191,14 @@ class OT2Driver(Wired):
             raise DeviceError(
                 f"{self.name}: {file.name} has {len(content)} bytes; {LARGEST} are allowed.", effects="none"
             )
-        _check(self.name, values)
+        _check_volumes(self.name, values)
         match file.suffix.lower():
             case ".py":
                 return file.name, protocol.with_values(content, values)
             case ".json":
                 return file.name, content
             case ".yaml" | ".yml":
-                return f"{file.stem}.py", protocol.with_values(translated(file.name, content), values)
+                return f"{file.stem}.py", protocol.with_values(translate(file.name, content), values)
         raise DeviceError(
             f"{self.name}: {file.name} is no protocol that an OT-2 takes.",
             effects="none",
@@ -207,14 +209,16 @@ class OT2Driver(Wired):
         limit_s = self.limit_s("analysis", ANALYSIS_S)
         deadline = time.monotonic() + limit_s
         while True:
-            self.unless_stopped()
-            analyses = self._data(self.link.get(f"/protocols/{name}/analyses", timeout_s=self._answer_s))
+            self.check_not_stopped()
+            analyses = self._parse_data(
+                self.link.get(f"/protocols/{name}/analyses", timeout_s=self._answer_s)
+            )
             last = analyses[-1] if analyses else {}
             if last.get("status") == "completed":
                 # An older robot tells no result, but the errors, if only that there are none.
                 if last.get("result", "ok" if last.get("errors") == [] else "not-ok") != "ok":
                     why = (
-                        protocol.innermost(last.get("errors"))
+                        protocol.find_innermost(last.get("errors"))
                         if last.get("errors")
                         else f"its analysis ended as {last.get('result')!r}"
                     )
@@ -232,21 +236,21 @@ class OT2Driver(Wired):
             time.sleep(POLL_S)
 
     def _play(self, run: str) -> None:
-        self.unless_stopped()
+        self.check_not_stopped()
         reply = self.link.post(
             f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=self._answer_s
         )
         if reply.status >= 500:
-            raise Garbled(f"{self.name}: {self._refused(reply, '').message} It may have begun.")
+            raise Garbled(f"{self.name}: {self._make_refusal(reply, '').message} It may have begun.")
         if not reply.ok:
             self._release(run)
-            raise self._refused(reply, "none")
+            raise self._make_refusal(reply, "none")
 
     def _has_begun(self, run: str, error: LinkError) -> bool:
         """Whether a ``play`` whose answer was lost has reached the robot. If it has not, the run is given
         up, so that it cannot begin later."""
         with self.under_way():
-            if not self._is_fresh(self._state_again(run)) or not self._give_up(run):
+            if not self._is_fresh(self._poll_state(run)) or not self._give_up(run):
                 return True
         error.effects = "none"
         return False
@@ -260,17 +264,17 @@ class OT2Driver(Wired):
         """Take a run back that has not begun; False if the robot says that it has. Raises LinkError."""
         return self._retire(run).ok
 
-    def _see_through(self, run: str) -> dict[str, Any]:
+    def _await_end(self, run: str) -> dict[str, Any]:
         try:
-            return self._watched(run)
+            return self._poll_until_end(run)
         finally:
             self.waits_for = ""
 
-    def _watched(self, run: str) -> dict[str, Any]:
+    def _poll_until_end(self, run: str) -> dict[str, Any]:
         began = time.monotonic()
         with self.under_way():
             while True:
-                state = self._state_again(run)
+                state = self._poll_state(run)
                 status = state["status"]
                 self.waits_for = protocol.WAITS_FOR.get(status, "")
                 if status in protocol.TERMINAL:
@@ -284,7 +288,9 @@ class OT2Driver(Wired):
             self._run = ""
             self._release(run)
             if status != protocol.SUCCEEDED or state.get("ok") is False:
-                why = protocol.innermost(state.get("errors")) if status == protocol.FAILED else "cancelled"
+                why = (
+                    protocol.find_innermost(state.get("errors")) if status == protocol.FAILED else "cancelled"
+                )
                 why = "the robot has lost its record of it" if state.get("ok") is False else why
                 raise _Ended(
                     f"{self.name}: run {run} {status}: {why}.".replace("..", "."),
@@ -302,13 +308,13 @@ class OT2Driver(Wired):
                 remedy="Check `labware_offsets:` of the module, and the version of the robot's software.",
             )
 
-    def _state_again(self, run: str) -> dict[str, Any]:
-        """The state of a run that goes on without us: a robot that is out of reach for a while is asked
-        again."""
+    def _poll_state(self, run: str) -> dict[str, Any]:
+        """The state of a run, which goes on without this node: a robot that cannot be reached for a while is
+        asked again."""
         deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
-                return self._state(run)
+                return self._read_state(run)
             except WrongDevice:
                 raise
             except LinkError:
@@ -316,22 +322,22 @@ class OT2Driver(Wired):
                     raise
             time.sleep(POLL_S)
 
-    def _state(self, run: str) -> dict[str, Any]:
+    def _read_state(self, run: str) -> dict[str, Any]:
         reply = self.link.get(f"/runs/{run}", timeout_s=self._answer_s)
         if reply.status == 404:
             raise _Forgotten(
                 f"{self.name}: the robot does not know the run {run} any more.",
                 remedy="Look at the deck: what was pipetted is not known.",
             )
-        state = self._data(reply)
+        state = self._parse_data(reply)
         if not isinstance(state, dict) or not isinstance(state.get("status"), str):
             raise Garbled(f"{self.name}: the answer does not tell the state of run {run}.")
         return state
 
-    def _current(self) -> str:
-        """The run that the robot has in hand; empty if there is none."""
+    def _find_current_run(self) -> str:
+        """The robot's current run; empty if there is none."""
         reply = self.link.get("/runs", params={"pageLength": 1}, timeout_s=self._answer_s)
-        self._data(reply)
+        self._parse_data(reply)
         links = reply.json().get("links")
         current = links.get("current") if isinstance(links, dict) else ""
         if current is None:
@@ -342,7 +348,7 @@ class OT2Driver(Wired):
         return name
 
     def _release(self, run: str) -> None:
-        """The robot is free for others; that it is not does no harm."""
+        """Make the robot free for others; a failure does no harm."""
         with suppress(DeviceError):
             self._retire(run)
 
@@ -353,42 +359,33 @@ class OT2Driver(Wired):
 
     # -- one answer --------------------------------------------------------------------------
 
-    def _data(self, reply: HttpReply) -> Any:
+    def _parse_data(self, reply: HttpReply) -> Any:
         """Raises DeviceError for a refusal, NotConnected from a robot that still starts, Garbled for what is
         no answer of a robot server."""
         if reply.status == 503:
             raise NotConnected(f"{self.name}: the robot is still starting.", remedy="Wait some minutes.")
         if not reply.ok:
-            raise self._refused(reply, "none")
+            raise self._make_refusal(reply, "none")
         body = reply.json()
         if not isinstance(body, dict) or "data" not in body:
             raise Garbled(f"{self.name}: {reply.body[:80]!r} is no answer of a robot server.")
         return body["data"]
 
-    def _name_of(self, data: Any) -> str:
+    def _parse_id(self, data: Any) -> str:
         if not isinstance(data, dict) or not isinstance(data.get("id"), str):
             raise Garbled(f"{self.name}: {str(data)[:80]!r} has no name.")
         return str(data["id"])
 
-    def _refused(self, reply: HttpReply, effects: str) -> DeviceError:
+    def _make_refusal(self, reply: HttpReply, effects: str) -> DeviceError:
         try:
             body = json.loads(reply.body)
         except ValueError:
             body = None
         return DeviceError(
-            f"{self.name}: the robot refuses: {protocol.reason(body, reply.status)}",
+            f"{self.name}: the robot refuses: {protocol.find_reason(body, reply.status)}",
             effects=effects,
             remedy="Look at the robot, or at what else uses it: its App, its button.",
         )
-
-    @contextmanager
-    def _nothing_moved(self) -> Iterator[None]:
-        """Whatever goes wrong before a run is played."""
-        try:
-            yield
-        except DeviceError as error:
-            error.effects = "none"
-            raise
 
     def _recognise(self) -> str:
         reply = self.link.get("/health", timeout_s=self._answer_s)
@@ -411,8 +408,8 @@ class _Ended(DeviceError):
     """The run has come to its end, but not well."""
 
 
-def _check(name: str, values: Mapping[str, Any]) -> None:
-    """Raise DeviceError for volumes that fit no wells."""
+def _check_volumes(name: str, values: Mapping[str, Any]) -> None:
+    """Raise DeviceError for volumes that do not fit the wells."""
     for key, volumes in values.items():
         if not key.endswith("_volumes") or not volumes:
             continue

@@ -16,7 +16,7 @@ LONGEST = 10_000
 
 
 class Unknown:
-    """What only the robot will know."""
+    """A value that only the robot will know."""
 
     def __repr__(self) -> str:
         return "unknown"
@@ -59,7 +59,7 @@ UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.UAdd: operator.pos,
     ast.Not: operator.not_,
 }
-COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
     ast.Lt: operator.lt,
@@ -79,7 +79,7 @@ def is_known(value: Any) -> bool:
 
 
 def is_flat(value: Any) -> bool:
-    """Whether it is known, and no list of lists: such a one can be endless to look through."""
+    """Whether a value is known, and no list of lists, which can be endless to look through."""
     items = (
         value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else [value]
     )
@@ -101,42 +101,42 @@ def parts_of(value: Any) -> Iterator[Any]:
             open_ += here.values() if isinstance(here, dict) else here
 
 
-def short(value: Any) -> Any:
+def limit_size(value: Any) -> Any:
     """The value, or UNKNOWN if it is too large to go on with."""
     too_long = isinstance(value, str | list | tuple | dict) and len(value) > LONGEST
     too_great = isinstance(value, int) and value.bit_length() > LONGEST
     return UNKNOWN if too_long or too_great else value
 
 
-def applied(function: Callable[..., Any], *args: Any) -> Any:
-    """What a function makes of values; UNKNOWN if it refuses them."""
+def apply(function: Callable[..., Any], *args: Any) -> Any:
+    """The result of a function; UNKNOWN if it refuses the values."""
     try:
-        return short(function(*args))
+        return limit_size(function(*args))
     except (TypeError, ValueError, ArithmeticError, LookupError):
         return UNKNOWN
 
 
-def combined(kind: type[ast.operator], left: Any, right: Any) -> Any:
-    """Two values and the sign between them."""
+def combine(kind: type[ast.operator], left: Any, right: Any) -> Any:
+    """The result of a binary operation."""
     function = BINARY.get(kind)
     if kind is ast.Add and isinstance(left, list) and isinstance(right, list):
-        return applied(operator.add, left, right)
+        return apply(operator.add, left, right)
     if kind is ast.Mult and isinstance(left, list | tuple | str) and isinstance(right, int):
-        return applied(operator.mul, left, right) if len(left) * max(right, 0) <= LONGEST else UNKNOWN
+        return apply(operator.mul, left, right) if len(left) * max(right, 0) <= LONGEST else UNKNOWN
     if function is None or not (_is_number(left) and _is_number(right)):
         both_text = isinstance(left, str) and isinstance(right, str) and kind is ast.Add
-        return applied(operator.add, left, right) if both_text else UNKNOWN
-    return applied(function, left, right)
+        return apply(operator.add, left, right) if both_text else UNKNOWN
+    return apply(function, left, right)
 
 
-def called(name: str, args: list[Any]) -> Any:
-    """A function of Python itself."""
+def call_builtin(name: str, args: list[Any]) -> Any:
+    """The result of a function of Python itself."""
     if any(isinstance(arg, range) and len(arg) > LONGEST for arg in args):
         return UNKNOWN
     if name in LENGTHS and not any(arg is UNKNOWN for arg in args):
-        return applied(LENGTHS[name], *args)
+        return apply(LENGTHS[name], *args)
     if name in PLAIN and all(map(is_flat, args)):
-        return applied(PLAIN[name], *args)
+        return apply(PLAIN[name], *args)
     return UNKNOWN
 
 
@@ -146,7 +146,7 @@ def item_of(held: Any, key: Any) -> Any:
         is_known(key) or isinstance(key, slice)
     ):
         return UNKNOWN
-    return applied(operator.getitem, held, key)
+    return apply(operator.getitem, held, key)
 
 
 def _is_number(value: Any) -> bool:

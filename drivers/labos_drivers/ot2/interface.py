@@ -9,7 +9,7 @@ from labos.node import Consumes, DeviceError, Draws, Needs, Param, Requires, Sta
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.ot2.driver import OT2Driver
 from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
-from labos_drivers.ot2.tips import tips_of, values_of
+from labos_drivers.ot2.tips import count_used_tips, values_of
 from labos_drivers.ot2.wire import OT2OnWire
 
 Volumes = Annotated[
@@ -29,7 +29,7 @@ class OT2(OnBenchOrWire):
     levels = {"tips": 960}
     units = dict.fromkeys(LIQUIDS, "uL")
     devices = (OT2Simulator, OT2OnWire, OT2Driver)
-    counters: ClassVar[dict[str, Counter]] = {"tips": tips_of}
+    counters: ClassVar[dict[str, Counter]] = {"tips": count_used_tips}
     device: OT2Simulator | OT2Driver
 
     # What the protocol says under `resources:`, else what is counted in it; a column if it cannot be.

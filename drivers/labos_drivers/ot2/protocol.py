@@ -41,13 +41,13 @@ MARK = b"\n\n# The values of this run.\nLABOS = "
 
 
 def with_values(protocol: bytes, values: Mapping[str, Any]) -> bytes:
-    """A protocol in Python that finds the values of the run in its global ``LABOS``: at the end, as it
-    looks them up when it runs."""
+    """A protocol in Python with the values of the run in its global ``LABOS``. They stand at the end, as the
+    protocol looks them up when it runs."""
     return protocol + MARK + pprint.pformat(dict(values), width=100).encode() + b"\n"
 
 
-def reason(body: Any, status: int) -> str:
-    """What the server says against a request."""
+def find_reason(body: Any, status: int) -> str:
+    """The server's reason for refusing a request."""
     if isinstance(body, dict):
         errors = body.get("errors")
         if isinstance(errors, list) and errors and isinstance(errors[0], dict):
@@ -57,8 +57,8 @@ def reason(body: Any, status: int) -> str:
     return f"status {status}"
 
 
-def innermost(errors: Any) -> str:
-    """The error of a run that says most: those around it only pass it on."""
+def find_innermost(errors: Any) -> str:
+    """The innermost error of a run: those around it only pass it on."""
     error = errors[0] if isinstance(errors, list) and errors else {}
     while isinstance(error, dict) and error.get("wrappedErrors"):
         error = error["wrappedErrors"][0]

@@ -21,9 +21,9 @@ from labos_drivers.ot2.calls import (
     Function,
     Returned,
     Scope,
-    takes,
+    find_tip_uses,
 )
-from labos_drivers.ot2.expressions import UNKNOWN, applied, combined, is_known
+from labos_drivers.ot2.expressions import UNKNOWN, apply, combine, is_known
 
 
 class _Broken(Exception):
@@ -38,13 +38,13 @@ class _Raised(Exception):
     """The protocol gives up here."""
 
 
-def picked_up(content: bytes, values: Mapping[str, Any]) -> Count:
+def count_tips(content: bytes, values: Mapping[str, Any]) -> Count:
     """The tips that a protocol picks up, with the values of its run."""
     reader = _Reader()
     try:
         tree = ast.parse(content)
         top = Scope()
-        reader.each(tree.body, top)
+        reader.read_all(tree.body, top)
         said = top.get("resources")
         tips = said.get("tips") if isinstance(said, dict) else None
         if isinstance(tips, int | float) and not isinstance(tips, bool) and 0 <= tips < math.inf:
@@ -68,26 +68,26 @@ class _Reader(Calls):
         self._skipped: set[ast.stmt] = set()
 
     def run(self, top: Scope, tree: ast.Module) -> None:
-        """Go through ``run``; what is left then, and never was gone through, is a doubt. Raises Doubt."""
+        """Go through ``run``; places that take tips and were never reached are a doubt. Raises Doubt."""
         run = top.get("run")
         if not isinstance(run, Function):
             raise Doubt("it has no `run`")
         with suppress(_Raised):
             self.enter(run, [PROTOCOL], {})
-        left = [node for node in takes(tree) if node not in self.counted]
+        left = [node for node in find_tip_uses(tree) if node not in self.counted]
         if left:
             raise Doubt(f"line {left[0].lineno}: whether `{left[0].attr}` is done cannot be told")
 
-    def each(self, body: Sequence[ast.stmt], scope: Scope) -> None:
+    def read_all(self, body: Sequence[ast.stmt], scope: Scope) -> None:
         for statement in body:
             self.step()
             self.where = statement.lineno
-            self._one(statement, scope)
+            self._read_statement(statement, scope)
 
-    def _one(self, node: ast.stmt, scope: Scope) -> None:
+    def _read_statement(self, node: ast.stmt, scope: Scope) -> None:
         match node:
             case ast.Expr():
-                self.value(node.value, scope)
+                self.evaluate(node.value, scope)
             case ast.Assign() | ast.AnnAssign() | ast.AugAssign():
                 self._give(node, scope)
             case ast.FunctionDef() if not node.decorator_list:
@@ -102,12 +102,12 @@ class _Reader(Calls):
                 self._try(node, scope)
             case ast.With():
                 for item in node.items:
-                    value = self.value(item.context_expr, scope)
+                    value = self.evaluate(item.context_expr, scope)
                     if item.optional_vars is not None:
                         self.assign(item.optional_vars, value, scope)
-                self.each(node.body, scope)
+                self.read_all(node.body, scope)
             case ast.Return():
-                self._leave(Returned(self.value(node.value, scope) if node.value is not None else None))
+                self._leave(Returned(self.evaluate(node.value, scope) if node.value is not None else None))
             case ast.Break():
                 self._leave(_Broken())
             case ast.Continue():
@@ -132,11 +132,11 @@ class _Reader(Calls):
     def _give(self, node: ast.Assign | ast.AnnAssign | ast.AugAssign, scope: Scope) -> None:
         if node.value is None:
             return
-        value = self.value(node.value, scope)
+        value = self.evaluate(node.value, scope)
         if isinstance(node, ast.AugAssign):
-            before = self.value(node.target, scope)
+            before = self.evaluate(node.target, scope)
             self.spoil(before)  # of a list, it is the same one that grows
-            value = combined(type(node.op), before, value)
+            value = combine(type(node.op), before, value)
         for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
             self.assign(target, value, scope)
 
@@ -149,10 +149,8 @@ class _Reader(Calls):
             for arg, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
             if default is not None
         ]
-        defaults = {arg.arg: self.value(default, scope) for arg, default in pairs}
-        scope.put(
-            node.name, UNKNOWN if self.unsure else Function(node, scope, defaults, [*self.inside(node)])
-        )
+        defaults = {arg.arg: self.evaluate(default, scope) for arg, default in pairs}
+        scope.put(node.name, UNKNOWN if self.unsure else Function(node, scope, defaults, [*self.walk(node)]))
 
     def assign(self, target: ast.expr, value: Any, scope: Scope) -> None:
         match target:
@@ -165,26 +163,26 @@ class _Reader(Calls):
                     known = value[index] if plain and not starred else UNKNOWN
                     self.assign(item.value if isinstance(item, ast.Starred) else item, known, scope)
             case ast.Subscript():
-                held, key = self.value(target.value, scope), self.value(target.slice, scope)
+                held, key = self.evaluate(target.value, scope), self.evaluate(target.slice, scope)
                 plain = isinstance(held, list | dict) and is_known(key) and not self.unsure
-                if not plain or applied(held.__setitem__, key, value) is UNKNOWN:
+                if not plain or apply(held.__setitem__, key, value) is UNKNOWN:
                     self.spoil(held)
 
     # -- what is done or not, once or often --------------------------------------------------
 
     def _branch(self, node: ast.If, scope: Scope) -> None:
-        decided = self.truth(self.value(node.test, scope))
+        decided = self.find_truth(self.evaluate(node.test, scope))
         if decided is not None:
             self._skip(node.orelse if decided else node.body)
-            self.each(node.body if decided else node.orelse, scope)
+            self.read_all(node.body if decided else node.orelse, scope)
             return
         why = f"line {node.lineno}: it depends on what only the robot knows"
         before, counts = self.tips, []
-        with self.may_be(why):
+        with self.suppose(why):
             for body in (node.body, node.orelse):
                 self.tips = before
                 try:
-                    self.each(body, scope)
+                    self.read_all(body, scope)
                 except _Raised:
                     continue
                 counts.append(self.tips)
@@ -193,7 +191,7 @@ class _Reader(Calls):
             raise Doubt(why)
 
     def _loop(self, node: ast.For, scope: Scope) -> None:
-        items = self.items(self.value(node.iter, scope))
+        items = self.list_items(self.evaluate(node.iter, scope))
         if items is None:
             self.forget(node, scope)
             return
@@ -202,45 +200,45 @@ class _Reader(Calls):
         for item in items:
             self.assign(node.target, item, scope)
             try:
-                self.each(node.body, scope)
+                self.read_all(node.body, scope)
             except _Broken:
                 self._skip(node.orelse)
                 return
             except _Continued:
                 continue
-        self.each(node.orelse, scope)
+        self.read_all(node.orelse, scope)
 
     def _while(self, node: ast.While, scope: Scope) -> None:
         while True:
             self.step()
-            decided = self.truth(self.value(node.test, scope))
+            decided = self.find_truth(self.evaluate(node.test, scope))
             if decided is None:
                 self.forget(node, scope)
                 return
             if not decided:
                 break
             try:
-                self.each(node.body, scope)
+                self.read_all(node.body, scope)
             except _Broken:
                 self._skip(node.orelse)
                 return
             except _Continued:
                 continue
         self._skip(node.body)
-        self.each(node.orelse, scope)
+        self.read_all(node.orelse, scope)
 
     def _try(self, node: ast.Try, scope: Scope) -> None:
         try:
-            self.each([*node.body, *node.orelse], scope)
+            self.read_all([*node.body, *node.orelse], scope)
         except _Raised:
             raise Doubt(f"line {node.lineno}: what follows an error cannot be told") from None
         for handler in node.handlers:
             self.forget(handler, scope)
-        self.each(node.finalbody, scope)
+        self.read_all(node.finalbody, scope)
 
     def _skip(self, body: Sequence[ast.stmt]) -> None:
         """What is certainly not done."""
         if body and body[0] not in self._skipped:
             self._skipped.add(body[0])
             for statement in body:
-                self.counted.update(self.takes(statement))
+                self.counted.update(self.find_tip_uses(statement))

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from labos.node import DeviceError, Setup
-from labos_drivers._deck import Deck, facts_of
+from labos_drivers._deck import Deck, make_facts
 
 SLOTS = (*(f"deck{number}" for number in range(1, 12)), "deck1_cooler")
 
@@ -41,8 +41,8 @@ class OT2Simulator(Deck):
     ) -> dict[str, Any]:
         """Run it, and answer with the robot's own name for the run."""
         if (liquids := self.config.get("liquids")) and not volumes:
-            told = facts_of(dispensed_by(protocol, liquids))
-            volumes, wells = told.get("volumes", volumes), told.get("wells", wells)
+            facts = make_facts(find_dispensed(protocol, liquids))
+            volumes, wells = facts.get("volumes", volumes), facts.get("wells", wells)
         tips = min(len(wells), COLUMN)  # what it does beyond the wells that it is told is not simulated
         facts = {
             "protocol": _sha256(protocol),
@@ -52,7 +52,7 @@ class OT2Simulator(Deck):
             "values": variables,
         }
         for liquid, doses in volumes.items():
-            if self.world.left(self.name, liquid) is not None:
+            if self.world.find_level(self.name, liquid) is not None:
                 self.world.use(self.name, liquid, sum(doses))
         await self.pipette(self._nominal_s(volumes), tips=tips, **facts)
         self.runs += 1
@@ -68,9 +68,9 @@ class OT2Simulator(Deck):
         raise DeviceError(f"{self.name}: no run waits.", effects="none")
 
 
-def dispensed_by(protocol: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """What a protocol that was written as YAML puts into wells that it lists with a volume each (µL by liquid
-    and well); ``liquids`` says what is in the wells that it takes from, as ``reservoir:A1``."""
+def find_dispensed(protocol: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """The volumes that a protocol in YAML puts into wells, where it lists a volume for each (µL by liquid and
+    well); ``liquids`` has the liquid of each well that it takes from, as ``reservoir:A1``."""
     path, found = Path(protocol), dict[str, dict[str, float]]()
     if path.suffix not in (".yaml", ".yml") or not path.is_file():
         return found
@@ -85,6 +85,6 @@ def dispensed_by(protocol: str, liquids: Mapping[str, str]) -> dict[str, dict[st
 
 
 def _sha256(protocol: str) -> str:
-    """What the robot was really given; a protocol that is only a name is told as it is."""
+    """The digest of the file that the robot got; a protocol that is only a name is returned as it is."""
     path = Path(protocol)
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else protocol

@@ -39,36 +39,36 @@ RAISED = re.compile(
 )
 
 
-class Ran(msgspec.Struct, frozen=True):
-    """What came of a protocol: its log, line by line, and the errors as a robot tells them, none if all
-    went well. A log is there only then."""
+class ProtocolOutput(msgspec.Struct, frozen=True):
+    """The output of a protocol: its log, line by line, and its errors in the robot's form, none if all went
+    well. There is a log only then."""
 
     log: tuple[str, ...] = ()
     errors: tuple[dict[str, Any], ...] = ()
 
     @property
     def tips(self) -> int:
-        """How often tips were picked up: one or eight at a time, which the log does not say."""
+        """How often tips were picked up; whether one or eight at a time, the log does not say."""
         return sum(bool(TIP.match(line)) for line in self.log)
 
-    def changes(self) -> dict[int, dict[str, float]]:
+    def sum_changes(self) -> dict[int, dict[str, float]]:
         """By slot and well, how many µL more or less are there now; with a pipette of eight channels, the
         well is the first of its column. What is on a module is told by the module's slot."""
         found: dict[int, dict[str, float]] = {}
-        for stroke in self._strokes():
+        for stroke in self._find_strokes():
             wells = found.setdefault(int(stroke["slot"]), {})
             sign = 1 if stroke["what"] == "Dispensing" else -1
             wells[stroke["well"]] = round(wells.get(stroke["well"], 0.0) + sign * float(stroke["volume"]), 3)
         return found
 
-    def _strokes(self) -> Iterator[re.Match[str]]:
+    def _find_strokes(self) -> Iterator[re.Match[str]]:
         for line in self.log:
             if (stroke := STROKE.fullmatch(line)) is not None:
                 yield stroke
 
 
-class Running:
-    """A protocol that is being run, in a process of its own."""
+class RunningProtocol:
+    """A protocol that runs in a process of its own."""
 
     def __init__(self, program: str, name: str, content: bytes) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="labos-opentrons-"))
@@ -76,7 +76,7 @@ class Running:
         protocol.write_bytes(content)
         # The settings of the process that started us are none of the robot's.
         environment = {**os.environ, "OT_API_CONFIG_DIR": str(self._folder / "robot")}
-        with self._said.open("wb") as said, self._wrong.open("wb") as wrong:
+        with self._output_path.open("wb") as said, self._error_path.open("wb") as wrong:
             self._process = subprocess.Popen(
                 [program, str(protocol)],
                 cwd=self._folder,
@@ -87,25 +87,28 @@ class Running:
             )
 
     @property
-    def _said(self) -> Path:
+    def _output_path(self) -> Path:
         return self._folder / "said.txt"
 
     @property
-    def _wrong(self) -> Path:
+    def _error_path(self) -> Path:
         return self._folder / "wrong.txt"
 
-    def poll(self) -> Ran | None:
-        """What came of it; None while it runs. To be asked no more afterwards."""
+    def poll(self) -> ProtocolOutput | None:
+        """The output; None while it runs. Not to be called again afterwards."""
         if (code := self._process.poll()) is None:
             return None
-        said, wrong = self._said.read_text("utf-8", "replace"), self._wrong.read_text("utf-8", "replace")
+        said, wrong = (
+            self._output_path.read_text("utf-8", "replace"),
+            self._error_path.read_text("utf-8", "replace"),
+        )
         shutil.rmtree(self._folder, ignore_errors=True)
         if code == 0:
-            return Ran(log=tuple(said.splitlines()))
-        return Ran(errors=(error_in(wrong, code),))
+            return ProtocolOutput(log=tuple(said.splitlines()))
+        return ProtocolOutput(errors=(parse_error(wrong, code),))
 
     def kill(self) -> None:
-        """It is not wanted any more."""
+        """End the process."""
         self._process.kill()
         self._process.wait(END_S)
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -124,12 +127,12 @@ class Software:
             )
         self._program = found
 
-    def run(self, name: str, content: bytes) -> Running:
-        return Running(self._program, Path(name).name, content)
+    def run(self, name: str, content: bytes) -> RunningProtocol:
+        return RunningProtocol(self._program, Path(name).name, content)
 
 
-def error_in(printed: str, code: int) -> dict[str, Any]:
-    """The error at the end of what was printed, as a robot tells it: with the one that it was raised from."""
+def parse_error(printed: str, code: int) -> dict[str, Any]:
+    """The error at the end of what was printed, in the robot's form: with the error that caused it."""
     lines = printed.rstrip().splitlines()
     frames = [number for number, line in enumerate(lines) if line.startswith(FRAME)]
     plain = [number for number, line in enumerate(lines) if line.strip() and not line.startswith(" ")]
@@ -138,11 +141,11 @@ def error_in(printed: str, code: int) -> dict[str, Any]:
     text = text.removeprefix(WRAPPED)
     raised = RAISED.fullmatch(text)
     if raised is None:
-        return _error("UnexpectedProtocolError", "4000", text)
+        return _make_error("UnexpectedProtocolError", "4000", text)
     where = f"line {raised['line']}: " if raised["line"] else ""
-    inner = _error(raised["kind"], raised["code"] or "4000", f"{where}{raised['detail']}".strip())
-    return {**_error("ExceptionInProtocolError", "4000", text), "wrappedErrors": [inner]}
+    inner = _make_error(raised["kind"], raised["code"] or "4000", f"{where}{raised['detail']}".strip())
+    return {**_make_error("ExceptionInProtocolError", "4000", text), "wrappedErrors": [inner]}
 
 
-def _error(kind: str, code: str, detail: str) -> dict[str, Any]:
+def _make_error(kind: str, code: str, detail: str) -> dict[str, Any]:
     return {"errorType": kind, "errorCode": code, "detail": detail, "wrappedErrors": []}

@@ -17,25 +17,25 @@ from typing import Any
 
 from labos.errors import DeviceError
 from labos.node import Count
-from labos_drivers.ot2.calls import Doubt, channels
-from labos_drivers.ot2.reading import picked_up
-from labos_drivers.ot2.translate import INTERPRETER, planned
+from labos_drivers.ot2.calls import Doubt, count_channels
+from labos_drivers.ot2.reading import count_tips
+from labos_drivers.ot2.translate import INTERPRETER, make_plan
 
 MOST_STROKES = 100_000
 """A protocol in YAML that does more than this is not counted to its end."""
 IN_PYTHON = 'Say it there, beside `metadata`: `resources = {"tips": N}`.'
 
 
-def tips_of(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
+def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
     """The tips that ``run_protocol`` with these arguments uses up."""
     values = values_of(args)
     match name.lower().rpartition(".")[2]:
         case "yaml" | "yml":
-            return _in_yaml(name, content, values)
+            return _count_in_yaml(name, content, values)
         case "json":
-            return _in_json(content)
+            return _count_in_json(content)
         case "py":
-            found = picked_up(content, values)
+            found = count_tips(content, values)
             return Count(found.amount, found.doubt, IN_PYTHON if found.doubt else "")
     return Count(0.0, "it is no protocol that an OT-2 takes")
 
@@ -44,7 +44,7 @@ def values_of(args: Mapping[str, Any]) -> dict[str, Any]:
     """What a protocol finds under ``payload`` and in ``LABOS``, from the arguments of its action. One that
     is not known is not there."""
     values = dict(args.get("variables") or {})
-    values |= {name: told for name, told in args.items() if name.endswith("_volumes") and told}
+    values |= {name: value for name, value in args.items() if name.endswith("_volumes") and value}
     if "destination_wells" in args:
         values["destination_wells"] = args["destination_wells"] or []
     if args.get("source_wells"):
@@ -57,11 +57,11 @@ def values_of(args: Mapping[str, Any]) -> dict[str, Any]:
 # -- YAML ------------------------------------------------------------------------------------
 
 
-def _in_yaml(name: str, content: bytes, values: Mapping[str, Any]) -> Count:
+def _count_in_yaml(name: str, content: bytes, values: Mapping[str, Any]) -> Count:
     deck = _Deck()
     try:
-        interpreter = _fresh_interpreter()
-        interpreter.PLAN, interpreter.LABOS = planned(name, content), dict(values)  # type: ignore[attr-defined]
+        interpreter = _load_interpreter()
+        interpreter.PLAN, interpreter.LABOS = make_plan(name, content), dict(values)  # type: ignore[attr-defined]
         interpreter.run(deck)
     except DeviceError as error:
         return Count(deck.tips, error.message.rstrip("."))
@@ -74,8 +74,8 @@ def _in_yaml(name: str, content: bytes, values: Mapping[str, Any]) -> Count:
     return Count(deck.tips)
 
 
-def _fresh_interpreter() -> ModuleType:
-    """Of its own, as it keeps the plan of one protocol in its globals."""
+def _load_interpreter() -> ModuleType:
+    """A fresh copy of the interpreter, as it keeps the plan of one protocol in its globals."""
     spec = importlib.util.spec_from_file_location("labos_drivers.ot2._counting", INTERPRETER)
     assert spec is not None
     assert spec.loader is not None
@@ -85,7 +85,7 @@ def _fresh_interpreter() -> ModuleType:
 
 
 class _Deck:
-    """What the interpreter takes for the robot."""
+    """The deck that the interpreter takes for the robot."""
 
     def __init__(self) -> None:
         self.tips = 0.0
@@ -126,7 +126,7 @@ class _Rack:
     def __init__(self, deck: _Deck, name: str) -> None:
         self._deck = deck
         self.is_tiprack = "tiprack" in name
-        self.max_volume = _microlitres(name) if self.is_tiprack else 0.0
+        self.max_volume = _parse_volume_ul(name) if self.is_tiprack else 0.0
 
     def set_offset(self, **_: float) -> None:
         """Needs no tip."""
@@ -155,10 +155,10 @@ class _Well:
 class _Pipette:
     def __init__(self, deck: _Deck, name: str) -> None:
         self._deck = deck
-        self.max_volume = _microlitres(name)
+        self.max_volume = _parse_volume_ul(name)
         self.min_volume = 0.0  # what tips are used up does not depend on it
         self.has_tip = False
-        self._channels = channels(name)
+        self._channels = count_channels(name)
 
     def pick_up_tip(self) -> None:
         self.has_tip = True
@@ -173,7 +173,7 @@ class _Pipette:
     dispense = mix = blow_out = aspirate
 
 
-def _microlitres(name: str) -> float:
+def _parse_volume_ul(name: str) -> float:
     """``p300_multi_gen2`` and ``opentrons_96_tiprack_300ul`` take 300 µL."""
     found = re.match(r"p(\d+)", name) or re.search(r"(\d+)ul", name)
     if found is None:
@@ -184,18 +184,18 @@ def _microlitres(name: str) -> float:
 # -- JSON ------------------------------------------------------------------------------------
 
 
-def _in_json(content: bytes) -> Count:
+def _count_in_json(content: bytes) -> Count:
     try:
-        told = json.loads(content)
-        tips, names = 0.0, _pipettes(told)
-        for kind, params in _commands(told):
+        protocol = json.loads(content)
+        tips, names = 0.0, _list_pipettes(protocol)
+        for kind, params in _list_commands(protocol):
             if kind == "configureNozzleLayout":
                 return Count(tips, "it changes how many tips are picked up at once")
             if kind in ("pickUpTip", "pick-up-tip"):
                 used = params.get("pipetteId", params.get("pipette"))
                 if used not in names:
                     return Count(tips, f"it picks up tips with {used!r}, which it does not load")
-                tips += channels(names[used])
+                tips += count_channels(names[used])
     except (ValueError, AttributeError, TypeError, KeyError) as error:
         return Count(0.0, f"it is no protocol in JSON ({error})")
     except Doubt as doubt:
@@ -203,19 +203,19 @@ def _in_json(content: bytes) -> Count:
     return Count(tips)
 
 
-def _pipettes(told: Any) -> dict[str, str]:
+def _list_pipettes(protocol: Any) -> dict[str, str]:
     """What each pipette is called by its maker, by the name that commands use."""
-    loaded = told.get("pipettes") or {}
+    loaded = protocol.get("pipettes") or {}
     names = {key: str(p.get("name") or p.get("model") or p.get("pipetteName")) for key, p in loaded.items()}
-    for kind, params in _commands(told):
+    for kind, params in _list_commands(protocol):
         if kind == "loadPipette" and params.get("pipetteName"):
             names[params["pipetteId"]] = params["pipetteName"]
     return names
 
 
-def _commands(told: Any) -> list[tuple[str, dict[str, Any]]]:
+def _list_commands(protocol: Any) -> list[tuple[str, dict[str, Any]]]:
     """All commands with their parameters, of every version of the schema."""
-    if "commands" not in told and "procedure" not in told:
+    if "commands" not in protocol and "procedure" not in protocol:
         raise ValueError("it has no commands")
-    steps = told.get("commands") or [s for part in told["procedure"] for s in part["subprocedure"]]
+    steps = protocol.get("commands") or [s for part in protocol["procedure"] for s in part["subprocedure"]]
     return [(step.get("commandType") or step["command"], step.get("params") or {}) for step in steps]

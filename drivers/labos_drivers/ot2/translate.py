@@ -31,10 +31,10 @@ MAY_BE_LISTS = {"source", "destination", "volume", "location"}
 LABWARE, PIPETTE = {"name", "location", "alias", "module", "offset"}, {"name", "mount"}
 
 
-def translated(name: str, content: bytes) -> bytes:
+def translate(name: str, content: bytes) -> bytes:
     """The protocol in Python. Raises DeviceError for what cannot be translated."""
     metadata = {key: str(value) for key, value in (_read(name, content).get("metadata") or {}).items()}
-    plan = planned(name, content)
+    plan = make_plan(name, content)
     return b"".join(
         (
             INTERPRETER.read_bytes(),
@@ -44,17 +44,18 @@ def translated(name: str, content: bytes) -> bytes:
     )
 
 
-def planned(name: str, content: bytes) -> dict[str, Any]:
-    """What the interpreter is given to run. Raises DeviceError for what cannot be translated."""
+def make_plan(name: str, content: bytes) -> dict[str, Any]:
+    """The plan for the interpreter. Raises DeviceError for what cannot be translated."""
     written = _read(name, content)
-    equipment = _entries(name, written, "equipment")
+    equipment = _read_entries(name, written, "equipment")
     for item in equipment:
-        _known(name, item, PIPETTE if "mount" in item else LABWARE, "equipment")
+        _check_keys(name, item, PIPETTE if "mount" in item else LABWARE, "equipment")
     return {
         "labware": [item for item in equipment if "mount" not in item],
         "pipettes": [item for item in equipment if "mount" in item],
         "commands": [
-            _command(name, number, item) for number, item in enumerate(_entries(name, written, "commands"), 1)
+            _read_command(name, number, item)
+            for number, item in enumerate(_read_entries(name, written, "commands"), 1)
         ],
     }
 
@@ -63,41 +64,41 @@ def _read(name: str, content: bytes) -> dict[str, Any]:
     try:
         written = yaml.safe_load(content)
     except yaml.YAMLError as error:
-        raise _wrong(name, f"it is no YAML: {error}") from error
+        raise _make_error(name, f"it is no YAML: {error}") from error
     if not isinstance(written, dict):
-        raise _wrong(name, "it is no protocol")
+        raise _make_error(name, "it is no protocol")
     return written
 
 
-def _command(name: str, number: int, item: dict[str, Any]) -> dict[str, Any]:
-    """With a name, and nothing in it that would be passed over."""
-    told = {key: value for key, value in item.items() if key not in ("name", "command")}
-    kind = str(item.get("command") or next((k for k in COMMANDS if k in told), "transfer"))
+def _read_command(name: str, number: int, item: dict[str, Any]) -> dict[str, Any]:
+    """A command with a name; entries that would be ignored are refused. Raises DeviceError."""
+    settings = {key: value for key, value in item.items() if key not in ("name", "command")}
+    kind = str(item.get("command") or next((k for k in COMMANDS if k in settings), "transfer"))
     if kind not in COMMANDS:
-        raise _wrong(name, f"command {number}: {kind!r} is not known")
+        raise _make_error(name, f"command {number}: {kind!r} is not known")
     needed, allowed = COMMANDS[kind]
-    if missing := sorted(needed - told.keys()):
-        raise _wrong(name, f"command {number} ({kind}) does not say {', '.join(missing)}")
-    _known(name, told, allowed, f"command {number} ({kind})")
-    lists = sorted(key for key in told.keys() - MAY_BE_LISTS if isinstance(told[key], list))
+    if missing := sorted(needed - settings.keys()):
+        raise _make_error(name, f"command {number} ({kind}) does not say {', '.join(missing)}")
+    _check_keys(name, settings, allowed, f"command {number} ({kind})")
+    lists = sorted(key for key in settings.keys() - MAY_BE_LISTS if isinstance(settings[key], list))
     if lists:
-        raise _wrong(name, f"command {number} ({kind}): a list for {', '.join(lists)} is not translated")
-    return {"name": str(item.get("name") or kind), **told}
+        raise _make_error(name, f"command {number} ({kind}): a list for {', '.join(lists)} is not translated")
+    return {"name": str(item.get("name") or kind), **settings}
 
 
-def _entries(name: str, written: dict[str, Any], key: str) -> list[dict[str, Any]]:
+def _read_entries(name: str, written: dict[str, Any], key: str) -> list[dict[str, Any]]:
     found = written.get(key)
     if not isinstance(found, list) or not found or not all(isinstance(item, dict) for item in found):
-        raise _wrong(name, f"its {key} are no list of entries")
+        raise _make_error(name, f"its {key} are no list of entries")
     return found
 
 
-def _known(name: str, item: dict[str, Any], allowed: Iterable[str], where: str) -> None:
+def _check_keys(name: str, item: dict[str, Any], allowed: Iterable[str], where: str) -> None:
     if unknown := sorted(map(str, item.keys() - set(allowed))):
-        raise _wrong(name, f"{where}: {', '.join(unknown)} is not translated")
+        raise _make_error(name, f"{where}: {', '.join(unknown)} is not translated")
 
 
-def _wrong(name: str, why: str) -> DeviceError:
+def _make_error(name: str, why: str) -> DeviceError:
     return DeviceError(
         f"The protocol {name} cannot be translated for an OT-2: {why}.",
         effects="none",

@@ -20,10 +20,10 @@ from email.parser import BytesParser
 from typing import Any
 
 from labos.node import Crash, Setup
-from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
+from labos_drivers._onhttp import HttpEnd, OnHttp, Reply, Request
 from labos_drivers.ot2 import protocol
 from labos_drivers.ot2.simulator import COLUMN, SLOTS
-from labos_drivers.ot2.software import VARIABLE, Ran, Running, Software
+from labos_drivers.ot2.software import VARIABLE, ProtocolOutput, RunningProtocol, Software
 
 COMMANDS = ("home", "pickUpTip", "aspirate", "dispense", "blowout", "dropTip")
 RUN_S, ANALYSIS_S, HOME_S = 600.0, 20.0, 15.0
@@ -65,9 +65,9 @@ class OT2OnWire(OnHttp):
     ) -> None:
         program = os.environ.get(VARIABLE, "") if simulate is None else simulate
         self._software = Software(program) if program else None
-        self._running: dict[Running, Callable[[Ran], None]] = {}
-        self._played: Running | None = None
-        self._ran: dict[str, Ran] = {}
+        self._running: dict[RunningProtocol, Callable[[ProtocolOutput], None]] = {}
+        self._played: RunningProtocol | None = None
+        self._ran: dict[str, ProtocolOutput] = {}
         super().__init__(setup, end)
         self._disk = disk or Disk()
         self.protocols, self._files, self.runs = self._disk.protocols, self._disk.files, self._disk.runs
@@ -87,7 +87,7 @@ class OT2OnWire(OnHttp):
     def _start_up(self) -> None:
         """What was under way when the power went is lost."""
         for held in self.protocols.values():
-            done = [told for told in held["analysisSummaries"] if told["status"] == "completed"]
+            done = [analysis for analysis in held["analysisSummaries"] if analysis["status"] == "completed"]
             held["analysisSummaries"] = done
         for run in self.runs.values():
             if run["current"]:  # its record is lost: it is told as stopped, however it ended
@@ -107,68 +107,66 @@ class OT2OnWire(OnHttp):
             if (ran := running.poll()) is not None:
                 self._running.pop(running)(ran)
 
-    def answer(self, question: Question) -> Reply:
-        if "opentrons-version" not in question.headers:
-            return _error(422, "HeaderMissing", "Opentrons-Version is missing")
+    def answer(self, request: Request) -> Reply:
+        if "opentrons-version" not in request.headers:
+            return _make_error(422, "HeaderMissing", "Opentrons-Version is missing")
         if self.starting:
             return Reply(503, {"message": "Motor controller not ready", "errorCode": "4000"})
         try:
-            reply = self._route(question)
+            reply = self._route(request)
         except ValueError as error:
-            reply = _error(422, "InvalidRequest", str(error))
+            reply = _make_error(422, "InvalidRequest", str(error))
         reply.headers = {"Opentrons-Version": "4", "Opentrons-Min-Version": "2"}
         return reply
 
-    def _route(self, question: Question) -> Reply:
-        match question.method, *question.parts:
+    def _route(self, request: Request) -> Reply:
+        match request.method, *request.parts:
             case "GET", "health":
                 return Reply(200, _HEALTH | {"name": self.name, "robot_serial": self.serial})
             case "POST", "protocols":
-                return self._upload(question)
+                return self._upload(request)
             case "GET", "protocols", name if name in self.protocols:
                 return Reply(200, {"data": self.protocols[name]})
             case "GET", "protocols", name, "analyses" if name in self.protocols:
                 return Reply(200, {"data": self.protocols[name]["analysisSummaries"]})
             case "POST", "runs":
-                return self._create(question.json())
+                return self._create(request.json())
             case "GET", "runs":
                 links = {"current": {"href": f"/runs/{self.current}"}} if self.current else {}
-                size = int(question.query.get("pageLength", 20))
+                size = int(request.query.get("pageLength", 20))
                 return Reply(200, {"data": list(self.runs.values())[-size:], "links": links})
             case method, "runs", name, *more if name in self.runs:
-                return self._about_run(method, self.runs[name], tuple(more), question)
+                return self._about_run(method, self.runs[name], tuple(more), request)
             case "POST", "robot", "home":
                 return self._home()
             case "POST", "robot", "lights":
-                self.lights = bool(question.json()["on"])
+                self.lights = bool(request.json()["on"])
                 return Reply(200, {"on": self.lights})
             case "GET", "robot", "lights":
                 return Reply(200, {"on": self.lights})
             case _, ("runs" | "protocols") as kind, name, *_:
-                return _error(404, f"{kind.title()[:-1]}NotFound", f"{name} was not found.")
+                return _make_error(404, f"{kind.title()[:-1]}NotFound", f"{name} was not found.")
         return Reply(404, {"message": "Not found", "errorCode": "4000"})
 
-    def _about_run(
-        self, method: str, run: dict[str, Any], more: tuple[str, ...], question: Question
-    ) -> Reply:
+    def _about_run(self, method: str, run: dict[str, Any], more: tuple[str, ...], request: Request) -> Reply:
         match method, *more:
             case ("GET",):
                 return Reply(200, {"data": run})
             case "GET", "commands":
-                done = self._commands(run)
+                done = self._list_commands(run)
                 return Reply(200, {"data": done, "meta": {"cursor": 0, "totalLength": len(done)}})
             case "POST", "actions":
-                return self._act(run, str(question.json()["data"]["actionType"]))
+                return self._act(run, str(request.json()["data"]["actionType"]))
             case ("PATCH",):
                 if run["id"] != self.current:
-                    return _error(409, "RunStopped", f"Run {run['id']} is not the current run.")
+                    return _make_error(409, "RunStopped", f"Run {run['id']} is not the current run.")
                 if run["status"] not in (protocol.IDLE, *protocol.TERMINAL):
-                    return _error(409, "RunNotIdle", "The run is under way.")
+                    return _make_error(409, "RunNotIdle", "The run is under way.")
                 self._retire()
                 return Reply(200, {"data": run})
             case ("DELETE",):
                 if run["status"] not in (protocol.IDLE, *protocol.TERMINAL):
-                    return _error(409, "RunNotIdle", "The run is under way.")
+                    return _make_error(409, "RunNotIdle", "The run is under way.")
                 if run["id"] == self.current:
                     self._retire()
                 del self.runs[run["id"]]
@@ -177,10 +175,10 @@ class OT2OnWire(OnHttp):
 
     # -- protocols and runs ------------------------------------------------------------------
 
-    def _upload(self, question: Question) -> Reply:
-        files = _files_in(question)
+    def _upload(self, request: Request) -> Reply:
+        files = _parse_files(request)
         if not files:
-            return _error(422, "ProtocolFilesInvalid", "No files were provided.")
+            return _make_error(422, "ProtocolFilesInvalid", "No files were provided.")
         name, content = files[0]
         known = next((key for key, held in self._files.items() if held == (name, content)), "")
         if known:
@@ -188,16 +186,16 @@ class OT2OnWire(OnHttp):
                 self._analyse(known)
             return Reply(200, {"data": self.protocols[known]})
         if not name.endswith((".py", ".json")):
-            return _error(422, "ProtocolFilesInvalid", f'"{name}" is not a valid protocol file.')
+            return _make_error(422, "ProtocolFilesInvalid", f'"{name}" is not a valid protocol file.')
         used = {run["protocolId"] for run in self.runs.values()}
         unused = [key for key in self.protocols if key not in used]
         for key in unused[: max(len(unused) - MOST_PROTOCOLS + 1, 0)]:
             del self.protocols[key], self._files[key]
-        key = self._new("protocol")
+        key = self._make_name("protocol")
         self._files[key] = name, content
         self.protocols[key] = {
             "id": key,
-            "createdAt": self._time(),
+            "createdAt": self._format_time(),
             "files": [
                 {"name": name, "role": "main"},
                 *({"name": n, "role": "labware"} for n, _ in files[1:]),
@@ -211,29 +209,29 @@ class OT2OnWire(OnHttp):
         return Reply(201, {"data": self.protocols[key]})
 
     def _analyse(self, key: str) -> None:
-        analysis: dict[str, Any] = {"id": self._new("analysis"), "status": "pending"}
+        analysis: dict[str, Any] = {"id": self._make_name("analysis"), "status": "pending"}
         self.protocols[key]["analysisSummaries"].append(analysis)
         if self._software is None:
-            self.after(ANALYSIS_S, lambda: analysis.update(_analysis(*self._files[key])))
+            self.after(ANALYSIS_S, lambda: analysis.update(_analyse(*self._files[key])))
         else:
             running = self._software.run(*self._files[key])
-            self._running[running] = lambda ran: analysis.update(_analysed(ran.errors))
+            self._running[running] = lambda ran: analysis.update(_make_analysis(ran.errors))
 
     def _create(self, body: Any) -> Reply:
-        told = (body or {}).get("data", {})
-        name = told.get("protocolId", "")
+        wanted = (body or {}).get("data", {})
+        name = wanted.get("protocolId", "")
         if name not in self.protocols:
-            return _error(404, "ProtocolNotFound", f"Protocol {name} was not found.")
+            return _make_error(404, "ProtocolNotFound", f"Protocol {name} was not found.")
         if self.current and self.runs[self.current]["status"] not in (protocol.IDLE, *protocol.TERMINAL):
-            return _error(409, "RunAlreadyActive", f"{self.current} is still active.")
+            return _make_error(409, "RunAlreadyActive", f"{self.current} is still active.")
         self._retire()
         for old in list(self.runs)[: max(len(self.runs) - MOST_RUNS + 1, 0)]:
             del self.runs[old]
-        self.current = self._new("run")
+        self.current = self._make_name("run")
         self.runs[self.current] = run = {
             "id": self.current,
             "ok": True,
-            "createdAt": self._time(),
+            "createdAt": self._format_time(),
             "status": protocol.IDLE,
             "current": True,
             "actions": [],
@@ -241,8 +239,8 @@ class OT2OnWire(OnHttp):
             "pipettes": [],
             "modules": [],
             "labware": [],
-            "labwareOffsets": list(told.get("labwareOffsets", ())) if self.takes_offsets else [],
-            "runTimeParameters": told.get("runTimeParameterValues", {}),
+            "labwareOffsets": list(wanted.get("labwareOffsets", ())) if self.takes_offsets else [],
+            "runTimeParameters": wanted.get("runTimeParameterValues", {}),
             "protocolId": name,
         }
         return Reply(201, {"data": run})
@@ -255,20 +253,20 @@ class OT2OnWire(OnHttp):
     def _act(self, run: dict[str, Any], action: str) -> Reply:
         status = run["status"]
         if run["id"] != self.current:
-            return _error(409, "RunStopped", f"Run {run['id']} is not the current run.")
+            return _make_error(409, "RunStopped", f"Run {run['id']} is not the current run.")
         if status in (*protocol.TERMINAL, "stop-requested", "finishing"):
-            return _error(409, "RunActionNotAllowed", "The run has already stopped.")
+            return _make_error(409, "RunActionNotAllowed", "The run has already stopped.")
         if action == "play" and self.door_is_open:
-            return _error(409, "RunActionNotAllowed", "Front door or top window is currently open.")
+            return _make_error(409, "RunActionNotAllowed", "Front door or top window is currently open.")
         if action == "pause" and status != "running":
-            return _error(409, "RunActionNotAllowed", "Cannot pause a run that is not running.")
+            return _make_error(409, "RunActionNotAllowed", "Cannot pause a run that is not running.")
         recovering = status in ("awaiting-recovery", "awaiting-recovery-paused")
         if recovering != (action == "resume-from-recovery") and action != "stop":
-            return _error(409, "RunActionNotAllowed", f"Cannot {action} a run that is {status}.")
+            return _make_error(409, "RunActionNotAllowed", f"Cannot {action} a run that is {status}.")
         if action not in ("play", "pause", "stop", "resume-from-recovery"):
-            return _error(422, "InvalidRequest", f"{action} is no action.")
-        told = {"id": self._new("action"), "createdAt": self._time(), "actionType": action}
-        run["actions"].append(told)
+            return _make_error(422, "InvalidRequest", f"{action} is no action.")
+        entry = {"id": self._make_name("action"), "createdAt": self._format_time(), "actionType": action}
+        run["actions"].append(entry)
         if action == "stop":
             run["status"] = "stop-requested"
             self.forget_plans()
@@ -276,12 +274,12 @@ class OT2OnWire(OnHttp):
         elif action == "pause":
             run["status"] = "paused"  # what has begun is ended first
         elif status == protocol.IDLE:
-            run |= {"status": "running", "startedAt": self._time()}
+            run |= {"status": "running", "startedAt": self._format_time()}
             self._begin(run)
         else:
             run["status"] = "running"
             self._go_on(run)
-        return Reply(201, {"data": told})
+        return Reply(201, {"data": entry})
 
     def open_door(self) -> None:
         """Somebody opens the front door, whose switch is in use."""
@@ -353,10 +351,10 @@ class OT2OnWire(OnHttp):
         elif run["status"] == "running":
             self._go_on(run)
 
-    def _work(self, run: dict[str, Any], ran: Ran | None) -> None:
+    def _work(self, run: dict[str, Any], ran: ProtocolOutput | None) -> None:
         """On the plates that it dispenses into, or on every one if nobody knows; with what the protocol was
         told."""
-        plain, values = _values_in(self._files[run["protocolId"]][1])
+        plain, values = _split_values(self._files[run["protocolId"]][1])
         volumes = {
             key.removesuffix("_volumes"): doses
             for key, doses in values.items()
@@ -364,13 +362,13 @@ class OT2OnWire(OnHttp):
         }
         drawn = dict(zip(values.get("source_wells") or [], values.get("source_volumes") or [], strict=False))
         wells = values.get("destination_wells") or []
-        reached = self._reached(ran)
+        reached = self._find_reached_plates(ran)
         for slot in reached:
             if self.is_sealed(self.top(slot)):
                 self.world.crash(self.name, slot, "drives its tips into a seal")
-            self.needs_bare(slot, "drives its tips into a lid")
+            self.crash_if_lidded(slot, "drives its tips into a lid")
         for liquid, doses in volumes.items():
-            if self.world.left(self.name, liquid) is not None:
+            if self.world.find_level(self.name, liquid) is not None:
                 self.world.use(self.name, liquid, sum(doses))
         if wells:
             self.world.use(self.name, "tips", min(len(wells), COLUMN))
@@ -389,7 +387,7 @@ class OT2OnWire(OnHttp):
                     **facts,
                 )
 
-    def _reached(self, ran: Ran | None) -> dict[str, dict[str, float]]:
+    def _find_reached_plates(self, ran: ProtocolOutput | None) -> dict[str, dict[str, float]]:
         """The plates that it puts its tips into, by where they stand, with the µL that each well received."""
         full = [slot for slot in self.drawers if self.world.at(self.place(slot))]
         if ran is None:
@@ -399,13 +397,13 @@ class OT2OnWire(OnHttp):
         # On slots without a plate of the lab stands what nobody moves: tips, reservoirs, waste.
         reached = {
             self.place(slot): {well: volume for well, volume in change.items() if volume > 0}
-            for number, change in ran.changes().items()
+            for number, change in ran.sum_changes().items()
             for slot in full
             if re.fullmatch(rf"deck{number}(_.*)?", slot)
         }
         targets = [
             number
-            for number, change in ran.changes().items()
+            for number, change in ran.sum_changes().items()
             if max(change.values()) > 0 and f"deck{number}" in self.drawers
         ]
         if targets and not any(reached.values()):
@@ -413,7 +411,7 @@ class OT2OnWire(OnHttp):
         return reached
 
     def _end(self, run: dict[str, Any], status: str) -> None:
-        run |= {"status": status, "completedAt": self._time()}
+        run |= {"status": status, "completedAt": self._format_time()}
         self.moving = False
         self.open(*self.drawers)
         self.world.leave(self.name)
@@ -434,7 +432,7 @@ class OT2OnWire(OnHttp):
 
     # -- speaking ----------------------------------------------------------------------------
 
-    def _commands(self, run: dict[str, Any]) -> list[dict[str, Any]]:
+    def _list_commands(self, run: dict[str, Any]) -> list[dict[str, Any]]:
         at = self._at.get(run["id"], 0)
         return [
             {"id": f"{run['id']}-{number}", "commandType": kind, "params": {}, "intent": "protocol"}
@@ -442,11 +440,11 @@ class OT2OnWire(OnHttp):
             for number, kind in enumerate(COMMANDS)
         ]
 
-    def _new(self, kind: str) -> str:
+    def _make_name(self, kind: str) -> str:
         self._disk.number += 1
         return f"{kind}-{self._disk.number}"
 
-    def _time(self) -> str:
+    def _format_time(self) -> str:
         return (BEGAN + timedelta(seconds=self.now_s())).isoformat()
 
 
@@ -461,13 +459,13 @@ _HEALTH = {
 }
 
 
-def _error(status: int, name: str, detail: str) -> Reply:
+def _make_error(status: int, name: str, detail: str) -> Reply:
     return Reply(status, {"errors": [{"id": name, "title": name, "detail": detail, "errorCode": "4000"}]})
 
 
-def _files_in(question: Question) -> list[tuple[str, bytes]]:
-    head = f"Content-Type: {question.headers.get('content-type', '')}\r\n\r\n".encode()
-    message = BytesParser(policy=policy.HTTP).parsebytes(head + question.body)
+def _parse_files(request: Request) -> list[tuple[str, bytes]]:
+    head = f"Content-Type: {request.headers.get('content-type', '')}\r\n\r\n".encode()
+    message = BytesParser(policy=policy.HTTP).parsebytes(head + request.body)
     return [
         (part.get_filename() or "", bytes(part.get_payload(decode=True) or b""))
         for part in message.iter_parts()
@@ -475,21 +473,21 @@ def _files_in(question: Question) -> list[tuple[str, bytes]]:
     ]
 
 
-def _analysis(name: str, content: bytes) -> dict[str, Any]:
-    """Only whether the file can be read is found out."""
+def _analyse(name: str, content: bytes) -> dict[str, Any]:
+    """The analysis of a file: only whether it can be read is found out."""
     try:
         json.loads(content) if name.endswith(".json") else compile(content, name, "exec")
     except (SyntaxError, ValueError) as error:
         wrong = {"errorType": "ProtocolError", "errorCode": "4000", "detail": str(error), "wrappedErrors": []}
-        return _analysed((wrong,))
-    return _analysed(())
+        return _make_analysis((wrong,))
+    return _make_analysis(())
 
 
-def _analysed(errors: tuple[dict[str, Any], ...]) -> dict[str, Any]:
+def _make_analysis(errors: tuple[dict[str, Any], ...]) -> dict[str, Any]:
     return {"status": "completed", "result": "not-ok" if errors else "ok", "errors": list(errors)}
 
 
-def _values_in(content: bytes) -> tuple[bytes, dict[str, Any]]:
+def _split_values(content: bytes) -> tuple[bytes, dict[str, Any]]:
     """The protocol as it was written, and the values that were added to it."""
     plain, mark, values = content.rpartition(protocol.MARK)
     return (plain, ast.literal_eval(values.decode())) if mark else (content, {})

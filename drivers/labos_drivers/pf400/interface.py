@@ -7,7 +7,7 @@ from typing import Annotated
 from labos.core.ids import StationName
 from labos.node import Move, Param, Place, Relid, Requires, Sets, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
-from labos_drivers._simulation import told
+from labos_drivers._simulation import await_answer
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.pf400.driver import PF400Driver
 from labos_drivers.pf400.simulator import PF400Simulator
@@ -155,7 +155,7 @@ class PF400(OnBenchOrWire):
     @action(exclusive=False, safe_to_repeat=True)
     async def read_pose(self) -> list[float]:
         """Where the joints are, as ``labos teach`` takes them."""
-        return await told(self.device.pose())
+        return await await_answer(self.device.read_pose())
 
     @action(Sets("module", "free", False), duration_s=20, recovers=True)
     async def reset(self) -> None:

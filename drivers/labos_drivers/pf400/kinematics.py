@@ -16,8 +16,8 @@ Joints = tuple[float, ...]
 Limits = Sequence[tuple[float, float]]
 
 
-def hand(joints: Joints) -> tuple[float, float, float, float]:
-    """x, y and z of the middle of the fingers in mm, and where they point in degrees."""
+def find_hand(joints: Joints) -> tuple[float, float, float, float]:
+    """x, y and z of the middle of the fingers (mm), and their direction (degrees)."""
     z, *angles = joints[:4]
     first = radians(angles[0])
     second = first + radians(angles[1])
@@ -27,10 +27,10 @@ def hand(joints: Joints) -> tuple[float, float, float, float]:
     return x + joints[5], y, z, degrees(third)
 
 
-def reach(joints: Joints, yaw: float, rail: float) -> Joints | None:
+def solve_reach(joints: Joints, yaw: float, rail: float) -> Joints | None:
     """Joints with the hand where ``joints`` have it, but pointing to ``yaw`` and from elsewhere on the
     rail, with the elbow on the same side; None if the arm is too short, or too long."""
-    x, y, z, _ = hand(joints)
+    x, y, z, _ = find_hand(joints)
     x, y = x - rail - HAND_MM * cos(radians(yaw)), y - HAND_MM * sin(radians(yaw))
     bend = (hypot(x, y) ** 2 - INNER_MM**2 - OUTER_MM**2) / (2 * INNER_MM * OUTER_MM)
     if abs(bend) > 1:
@@ -38,17 +38,17 @@ def reach(joints: Joints, yaw: float, rail: float) -> Joints | None:
     elbow = degrees(acos(bend)) if joints[2] % 360 < 180 else 360 - degrees(acos(bend))
     turned = radians(elbow)
     shoulder = degrees(atan2(y, x) - atan2(OUTER_MM * sin(turned), INNER_MM + OUTER_MM * cos(turned)))
-    shoulder = _near(shoulder, 0.0)
-    return z, shoulder, elbow, _near(yaw - shoulder - elbow, joints[3]), joints[4], rail
+    shoulder = _unwind(shoulder, 0.0)
+    return z, shoulder, elbow, _unwind(yaw - shoulder - elbow, joints[3]), joints[4], rail
 
 
-def turned(joints: Joints, degrees_: float, limits: Limits) -> Joints | None:
-    """Joints with the hand at the same spot, turned by so much either way, from as near on the rail as
-    can be; None if it cannot be done within the limits."""
-    yaw = hand(joints)[3]
+def turn_hand(joints: Joints, degrees_: float, limits: Limits) -> Joints | None:
+    """Joints with the hand at the same spot, turned by so many degrees either way, from the nearest possible
+    position on the rail; None if it is impossible within the limits."""
+    yaw = find_hand(joints)[3]
     for away in NEARBY_MM:
         for sign in (1, -1):
-            found = reach(joints, yaw + sign * degrees_, joints[5] + away)
+            found = solve_reach(joints, yaw + sign * degrees_, joints[5] + away)
             if found is not None and all(
                 low <= value <= high for value, (low, high) in zip(found, limits, strict=True)
             ):
@@ -56,6 +56,6 @@ def turned(joints: Joints, degrees_: float, limits: Limits) -> Joints | None:
     return None
 
 
-def _near(angle: float, other: float) -> float:
+def _unwind(angle: float, other: float) -> float:
     """The same angle, less than half a turn from another."""
     return angle - 360 * round((angle - other) / 360)

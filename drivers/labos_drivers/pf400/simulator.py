@@ -61,7 +61,7 @@ class PF400Simulator(Arm):
 
     async def open_fingers(self, wide: bool) -> None:
         with self.motion():
-            if self.held():
+            if self.find_held_plate():
                 raise DeviceError(f"{self.name}: its hand is full.", effects="none")
             await self.take_time(1)
 
@@ -82,7 +82,7 @@ class PF400Simulator(Arm):
     async def explore(self) -> None:
         self._lets_nobody_guide_it()
         with self.motion():
-            if self.held():
+            if self.find_held_plate():
                 raise DeviceError(
                     f"{self.name} holds a plate.", effects="none", remedy="Put it down before exploring."
                 )
@@ -91,7 +91,7 @@ class PF400Simulator(Arm):
     async def free(self, column: bool) -> None:
         """A hand may guide it now."""
         with self.motion():
-            if self.held():
+            if self.find_held_plate():
                 raise DeviceError(f"{self.name}: its hand is full.", effects="none")
             await self.take_time(2)
             self._become(free=True)
@@ -102,7 +102,7 @@ class PF400Simulator(Arm):
             self._become(free=False)
             await self.take_time(19)
 
-    def pose(self) -> list[float]:
+    def read_pose(self) -> list[float]:
         """Nobody guides a simulated arm: it is folded, its fingers are open."""
         return [*NEUTRAL, NARROW.open_mm, 0.0]
 
@@ -111,10 +111,10 @@ class PF400Simulator(Arm):
         self._become(free=False)
         self._was_freed = False
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """As the controller does, it reports free mode only if it was set through the controller."""
-        told = {"free": self.is_free} if self.is_free or self._was_freed else {}
-        return {**super().look(), **told}
+        seen = {"free": self.is_free} if self.is_free or self._was_freed else {}
+        return {**super().observe(), **seen}
 
     def _become(self, *, free: bool) -> None:
         if free is not self.is_free:

@@ -11,24 +11,24 @@ TURNS = {"source_plate_rotation": "narrow", "target_plate_rotation": "wide"}
 WAY = {"source": "bench.source", "target": "bench.target"}
 
 
-def _cold(setup: Setup) -> PF400OnWire:
+def _make_cold(setup: Setup) -> PF400OnWire:
     """Without power, as it is after its switch was turned."""
     return PF400OnWire(setup, started=False)
 
 
-def _closed_on_a_plate(arm: PF400OnWire, world: World) -> None:
+def _close_fingers_on_plate(arm: PF400OnWire, world: World) -> None:
     arm.set_fingers(NARROW.closed_mm)
 
 
-def _opened(arm: PF400OnWire, world: World) -> None:
+def _open_fingers(arm: PF400OnWire, world: World) -> None:
     arm.set_fingers(NARROW.open_mm)
 
 
-def _no_plate(arm: PF400OnWire, world: World) -> None:
+def _remove_plate(arm: PF400OnWire, world: World) -> None:
     world.carry(arm.top("bench.source"), "")
 
 
-def _taken_target(arm: PF400OnWire, world: World) -> None:
+def _occupy_target(arm: PF400OnWire, world: World) -> None:
     world.stock("bench.target", "plate96")
 
 
@@ -40,27 +40,27 @@ def _release_stop(arm: PF400OnWire, world: World) -> None:
     arm.stop_is_pressed = False
 
 
-def _on_its_way(arm: PF400OnWire, world: World) -> bool:
+def _is_moving_empty(arm: PF400OnWire, world: World) -> bool:
     return arm.is_in_motion and not world.at(f"hand:{arm.name}")
 
 
-def _holds(arm: PF400OnWire, world: World) -> bool:
+def _is_holding(arm: PF400OnWire, world: World) -> bool:
     return bool(world.at(f"hand:{arm.name}"))
 
 
 TORTURE = Torture(
-    device=_cold,
+    device=_make_cold,
     config=lambda address: {"host": address},
     cases=(
         Case("transfer", WAY),
         Case("transfer", {**WAY, **TURNS}),
         Case("transfer", {**WAY, "target": "bench.unknown"}, refused="was not taught"),
-        Case("put_down", {"target": "bench.target"}, prepare=_closed_on_a_plate),
+        Case("put_down", {"target": "bench.target"}, prepare=_close_fingers_on_plate),
         Case("put_down", {"target": "bench.target"}, stock={"bench.source": "plate96"}, refused="is empty"),
     ),
     faults=(
-        Fault("no plate at the source", _no_plate),
-        Fault("a plate at the target already", _taken_target),
+        Fault("no plate at the source", _remove_plate),
+        Fault("a plate at the target already", _occupy_target),
         Fault.by_setting("it loses the plate on its way", "is_slippery"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
     ),
@@ -70,8 +70,8 @@ TORTURE = Torture(
         "bench.regrip": [188.2, -12.506, 251.918, 388.242, 80.116, 151.300],
     },
     regrip="bench.regrip",
-    moments=(_on_its_way, _holds),
-    clear=_opened,
+    moments=(_is_moving_empty, _is_holding),
+    clear=_open_fingers,
     waits={f"{HERE}:ANSWER_S": 3.0, f"{HERE}:MOVE_S": 15.0, f"{HERE}:HOME_S": 15.0, f"{HERE}:POWER_S": 10.0},
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_pylabrobot.py"),),
 )

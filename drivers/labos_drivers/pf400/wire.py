@@ -72,9 +72,9 @@ class PF400OnWire(OnWire):
             for name, pose in poses.items():
                 if len(pose) >= self._axes:
                     spots = self._spots.setdefault(place_of(setup, name), {})
-                    spots[kind] = kinematics.hand((*pose, 0.0)[: len(protocol.AXES)])
+                    spots[kind] = kinematics.find_hand((*pose, 0.0)[: len(protocol.AXES)])
 
-    def own_end(self) -> FarEnd:
+    def make_end(self) -> FarEnd:
         return TcpEnd()
 
     @property
@@ -109,12 +109,12 @@ class PF400OnWire(OnWire):
             self._deaf = True
             return
         orders: dict[str, Callable[[list[str]], None]] = {
-            "nop": lambda w: self._done(),
-            "mode": lambda w: self._done() if w else self._done("0"),
-            "selectrobot": lambda w: self._done() if w else self._done("1"),
-            "version": lambda w: self._done("TCS 3.0D4"),
-            "sysstate": lambda w: self._done(str(self._system_state())),
-            "state": lambda w: self._done("2.0" if self._way else "1.0"),
+            "nop": lambda w: self._send_done(),
+            "mode": lambda w: self._send_done() if w else self._send_done("0"),
+            "selectrobot": lambda w: self._send_done() if w else self._send_done("1"),
+            "version": lambda w: self._send_done("TCS 3.0D4"),
+            "sysstate": lambda w: self._send_done(str(self._make_system_state())),
+            "state": lambda w: self._send_done("2.0" if self._way else "1.0"),
             "hp": self._power,
             "attach": self._attach,
             "home": lambda w: self._home(),
@@ -122,17 +122,19 @@ class PF400OnWire(OnWire):
             "freemode": self._free_mode,
             "exit": lambda w: None,
             "pd": self._parameter,
-            "wherej": lambda w: self._done(" ".join(f"{value:.3f}" for value in self._now()[: self._axes])),
-            "wherec": lambda w: self._done(
-                "{:.3f} {:.3f} {:.3f} {:.3f} 90 180 1".format(*kinematics.hand(self._now()))
+            "wherej": lambda w: self._send_done(
+                " ".join(f"{value:.3f}" for value in self._compute_joints()[: self._axes])
+            ),
+            "wherec": lambda w: self._send_done(
+                "{:.3f} {:.3f} {:.3f} {:.3f} 90 180 1".format(*kinematics.find_hand(self._compute_joints()))
             ),
             "waitforeom": lambda w: self._wait_for_end(),
             "profile": self._profile,
             "speed": self._speed,
-            "movej": lambda w: self._begin(self._filled(w[1:]), int(w[0])),
+            "movej": lambda w: self._begin(self._parse_joints(w[1:]), int(w[0])),
             "moveoneaxis": self._move_one,
             "move": lambda w: self._begin(self._taught[int(w[0])], int(w[1])),
-            "moveappro": lambda w: self._begin(self._above(int(w[0])), int(w[1])),
+            "moveappro": lambda w: self._begin(self._find_approach(int(w[0])), int(w[1])),
             "locangles": self._teach,
             "stationtype": self._station,
             "gripopenpos": lambda w: self._grip_width("open", w),
@@ -141,7 +143,7 @@ class PF400OnWire(OnWire):
             "graspdata": lambda w: self._grip_width("closed", w),
             "graspplate": lambda w: self._close_fingers(float(w[0]), lambda held: str(-held)),
             "releaseplate": lambda w: self._open_fingers(float(w[0])),
-            "isfullyclosed": lambda w: self._done(str(-(self.joints[4] <= protocol.FULLY_CLOSED_MM))),
+            "isfullyclosed": lambda w: self._send_done(str(-(self.joints[4] <= protocol.FULLY_CLOSED_MM))),
             "pickplate": self._pick_plate,
             "placeplate": self._place_plate,
         }
@@ -155,87 +157,87 @@ class PF400OnWire(OnWire):
 
     # -- power, homing, parameters -----------------------------------------------------------
 
-    def _system_state(self) -> int:
+    def _make_system_state(self) -> int:
         if self.stop_is_pressed:
             return protocol.HARD_STOP
         return 7 if not self.powered else 21 if self.attached else 20
 
     def _power(self, words: list[str]) -> None:
         if not words:
-            self._done(str(int(self.powered)))
+            self._send_done(str(int(self.powered)))
         elif words[0] == "0":
             self.powered = self.attached = False
             self.free_axes.clear()
-            self._done()
+            self._send_done()
         elif self.stop_is_pressed:
             self._refuse(-1028)
         elif self.powered:
-            self._done()
+            self._send_done()
         else:
 
-            def on() -> None:
+            def switch_on() -> None:
                 self.powered = True
-                self._done()
+                self._send_done()
 
-            self._later(POWER_S, on)
+            self._finish_after(POWER_S, switch_on)
 
     def _attach(self, words: list[str]) -> None:
         if not words:
-            self._done("-1" if self.attached else "0")
+            self._send_done("-1" if self.attached else "0")
         elif words[0] == "1" and not self.powered:
             self._refuse(-1046)
         else:
             self.attached = words[0] == "1"
-            self._done()
+            self._send_done()
 
     def _home(self) -> None:
         if not (self.powered and self.attached):
             self._refuse(-1046 if not self.powered else -1009)
             return
 
-        def homed() -> None:
+        def finish_homing() -> None:
             self.homed = True
-            self._done()
+            self._send_done()
 
         self.world.enter(self.name, self.name)
-        self._later(HOME_S, homed)
+        self._finish_after(HOME_S, finish_homing)
 
     def _parameter(self, words: list[str]) -> None:
         limits = list(zip(*self.limits, strict=True))
-        told = {
+        parameters = {
             protocol.ROBOT_TYPE: str(protocol.PF400),
             protocol.SERIAL_NUMBER: f'"{self.serial}"',
             protocol.HOMED: str(int(self.homed)),
             protocol.SOFT_MINIMA: ", ".join(map(str, limits[0])),
             protocol.SOFT_MAXIMA: ", ".join(map(str, limits[1])),
         }
-        self._done(told[int(words[0])])
+        self._send_done(parameters[int(words[0])])
 
     def _profile(self, words: list[str]) -> None:
         if len(words) == 9:
             self._profiles[int(words[0])] = words[1:]
-            self._done()
+            self._send_done()
         else:
-            self._done(" ".join((words[0], *self._profiles.get(int(words[0]), ["50"] * 8))))
+            self._send_done(" ".join((words[0], *self._profiles.get(int(words[0]), ["50"] * 8))))
 
     def _speed(self, words: list[str]) -> None:
         profile = self._profiles.setdefault(int(words[0]), ["50"] * 8)
         if len(words) == 1:
-            self._done(f"{words[0]} {profile[0]}")
+            self._send_done(f"{words[0]} {profile[0]}")
         else:
             profile[0] = words[1]
-            self._done()
+            self._send_done()
 
     def _teach(self, words: list[str]) -> None:
         if len(words) == 1:
-            self._done(" ".join(("1", words[0], *(f"{v:.3f}" for v in self._taught[int(words[0])]))))
+            self._send_done(" ".join(("1", words[0], *(f"{v:.3f}" for v in self._taught[int(words[0])]))))
         else:
-            self._taught[int(words[0])] = self._filled(words[1:])
-            self._done()
+            self._taught[int(words[0])] = self._parse_joints(words[1:])
+            self._send_done()
 
     def _station(self, words: list[str]) -> None:
         self._clearance[int(words[0])] = float(words[3])
-        self._done()
+        self._send_done()
 
     # -- by hand -----------------------------------------------------------------------------
 
@@ -252,7 +254,7 @@ class PF400OnWire(OnWire):
             )
             if before is not bool(self.free_axes):
                 self.world.work(self.name, "hold" if before else "yield")
-            self._done()
+            self._send_done()
 
     def guide(self, joints: Joints) -> None:
         """A person pushes it: only joints that yield go along."""
@@ -261,22 +263,22 @@ class PF400OnWire(OnWire):
 
     # -- moving ------------------------------------------------------------------------------
 
-    def _filled(self, words: list[str]) -> Joints:
-        """Joints as they were told; what was not told stays."""
-        told = tuple(float(word) for word in words)
-        if not 4 <= len(told) <= self._axes:
+    def _parse_joints(self, words: list[str]) -> Joints:
+        """Joints from the words of a command; those that are left out stay as they are."""
+        given = tuple(float(word) for word in words)
+        if not 4 <= len(given) <= self._axes:
             raise ValueError("joints are missing")
-        return told + self._now()[len(told) :]
+        return given + self._compute_joints()[len(given) :]
 
-    def _above(self, station: int) -> Joints:
+    def _find_approach(self, station: int) -> Joints:
         taught = self._taught[station]
         return (taught[0] + self._clearance.get(station, 0.0), *taught[1:])
 
     def _begin(self, target: Joints, profile: int) -> None:
-        """Answered when it is accepted, long before it is done."""
+        """Start a motion. The answer comes when it is accepted, long before it is done."""
         if self._may_move(target):
             self._move(target, profile)
-            self._done()
+            self._send_done()
 
     def _may_move(self, target: Joints) -> bool:
         if self.free_axes:
@@ -294,12 +296,12 @@ class PF400OnWire(OnWire):
         return True
 
     def _move(self, target: Joints, profile: int = 1, then: Callable[[], None] | None = None) -> None:
-        start = self._now()
+        start = self._compute_joints()
         percent = float(self._profiles.get(profile, ["50"])[0])
         took_s = max(abs(b - a) / s for a, b, s in zip(start, target, SPEEDS, strict=True)) * 100 / percent
-        took_s = self.scattered(took_s + 0.3)
+        took_s = self.scatter(took_s + 0.3)
         self.world.enter(self.name, self.name)
-        if place := self._under(target):
+        if place := self._find_place_under(target):
             self.world.enter(self.name, place)
         self._way = start, target, self.now_s(), took_s
         self._motion += 1
@@ -312,7 +314,7 @@ class PF400OnWire(OnWire):
         self.joints, self._way = self._way[1], None
         if self.is_slippery and self.world.drop(self.name):
             self.set_fingers(max(self.joints[4] - SQUEEZE_MM, protocol.LIMITS[protocol.GRIPPER][0]))
-        if not self._under(self.joints):
+        if not self._find_place_under(self.joints):
             self.world.leave(self.name)
         then, self._then = self._then, None
         if then is not None:
@@ -321,7 +323,7 @@ class PF400OnWire(OnWire):
             self._deaf = False
             self._obey_all()
 
-    def _now(self) -> Joints:
+    def _compute_joints(self) -> Joints:
         if self._way is None:
             return self.joints
         start, target, began_s, took_s = self._way
@@ -330,26 +332,26 @@ class PF400OnWire(OnWire):
 
     def _halt(self) -> None:
         self._freeze()
-        self._done()
+        self._send_done()
 
     def _freeze(self) -> None:
-        self.joints, self._way, self._then = self._now(), None, None
+        self.joints, self._way, self._then = self._compute_joints(), None, None
 
     def _wait_for_end(self) -> None:
         if self._way is None:
-            self._done()
+            self._send_done()
             return
         self._deaf = True
 
-        def ended() -> None:
+        def finish() -> None:
             self._deaf = False
-            self._done()
+            self._send_done()
             self._obey_all()
 
-        self._then = ended
+        self._then = finish
 
     def _move_one(self, words: list[str]) -> None:
-        target = list(self._now())
+        target = list(self._compute_joints())
         target[int(words[0]) - 1] = float(words[1])
         self._begin(tuple(target), int(words[2]))
 
@@ -358,9 +360,9 @@ class PF400OnWire(OnWire):
     def _grip_width(self, which: str, words: list[str]) -> None:
         if words:
             self._grips[which] = float(words[0])
-            self._done()
+            self._send_done()
         else:
-            self._done(f"{self._grips[which]:.3f}")
+            self._send_done(f"{self._grips[which]:.3f}")
 
     def _gripper(self, words: list[str]) -> None:
         if words[0] == "1":
@@ -368,25 +370,25 @@ class PF400OnWire(OnWire):
         else:
             self._close_fingers(self._grips["closed"], lambda held: "")
 
-    def _close_fingers(self, width: float, told: Callable[[bool], str]) -> None:
-        self._later(FINGERS_S, lambda: self._done(told(self._grasp(width))))
+    def _close_fingers(self, width: float, report: Callable[[bool], str]) -> None:
+        self._finish_after(FINGERS_S, lambda: self._send_done(report(self._grasp(width))))
 
     def _open_fingers(self, width: float) -> None:
-        def let_go() -> None:
+        def open_hand() -> None:
             self._let_go(width)
-            self._done()
+            self._send_done()
 
-        self._later(FINGERS_S, let_go)
+        self._finish_after(FINGERS_S, open_hand)
 
     def _grasp(self, width: float) -> bool:
-        """Whether something is between the fingers now."""
+        """Close the fingers; returns whether something is between them."""
         if self.top(f"hand:{self.name}"):
             held = True
         else:
-            place = self._spot()
+            place = self._find_spot()
             held = bool(place and self.world.at(place))
             if held:
-                self.world.grip(self.name, place, _grip(width))
+                self.world.grip(self.name, place, _name_grip(width))
         self.joints = (
             *self.joints[:4],
             width + self.wider_mm if held else max(width - SQUEEZE_MM, 60.0),
@@ -396,47 +398,47 @@ class PF400OnWire(OnWire):
 
     def _let_go(self, width: float) -> None:
         if self.top(f"hand:{self.name}") and width > self.joints[4]:
-            place = self._spot()
+            place = self._find_spot()
             if not place:
                 self.world.crash(self.name, self.name, "drops a plate")
             if self.is_waste(place):
                 self.world.discard(self.name, place)
             else:
-                self.world.release(self.name, place, _grip(width))
+                self.world.release(self.name, place, _name_grip(width))
         self.joints = (*self.joints[:4], width, *self.joints[5:])
 
     def is_waste(self, place: str) -> bool:
         chutes = {self.place(name) for name in self.config.get("waste", ())}
         return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
 
-    def _under(self, joints: Joints) -> str:
+    def _find_place_under(self, joints: Joints) -> str:
         """The place that the hand is over."""
-        x, y, *_ = kinematics.hand(joints)
-        return next(self._near((x, y), 10 * SPOT_MM), "")
+        x, y, *_ = kinematics.find_hand(joints)
+        return next(self._find_places_near((x, y), 10 * SPOT_MM), "")
 
-    def _near(self, at: tuple[float, float], most_mm: float) -> Iterator[str]:
+    def _find_places_near(self, at: tuple[float, float], most_mm: float) -> Iterator[str]:
         """Places not farther away than that, seen from above."""
         for place, spots in self._spots.items():
             if any(dist(at, spot[:2]) < most_mm for spot in spots.values()):
                 yield place
 
-    def _spot(self) -> str:
+    def _find_spot(self) -> str:
         """The place, or the lid's place on the plate there, where the fingers are: round what they hold, or
         else round what stands there."""
-        x, y, z, _ = kinematics.hand(self.joints)
+        x, y, z, _ = kinematics.find_hand(self.joints)
         held = self.top(f"hand:{self.name}")
-        for place in self._near((x, y), SPOT_MM):
+        for place in self._find_places_near((x, y), SPOT_MM):
             plate = self.top(place)
-            if self._is_at((x, y, z), self._where(place, held or plate)):
+            if self._is_at((x, y, z), self._find_grip_point(place, held or plate)):
                 return place
-            if plate and self._is_at((x, y, z - self._lid_mm), self._where(place, plate)):
+            if plate and self._is_at((x, y, z - self._lid_mm), self._find_grip_point(place, plate)):
                 if self.world.is_shut(place):
                     self.world.crash(self.name, place, "reaches into a closed gate")
                 return lid_of(plate)
         return ""
 
-    def _where(self, place: str, plate: str) -> tuple[float, ...] | None:
-        """Where the fingers get round a plate at a place: kinds of plates differ."""
+    def _find_grip_point(self, place: str, plate: str) -> tuple[float, ...] | None:
+        """The position at which the fingers get round a plate at a place: types of plates differ."""
         spots = self._spots[place]
         return spots.get(self.world.kind(plate)) or spots.get("")
 
@@ -463,27 +465,27 @@ class PF400OnWire(OnWire):
             return
         self._deaf = True
 
-        def there() -> None:
-            told = work()
-            up = (*self._above(station)[:4], *self.joints[4:])
+        def arrive() -> None:
+            report = work()
+            up = (*self._find_approach(station)[:4], *self.joints[4:])
 
             def end() -> None:
                 self._deaf = False
-                self._done(told)
+                self._send_done(report)
                 self._obey_all()
 
             self._move(up, then=end)
 
         target = self._taught[station]
-        self._move((*target[:4], self.joints[4], *target[5:]), then=there)
+        self._move((*target[:4], self.joints[4], *target[5:]), then=arrive)
 
     # -- what goes wrong ---------------------------------------------------------------------
 
     def press_stop(self) -> None:
         """Somebody hits the emergency stop."""
-        self.after(0, self._cut, exact=True)
+        self.after(0, self._cut_power, exact=True)
 
-    def _cut(self) -> None:
+    def _cut_power(self) -> None:
         self.stop_is_pressed, self.powered, self.attached = True, False, False
         self.free_axes.clear()
         self._freeze()
@@ -500,8 +502,8 @@ class PF400OnWire(OnWire):
 
     # -- speaking ----------------------------------------------------------------------------
 
-    def _later(self, lab_s: float, what: Callable[[], None]) -> None:
-        """The interpreter is deaf meanwhile."""
+    def _finish_after(self, lab_s: float, what: Callable[[], None]) -> None:
+        """Do something after so many lab seconds; the controller does not hear commands meanwhile."""
         self._deaf = True
 
         def end() -> None:
@@ -511,7 +513,7 @@ class PF400OnWire(OnWire):
 
         self.after(lab_s, end)
 
-    def _done(self, data: str = "") -> None:
+    def _send_done(self, data: str = "") -> None:
         self.say((f"0 {data}" if data else "0").encode() + protocol.ANSWER_END)
 
     def _refuse(self, code: int) -> None:
@@ -520,5 +522,5 @@ class PF400OnWire(OnWire):
         self.say(f"{code} *{text}*".encode() + protocol.ANSWER_END)
 
 
-def _grip(width: float) -> str:
+def _name_grip(width: float) -> str:
     return "wide" if width > protocol.BETWEEN_GRIPS_MM else "narrow"

@@ -12,8 +12,8 @@ from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire, Wire
 from labos.node import Setup
 from labos.node.node import handle_keeper
-from labos_drivers._limits import serial_wire
-from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
+from labos_drivers._limits import make_serial_wire
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.pipette import protocol
 from labos_drivers.pipette.protocol import Answer, Kind
 
@@ -23,8 +23,8 @@ WHO = "a pump that speaks DT"
 
 
 class Stroke(msgspec.Struct, frozen=True):
-    """From where to where the plunger goes, in steps: what is journalled, so that the next process can
-    tell by its position how far it came."""
+    """Start and end of a plunger's stroke, in steps. It is journalled, so that the next process can find out
+    by the position how far it came."""
 
     start: int
     target: int
@@ -39,16 +39,16 @@ class Stroke(msgspec.Struct, frozen=True):
 
 
 class PipetteDriver(Wired):
-    """Moves are absolute, so that a stroke can be told from where the plunger stands afterwards. Nothing
-    feels the liquid: that the plunger went so far is all that is known."""
+    """Moves are absolute, so that the position of the plunger afterwards shows how far a stroke came. There
+    is no sensor for liquid: that the plunger went so far is all that is known."""
 
     deadlines = ("answer", "lost", "start", "eject", "slack")
     where = ("port", "192.168.0.40")
     link: Link
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
-        self._kind = kind_of(setup)
+        self._kind = read_kind(setup)
         self.link = Link(
             self._wire(setup, address),
             protocol.Frames(),
@@ -60,8 +60,8 @@ class PipetteDriver(Wired):
     @staticmethod
     def _wire(setup: Setup, address: str) -> Wire:
         if address.startswith("/") or "://" in address or re.fullmatch(r"COM\d+", address):
-            return serial_wire(setup, address, baudrate=protocol.BAUDRATE)
-        return TcpWire(*host_and_port(address, protocol.TOOL_PORT))
+            return make_serial_wire(setup, address, baudrate=protocol.BAUDRATE)
+        return TcpWire(*parse_host_port(address, protocol.TOOL_PORT))
 
     # -- strokes -----------------------------------------------------------------------------
 
@@ -72,7 +72,7 @@ class PipetteDriver(Wired):
         return await self._move(-volume_ul, speed_ul_s)
 
     async def _move(self, change_ul: float, speed_ul_s: float) -> float:
-        """Returns what is drawn up then, in µL."""
+        """Move the plunger; returns the volume that is drawn up then (µL)."""
         stroke = await self.plan(change_ul)
         keep = handle_keeper.get()
         if keep is not None:
@@ -81,10 +81,10 @@ class PipetteDriver(Wired):
 
     @off_loop
     def plan(self, change_ul: float) -> Stroke:
-        """Nothing moves yet. Raises DeviceError for what does not fit."""
-        self.unless_stopped()
+        """Plan a stroke; nothing moves. Raises DeviceError for a volume that does not fit."""
+        self.check_not_stopped()
         try:
-            here = self._position()
+            here = self._read_position()
         except DeviceError as error:
             error.effects = "none"
             raise
@@ -100,7 +100,7 @@ class PipetteDriver(Wired):
 
     @off_loop
     def carry_out(self, stroke: Stroke, speed_ul_s: float) -> float:
-        """Start it and see it through."""
+        """Start a stroke and wait for its end."""
         steps_s = round(speed_ul_s / self._ul_a_step)
         steps_s = min(max(steps_s, protocol.SLOWEST_STEPS_S), protocol.FASTEST_STEPS_S)
         with self.motion():
@@ -112,24 +112,24 @@ class PipetteDriver(Wired):
                     raise
                 # Whether it was heard shows in where the plunger is; if not, it may still be on its way.
                 with self.under_way():
-                    return self._see_through(stroke, limit_s)
-            return self._see_through(stroke, limit_s)
+                    return self._await_end(stroke, limit_s)
+            return self._await_end(stroke, limit_s)
 
     @off_loop
     def follow(self, handle: str) -> float:
-        """The end of a stroke that was planned before, and perhaps begun."""
+        """Wait for the end of a stroke that was planned before, and perhaps begun."""
         with self.motion():
             stroke = Stroke.read(handle)
-            return self._see_through(
+            return self._await_end(
                 stroke,
                 abs(stroke.target - stroke.start) / protocol.SLOWEST_STEPS_S + self.limit_s("slack", SLACK_S),
             )
 
-    def _see_through(self, stroke: Stroke, limit_s: float) -> float:
+    def _await_end(self, stroke: Stroke, limit_s: float) -> float:
         with self.under_way():
             self._await_rest(limit_s)
-            here = self._position()
-            self._needs_initialised(here)
+            here = self._read_position()
+            self._check_initialised(here)
         if here == stroke.target:
             return round(here * self._ul_a_step, 2)
         moved = abs(here - stroke.start) * self._ul_a_step
@@ -141,7 +141,7 @@ class PipetteDriver(Wired):
         )
 
     def _await_rest(self, limit_s: float) -> None:
-        """Raises DeviceError. A line that fails for a while is asked again."""
+        """Wait until the plunger rests; a line that fails for a while is asked again. Raises DeviceError."""
         deadline = time.monotonic() + limit_s
         lost_since = 0.0
         while True:
@@ -153,24 +153,24 @@ class PipetteDriver(Wired):
                     raise
             else:
                 lost_since = 0.0
-                self._refuse(answer, "it moved", "unknown")
+                self._check_answer(answer, "it moved", "unknown")
                 if answer.ready:
                     return
             if time.monotonic() > deadline + self.limit_s("lost", LOST_S):
                 raise DeviceError(f"{self.name}: the plunger has not come to rest within {limit_s:.0f} s.")
             time.sleep(POLL_S)
 
-    def _needs_initialised(self, here: int) -> None:
-        """One that had no power stands somewhere, and calls it zero. To be told to go where it is moves
-        nothing."""
-        self._refuse(self._ask(f"A{here}R"), "it was asked where it is", "unknown")
+    def _check_initialised(self, here: int) -> None:
+        """Check that the pump is initialised: one that had no power calls its position zero, wherever it
+        stands. A command to go where it is moves nothing. Raises DeviceError."""
+        self._check_answer(self._ask(f"A{here}R"), "it was asked where it is", "unknown")
         self._await_rest(self.limit_s("slack", SLACK_S))
 
     # -- the device itself -------------------------------------------------------------------
 
     @off_loop
     def initialise(self) -> None:
-        """The plunger finds its end: whatever is drawn up comes out."""
+        """Move the plunger to its end: everything that is drawn up comes out."""
         with self.motion():
             self._initialise()
 
@@ -178,7 +178,7 @@ class PipetteDriver(Wired):
         self._order(self._kind.initialise)
         with self.under_way():
             self._await_rest(self.limit_s("start", START_S))
-            self._needs_initialised(self._position())
+            self._check_initialised(self._read_position())
 
     @off_loop
     def eject_tip(self) -> None:
@@ -193,27 +193,27 @@ class PipetteDriver(Wired):
             with self.under_way():
                 self._await_rest(self.limit_s("eject", EJECT_S))
 
-    @aside
-    def volume(self) -> float:
-        return round(self._position() * self._ul_a_step, 2)
+    @during_motion
+    def read_volume(self) -> float:
+        return round(self._read_position() * self._ul_a_step, 2)
 
     @off_loop
     def reset(self) -> None:
         self.resume()
         self._initialise()
 
-    @aside
+    @during_motion
     def stop(self) -> None:
         """The plunger stops where it is."""
         self._halted.set()
         self._order("T", run="")
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
         return self._ask("Q").ready
 
-    @aside
-    def look(self) -> dict[str, Any]:
+    @during_motion
+    def observe(self) -> dict[str, Any]:
         """Nothing: it feels neither tip nor liquid."""
         self._ask("Q")
         return {}
@@ -224,18 +224,18 @@ class PipetteDriver(Wired):
     def _ul_a_step(self) -> float:
         return self._kind.volume_ul / self._kind.steps
 
-    def _position(self) -> int:
+    def _read_position(self) -> int:
         answer = self._ask("?")
-        self._refuse(answer, "it was asked where it is", "unknown")
+        self._check_answer(answer, "it was asked where it is", "unknown")
         if not re.fullmatch(r"\d{1,6}", answer.data):
             raise Garbled(f"{self.name}: {answer.data!r} is no position of a plunger.")
         return int(answer.data)
 
     def _order(self, commands: str, run: str = "R") -> None:
-        """Raises DeviceError: nothing moves if it is refused."""
-        self._refuse(self._ask(commands + run), f"it was told {commands}", "none")
+        """Send commands. Raises DeviceError: nothing moves if they are refused."""
+        self._check_answer(self._ask(commands + run), f"it was told {commands}", "none")
 
-    def _refuse(self, answer: Answer, when: str, effects: str) -> None:
+    def _check_answer(self, answer: Answer, when: str, effects: str) -> None:
         if answer.error:
             why = protocol.MEANINGS.get(answer.error, "an unknown error")
             raise DeviceError(
@@ -252,8 +252,9 @@ class PipetteDriver(Wired):
         return WHO
 
 
-def kind_of(setup: Setup) -> Kind:
-    """As ``kind:`` says, with the volume that ``volume_ul:`` says a whole stroke is. Raises DeviceError."""
+def read_kind(setup: Setup) -> Kind:
+    """The kind of pump, from ``kind:``, with the volume of a whole stroke from ``volume_ul:``. Raises
+    DeviceError."""
     named = setup.config.get("kind", "z_pump")
     if named not in protocol.KINDS:
         raise DeviceError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from labos.node import DeviceError, Param, Sets, action
-from labos_drivers._simulation import told
+from labos_drivers._simulation import await_answer
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.pipette.driver import PipetteDriver
 from labos_drivers.pipette.simulator import PipetteSimulator
@@ -50,7 +50,7 @@ class Pipette(OnBenchOrWire):
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_volume(self) -> float:
         """What is drawn up, in µL, by where the plunger stands."""
-        return await told(self.device.volume())
+        return await await_answer(self.device.read_volume())
 
     @action(EMPTY, duration_s=10, recovers=True)
     async def reset(self) -> None:

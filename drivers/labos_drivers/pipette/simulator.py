@@ -57,9 +57,9 @@ class PipetteSimulator(Simulated):
             self.world.work(self.name, "eject")
             self._ul = 0.0
 
-    def volume(self) -> float:
+    def read_volume(self) -> float:
         return round(self._ul, 2)
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """Nothing: it feels neither tip nor liquid."""
         return {}

@@ -50,7 +50,7 @@ class PipetteOnWire(OnWire):
             error, self._error = self._error, 0
             return protocol.write(not self._busy, error)
         if text in ("?", "?0"):
-            return protocol.write(not self._busy, 0, str(self._here()))
+            return protocol.write(not self._busy, 0, str(self._compute_position()))
         if text == "?2":
             return protocol.write(not self._busy, 0, str(self._steps_s))
         if text == "&":
@@ -66,15 +66,15 @@ class PipetteOnWire(OnWire):
         return protocol.write(not self._busy, error)
 
     def _run(self, commands: str) -> int:
-        """The error, or 0 if it begins."""
+        """Carry out commands; returns the error, or 0 if they begin."""
         if commands == self.kind.initialise:
             return self._initialise()
         if commands == self.kind.eject and self.initialised:
             return self._begin(EJECTS_S, "eject")
         if "".join(match[0] for match in WORD.finditer(commands)) != commands:
             return BAD_COMMAND
-        for letter, told in WORD.findall(commands):
-            number = int(told or 0)
+        for letter, digits in WORD.findall(commands):
+            number = int(digits or 0)
             if letter in "AaPpDd":
                 if not self.initialised:
                     return protocol.NOT_INITIALISED
@@ -118,15 +118,15 @@ class PipetteOnWire(OnWire):
         self.after(abs(goal - self.position) / self._steps_s, self._arrive, exact=True)
 
     def _arrive(self) -> None:
-        self._came_to(self._goal)
+        self._note_position(self._goal)
 
-    def _came_to(self, here: int) -> None:
+    def _note_position(self, here: int) -> None:
         change, self.position, self._goal, self._busy = here - self.position, here, here, False
         microlitres = round(abs(change) * self.kind.volume_ul / self.kind.steps, 3)
         if change:
             self.world.work(self.name, "aspirate" if change > 0 else "dispense", ul=microlitres)
 
-    def _here(self) -> int:
+    def _compute_position(self) -> int:
         if self._goal == self.position:
             return self.position
         steps = round((self.now_s() - self._began_s) * self._steps_s)
@@ -136,7 +136,7 @@ class PipetteOnWire(OnWire):
     def _terminate(self) -> None:
         if self._busy and self._goal != self.position:
             self.forget_plans()
-            self._came_to(self._here())
+            self._note_position(self._compute_position())
 
     def damage(self, crash: Crash) -> None:
         """It notices nothing."""

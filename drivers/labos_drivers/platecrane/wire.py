@@ -20,5 +20,5 @@ class PlateCraneOnWire(HudsonOnWire):
     stacks = STACKS
     speeds = Joints(60_000.0, 15_000.0, 15_000.0, 5_000.0)
 
-    def tell(self, joints: Joints) -> str:
-        return ", ".join(f"{value:.0f}" for value in joints.all())
+    def format_position(self, joints: Joints) -> str:
+        return ", ".join(f"{value:.0f}" for value in joints.as_tuple())

@@ -18,10 +18,10 @@ import msgspec
 
 from labos.errors import DeviceError, LinkError, NotConnected, OutcomeUnknown
 from labos.node import Setup
-from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Variable
-from labos_drivers.plc.points import Points, filled, link_to
-from labos_drivers.plc.values import Told, fits, in_words, leaves_open
+from labos_drivers.plc.points import Points, fill_arguments, make_link
+from labos_drivers.plc.values import PointValue, describe_condition, is_met, is_undecided
 
 POLL_S = 0.1
 PATIENCE_S = 30.0
@@ -45,13 +45,13 @@ RESTARTED = "the PLC was started anew meanwhile, and keeps no record of what was
 NOT_TAKEN = "the PLC does not show that it has taken this attempt"
 
 
-class Begun(msgspec.Struct):
+class StartedAction(msgspec.Struct):
     """What the journal keeps of an attempt: its arguments, its ``number`` in the handshake, when the PLC's
     program was started (``boot``), whether the start was ``taken``."""
 
     args: dict[str, Any] = {}
     number: int = 0
-    boot: Told | None = None
+    boot: PointValue | None = None
     taken: bool = False
 
 
@@ -66,10 +66,10 @@ class PlcDriver(Wired):
     where = ("address", "10.0.7.5")
     mapping: ClassVar[PlcMapping]
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._commands = threading.Lock()
-        self.points = Points(link_to(address, setup.name, setup.config), self.mapping.points)
+        self.points = Points(make_link(address, setup.name, setup.config), self.mapping.points)
 
     @off_loop
     def connect(self) -> None:
@@ -82,72 +82,74 @@ class PlcDriver(Wired):
 
     # -- how it is ---------------------------------------------------------------------------
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
         seen = self.points.read({condition.point for condition in self.mapping.state.busy})
         return not self._is_busy(seen)
 
-    def _is_busy(self, seen: dict[str, Told]) -> bool:
-        """Unless it says that it is not."""
-        told = ((condition, seen[condition.point]) for condition in self.mapping.state.busy)
-        return any(fits(condition, value) or leaves_open(condition, value) for condition, value in told)
+    def _is_busy(self, seen: dict[str, PointValue]) -> bool:
+        """Whether the PLC is busy; it is, unless it says that it is not."""
+        values = ((condition, seen[condition.point]) for condition in self.mapping.state.busy)
+        return any(is_met(condition, value) or is_undecided(condition, value) for condition, value in values)
 
-    @aside
-    def look(self) -> dict[str, Any]:
+    @during_motion
+    def observe(self) -> dict[str, Any]:
         mapping = self.mapping
-        told_by = [c for each in mapping.labware.values() for c in each]
-        told_by += [c for each in mapping.variables.values() for told in each.values.values() for c in told]
-        points = {condition.point for condition in told_by}
+        sources = [*mapping.labware.values()]
+        sources += [each for variable in mapping.variables.values() for each in variable.values.values()]
+        points = {condition.point for conditions in sources for condition in conditions}
         seen = self.points.read(points | {each.point for each in mapping.variables.values() if each.point})
-        told: dict[str, Any] = {name: _variable(each, seen) for name, each in mapping.variables.items()}
+        observed: dict[str, Any] = {
+            name: _read_variable(each, seen) for name, each in mapping.variables.items()
+        }
         if mapping.labware:
-            sure = {place: each for place, each in mapping.labware.items() if not _is_open(each, seen)}
-            told["labware"] = {place: _all_hold(each, seen) for place, each in sure.items()}
-        return told
+            sure = {place: each for place, each in mapping.labware.items() if not _is_undecided(each, seen)}
+            observed["labware"] = {place: _are_met(each, seen) for place, each in sure.items()}
+        return observed
 
-    @aside
-    def levels(self) -> dict[str, float]:
-        told = self.points.read(self.mapping.resources.values())
-        return {resource: float(told[point]) for resource, point in self.mapping.resources.items()}
+    @during_motion
+    def read_levels(self) -> dict[str, float]:
+        levels = self.points.read(self.mapping.resources.values())
+        return {resource: float(levels[point]) for resource, point in self.mapping.resources.items()}
 
-    @aside
+    @during_motion
     def trouble(self) -> str:
-        """What the PLC says is wrong; empty if nothing is."""
-        error = self._error(self.points.read(self._watched()))
+        """The error that the PLC reports; empty if there is none."""
+        error = self._find_error(self.points.read(self._list_watched_points()))
         return str(error) if error is not None else ""
 
-    @aside
+    @during_motion
     def read(self, action: MappedAction) -> Any:
-        """What an action that only reads results in."""
-        return self._result(action)
+        """The result of an action that only reads."""
+        return self._read_result(action)
 
     # -- an action ---------------------------------------------------------------------------
 
     @off_loop
-    def prepare(self, name: str, args: dict[str, Any], action_id: str) -> Begun:
-        """See that the action may begin, and write what moves nothing. Raises DeviceError (``none``)."""
-        self.unless_stopped()
+    def prepare(self, name: str, args: dict[str, Any], action_id: str) -> StartedAction:
+        """Check that the action may begin, and write what moves nothing. Raises DeviceError (``none``)."""
+        self.check_not_stopped()
         action = self.mapping.actions[name]
         try:
-            seen = self.points.read(self._watched(action))
+            seen = self.points.read(self._list_watched_points(action))
             self._refuse_unless_fit(action, seen)
             self.points.write_all(action.set, args)
         except DeviceError as error:
             error.effects = "none"
             raise
-        return Begun(args, self._number(action_id, seen), self._boot(seen))
+        return StartedAction(args, self._choose_number(action_id, seen), self._read_boot(seen))
 
     @off_loop
-    def start(self, name: str, begun: Begun) -> bool:
-        """Start it, with one write; whether the PLC has answered. Raises DeviceError."""
+    def start(self, name: str, begun: StartedAction) -> bool:
+        """Start it, with one write; returns whether the PLC has answered. Raises DeviceError."""
         action, handshake = self.mapping.actions[name], self.mapping.handshake
         try:
             with self._commands:  # a stop comes before the start, and then there is none, or after it
-                self.unless_stopped()
+                self.check_not_stopped()
                 if handshake is not None:
                     self.points.write(handshake.number, begun.number)
                 elif action.start is not None:
-                    self.points.write(action.start.point, filled(action.start.value, begun.args))
+                    self.points.write(action.start.point, fill_arguments(action.start.value, begun.args))
         except NotConnected:
             raise
         except LinkError:
@@ -158,28 +160,28 @@ class PlcDriver(Wired):
         return True
 
     @off_loop
-    def see_end(self, name: str, begun: Begun, *, sure: bool) -> Any:
-        """What it results in. ``sure``: the PLC has answered the start, and was not out of sight since.
-        Raises DeviceError, OutcomeUnknown."""
+    def await_end(self, name: str, begun: StartedAction, *, sure: bool) -> Any:
+        """Wait for the end; returns the result. ``sure``: the PLC has answered the start, and the connection
+        was not lost since. Raises DeviceError, OutcomeUnknown."""
         try:
             with self.under_way():
-                return self._see_end(name, self.mapping.actions[name], begun, sure=sure)
+                return self._await_end(name, self.mapping.actions[name], begun, sure=sure)
         except _Withdrawn as error:
             error.effects = "none"
             raise
 
-    def _refuse_unless_fit(self, action: MappedAction, seen: dict[str, Told]) -> None:
-        if (error := self._error(seen)) is not None:
+    def _refuse_unless_fit(self, action: MappedAction, seen: dict[str, PointValue]) -> None:
+        if (error := self._find_error(seen)) is not None:
             raise error
         if self._is_busy(seen):
             raise DeviceError(f"{self.name} is busy.", remedy="Wait until it is idle.")
         for condition in action.needs:
             value = seen[condition.point]
-            if not fits(condition, value):
+            if not is_met(condition, value):
                 remedy = condition.remedy or "Put it right, then try again."
-                raise DeviceError(f"{self.name}: {in_words(condition, value)}.", remedy=remedy)
+                raise DeviceError(f"{self.name}: {describe_condition(condition, value)}.", remedy=remedy)
 
-    def _number(self, action_id: str, seen: dict[str, Told]) -> int:
+    def _choose_number(self, action_id: str, seen: dict[str, PointValue]) -> int:
         """A number for this attempt that is not the one before, and never 0."""
         handshake = self.mapping.handshake
         if handshake is None:
@@ -190,60 +192,61 @@ class PlcDriver(Wired):
             number = number % limit + 1
         return number
 
-    def _boot(self, seen: dict[str, Told]) -> Told | None:
+    def _read_boot(self, seen: dict[str, PointValue]) -> PointValue | None:
         return seen[self.mapping.boot] if self.mapping.boot else None
 
     # -- its end -----------------------------------------------------------------------------
 
-    def _see_end(self, name: str, action: MappedAction, begun: Begun, *, sure: bool) -> Any:
+    def _await_end(self, name: str, action: MappedAction, begun: StartedAction, *, sure: bool) -> Any:
         began = silent_since = time.monotonic()
         until = began + (action.timeout or LONGER * action.duration + self.limit_s("patience", PATIENCE_S))
         began_seen, handshake = False, self.mapping.handshake
         while True:
             try:
-                seen = self.points.read(self._watched(action))
+                seen = self.points.read(self._list_watched_points(action))
             except LinkError:
-                self._unless_halted(name)
+                self._check_not_halted(name)
                 sure = False
                 if time.monotonic() - silent_since > self.limit_s("patience", PATIENCE_S):
                     raise
                 time.sleep(POLL_S)
                 continue
-            self._unless_halted(name)  # what is seen now may be what the stop did
+            self._check_not_halted(name)  # what is seen now may be what the stop did
             silent_since = time.monotonic()
-            sure = sure or self._is_the_same(seen, begun)
+            sure = sure or self._is_this_attempt(seen, begun)
             if sure:
                 self._raise_if_failed(name, action, seen)
                 busy = self._is_busy(seen)
                 began_seen = began_seen or busy or time.monotonic() - began > BEGIN_S
                 if not busy and self._has_ended(action, begun, seen, began_seen):
-                    return self._result(action)
+                    return self._read_result(action)
             taken = handshake is None or seen[handshake.taken] == begun.number
             if not taken and time.monotonic() - began > self.limit_s("take", TAKE_S):
                 self._withdraw(name, begun, seen)
             if time.monotonic() > until:
-                waited = ", ".join(in_words(c, seen[c.point]) for c in action.done) or "it has not ended"
+                waited = (
+                    ", ".join(describe_condition(c, seen[c.point]) for c in action.done) or "it has not ended"
+                )
                 raise DeviceError(
                     f"{self.name}: {name} was started, and is not done in time ({waited}).",
                     remedy="Look at it, then reset the module.",
                 )
             time.sleep(POLL_S)
 
-    def _is_the_same(self, seen: dict[str, Told], begun: Begun) -> bool:
-        """Whether what the PLC shows is of this attempt, once it was out of sight. Raises
-        OutcomeUnknown."""
+    def _is_this_attempt(self, seen: dict[str, PointValue], begun: StartedAction) -> bool:
+        """Whether the PLC shows this attempt, after the connection was lost. Raises OutcomeUnknown."""
         handshake = self.mapping.handshake
         if handshake is not None:
-            if begun.boot != self._boot(seen):
+            if begun.boot != self._read_boot(seen):
                 raise OutcomeUnknown(RESTARTED)
             return seen[handshake.taken] == begun.number
         if begun.boot is None or not begun.taken:
             raise OutcomeUnknown(NOT_KEPT)
-        if begun.boot != self._boot(seen):
+        if begun.boot != self._read_boot(seen):
             raise OutcomeUnknown(RESTARTED)
         return True
 
-    def _withdraw(self, name: str, begun: Begun, seen: dict[str, Told]) -> None:
+    def _withdraw(self, name: str, begun: StartedAction, seen: dict[str, PointValue]) -> None:
         """A number that the PLC has not taken must not be taken later. Returns if it was taken after all.
         Raises DeviceError (``none``) if it never will be, OutcomeUnknown if it may still be on its way."""
         handshake = self.mapping.handshake
@@ -258,39 +261,43 @@ class PlcDriver(Wired):
                 remedy="Look whether it obeys its Modbus master, or is switched to local.",
             )
 
-    def _has_ended(self, action: MappedAction, begun: Begun, seen: dict[str, Told], began: bool) -> bool:
+    def _has_ended(
+        self, action: MappedAction, begun: StartedAction, seen: dict[str, PointValue], began: bool
+    ) -> bool:
         handshake = self.mapping.handshake
         if handshake is not None:
-            told = (seen[handshake.taken], seen[handshake.done]) == (begun.number, begun.number)
+            has_ended = (seen[handshake.taken], seen[handshake.done]) == (begun.number, begun.number)
         else:
             # The PLC may show for a moment what was before it took the start.
-            told = began or not (action.done or self.mapping.state.busy)
+            has_ended = began or not (action.done or self.mapping.state.busy)
         done = [_with_args(condition, begun.args) for condition in action.done]
-        return told and all(fits(condition, seen[condition.point]) for condition in done)
+        return has_ended and all(is_met(condition, seen[condition.point]) for condition in done)
 
-    def _raise_if_failed(self, name: str, action: MappedAction, seen: dict[str, Told]) -> None:
-        if (error := self._error(seen)) is not None:
+    def _raise_if_failed(self, name: str, action: MappedAction, seen: dict[str, PointValue]) -> None:
+        if (error := self._find_error(seen)) is not None:
             raise error
         for condition in action.failed:
             value = seen[condition.point]
-            if fits(condition, value):
+            if is_met(condition, value):
                 remedy = condition.remedy or "Look at it, then reset the module."
-                raise DeviceError(f"{self.name}: {name} failed: {in_words(condition, value)}.", remedy=remedy)
+                raise DeviceError(
+                    f"{self.name}: {name} failed: {describe_condition(condition, value)}.", remedy=remedy
+                )
 
-    def _unless_halted(self, name: str) -> None:
+    def _check_not_halted(self, name: str) -> None:
         if self._halted.is_set():
             raise DeviceError(
                 f"{self.name} was stopped in mid-motion ({name}).",
                 remedy="Look at it, then reset the module.",
             )
 
-    def _result(self, action: MappedAction) -> Any:
+    def _read_result(self, action: MappedAction) -> Any:
         if not action.result:
             return None
-        told = self.points.read(action.points_read)
+        values = self.points.read(action.result_points)
         if isinstance(action.result, dict):
-            return {key: told[point] for key, point in action.result.items()}
-        return told[action.result]
+            return {key: values[point] for key, point in action.result.items()}
+        return values[action.result]
 
     # -- stopping and recovering -------------------------------------------------------------
 
@@ -301,14 +308,14 @@ class PlcDriver(Wired):
             return
         await self._write_stop()
 
-    @aside
+    @during_motion
     def _write_stop(self) -> None:
         with self._commands:
             self.points.write_all(self.mapping.stop, {})
 
     @off_loop
     def reset(self) -> None:
-        """Write what brings the PLC out of an error, and see that it is. A number that it has not taken is
+        """Write what brings the PLC out of an error, and check that it is. A number that it has not taken is
         withdrawn before, so that nothing begins to move by that."""
         handshake = self.mapping.handshake
         if handshake is not None:
@@ -319,7 +326,7 @@ class PlcDriver(Wired):
         self.points.write_all(self.mapping.reset, {})
         time.sleep(CYCLE_S)  # before that, neither a stop nor the reset need have been seen
         until = time.monotonic() + self.limit_s("reset", RESET_S)
-        while (error := self._error(self.points.read(self._watched()))) is not None:
+        while (error := self._find_error(self.points.read(self._list_watched_points()))) is not None:
             if time.monotonic() > until:
                 error.effects = "unknown"
                 raise error
@@ -328,8 +335,8 @@ class PlcDriver(Wired):
 
     # -- what is seen ------------------------------------------------------------------------
 
-    def _watched(self, action: MappedAction | None = None) -> set[str]:
-        """The points that say how it goes on."""
+    def _list_watched_points(self, action: MappedAction | None = None) -> set[str]:
+        """The points that show the state of an action."""
         state, handshake = self.mapping.state, self.mapping.handshake
         conditions = [*state.busy, *state.error]
         if action is not None:
@@ -339,14 +346,14 @@ class PlcDriver(Wired):
             names |= {handshake.number, handshake.taken, handshake.done}
         return names - {""}
 
-    def _error(self, seen: dict[str, Told]) -> DeviceError | None:
-        """What the PLC says is wrong, with what to do."""
+    def _find_error(self, seen: dict[str, PointValue]) -> DeviceError | None:
+        """The error that the PLC reports, with its remedy; None if there is none."""
         state = self.mapping.state
         for condition in state.error:
             value = seen[condition.point]
-            if not fits(condition, value):
+            if not is_met(condition, value):
                 continue
-            why, remedy = in_words(condition, value), condition.remedy
+            why, remedy = describe_condition(condition, value), condition.remedy
             code = state.codes.get(f"{seen[state.why]:.0f}") if state.why and not condition.why else None
             if code is not None:
                 why, remedy = f"{code.why} (fault {seen[state.why]:.0f})", code.remedy
@@ -356,25 +363,25 @@ class PlcDriver(Wired):
         return None
 
 
-def _all_hold(conditions: Iterable[Condition], seen: dict[str, Told]) -> bool:
-    return all(fits(condition, seen[condition.point]) for condition in conditions)
+def _are_met(conditions: Iterable[Condition], seen: dict[str, PointValue]) -> bool:
+    return all(is_met(condition, seen[condition.point]) for condition in conditions)
 
 
-def _is_open(conditions: Iterable[Condition], seen: dict[str, Told]) -> bool:
-    return any(leaves_open(condition, seen[condition.point]) for condition in conditions)
+def _is_undecided(conditions: Iterable[Condition], seen: dict[str, PointValue]) -> bool:
+    return any(is_undecided(condition, seen[condition.point]) for condition in conditions)
 
 
-def _variable(variable: Variable, seen: dict[str, Told]) -> Any:
+def _read_variable(variable: Variable, seen: dict[str, PointValue]) -> Any:
     if variable.point:
         return seen[variable.point]
-    values = (value for value, conditions in variable.values.items() if _all_hold(conditions, seen))
+    values = (value for value, conditions in variable.values.items() if _are_met(conditions, seen))
     return next(values, variable.otherwise)
 
 
 def _with_args(condition: Condition, args: dict[str, Any]) -> Condition:
-    told = {"is_": _given(condition.is_, args), "near": _given(condition.near, args)}
-    return condition.model_copy(update=told)
+    filled = {"is_": _fill_value(condition.is_, args), "near": _fill_value(condition.near, args)}
+    return condition.model_copy(update=filled)
 
 
-def _given(value: Any, args: dict[str, Any]) -> Any:
-    return filled(value, args) if isinstance(value, str) and value.startswith("{") else value
+def _fill_value(value: Any, args: dict[str, Any]) -> Any:
+    return fill_arguments(value, args) if isinstance(value, str) and value.startswith("{") else value

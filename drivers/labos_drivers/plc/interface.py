@@ -11,11 +11,11 @@ import msgspec
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node import Node, Setup, action, current_action
-from labos.node.mapping import told_by
+from labos.node.mapping import read_table
 from labos.node.node import INTERRUPTED, ActionMethod
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.plc.about import KEY, TABLE, describe
-from labos_drivers.plc.driver import Begun, PlcDriver
+from labos_drivers.plc.driver import PlcDriver, StartedAction
 from labos_drivers.plc.mapping import PlcMapping
 from labos_drivers.plc.simulator import MappedSimulator
 from labos_drivers.plc.wire import HatchOnTcp
@@ -28,7 +28,7 @@ NEVER_SENT = "The node was restarted before it passed the action on."
 
 @cache
 def hatch() -> PlcMapping:
-    mapping: PlcMapping = told_by(TABLE, str(HATCH))
+    mapping: PlcMapping = read_table(TABLE, str(HATCH))
     return mapping
 
 
@@ -42,7 +42,7 @@ class Plc(OnBenchOrWire):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._told = self._told_before = ""
+        self._reported = self._reported_before = ""
 
     @classmethod
     def mapping(cls) -> PlcMapping:
@@ -57,7 +57,7 @@ class Plc(OnBenchOrWire):
     def for_config(cls, config: dict[str, Any]) -> type[Node]:
         if KEY not in config:
             return cls
-        return type(cls.__name__, (cls,), {"own": told_by(TABLE, config[KEY])})
+        return type(cls.__name__, (cls,), {"own": read_table(TABLE, config[KEY])})
 
     async def connect(self) -> None:
         mapping = self.mapping()
@@ -83,36 +83,36 @@ class Plc(OnBenchOrWire):
     async def carry_out(self, spec: ActionSpec, kwargs: dict[str, Any]) -> Any:
         """An action of the mapping. Raises DeviceError, OutcomeUnknown."""
         args = {arg.name: arg.default for arg in spec.args if not arg.required} | kwargs
-        device, told = self.device, self.mapping().actions[spec.name]
+        device, action = self.device, self.mapping().actions[spec.name]
         if isinstance(device, MappedSimulator):
             return await device.do(spec.name, args)
-        if told.only_reads:
-            return await device.read(told)
+        if action.only_reads:
+            return await device.read(action)
         begun = await device.prepare(spec.name, args, current_action.get())
         with device.motion():
             await self.note_handle(msgspec.json.encode(begun).decode())
             sure = await device.start(spec.name, begun)
             if begun.boot is not None:
                 await self.note_handle(msgspec.json.encode(begun).decode())
-            return await device.see_end(spec.name, begun, sure=sure)
+            return await device.await_end(spec.name, begun, sure=sure)
 
     async def take_up(self, name: str, handle: str) -> Any:
         """What the PLC shows of an attempt that was under way when the node died; nothing is written."""
-        told = self.mapping().actions.get(name)
-        if told is None or told.only_reads or isinstance(self.device, MappedSimulator):
+        action = self.mapping().actions.get(name)
+        if action is None or action.only_reads or isinstance(self.device, MappedSimulator):
             raise OutcomeUnknown(INTERRUPTED)
         if not handle:
             raise DeviceError(NEVER_SENT, effects="none")
         with self.device.motion():
-            begun = msgspec.json.decode(handle, type=Begun)
-            return await self.device.see_end(name, begun, sure=False)
+            begun = msgspec.json.decode(handle, type=StartedAction)
+            return await self.device.await_end(name, begun, sure=False)
 
     # -- the module --------------------------------------------------------------------------
 
     async def resources(self) -> dict[str, float]:
         if isinstance(self.device, MappedSimulator):
             return {}
-        return await self.device.levels()
+        return await self.device.read_levels()
 
     async def trouble(self) -> str:
         """What the PLC said is wrong both now and when it was asked before: what flickers is not told. A
@@ -122,9 +122,9 @@ class Plc(OnBenchOrWire):
         try:
             now = await self.device.trouble()
         except DeviceError:
-            return self._told
-        self._told, self._told_before = (now if now == self._told_before else ""), now
-        return self._told
+            return self._reported
+        self._reported, self._reported_before = (now if now == self._reported_before else ""), now
+        return self._reported
 
     @action(recovers=True)
     async def reset(self) -> None:

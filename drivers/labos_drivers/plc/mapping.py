@@ -47,7 +47,7 @@ class Point(Part):
     maximum: float | None = None
 
     @model_validator(mode="after")
-    def _stands_somewhere(self) -> Point:
+    def _check_address(self) -> Point:
         places = [table for table in TABLES if getattr(self, table) is not None]
         if len(places) != 1:
             raise ValueError(f"a point stands in one of {', '.join(TABLES)}")
@@ -74,7 +74,7 @@ class Point(Part):
 
     @property
     def kind(self) -> Type:
-        """The type, said or not."""
+        """The type, also where the table does not say it."""
         bare: Type = "bool" if self.table in ("coil", "discrete") or self.bit is not None else "uint16"
         return self.type or bare
 
@@ -84,7 +84,7 @@ class Point(Part):
         return REGISTERS.get(self.kind, 1)
 
     @property
-    def tells(self) -> Literal["bool", "int", "float"]:
+    def value_type(self) -> Literal["bool", "int", "float"]:
         """What a value is, once it is read."""
         if self.kind == "bool":
             return "bool"
@@ -116,23 +116,23 @@ class Condition(Part):
     remedy: str = ""
 
     @property
-    def says_nothing(self) -> bool:
+    def has_no_comparison(self) -> bool:
         return self.is_ is None and self.near is None and self.minimum is None and self.maximum is None
 
 
-def _named(written: Any) -> Any:
+def _parse_point(written: Any) -> Any:
     return {"point": written} if isinstance(written, str) else written
 
 
-def _several(written: Any) -> Any:
+def _parse_list(written: Any) -> Any:
     if isinstance(written, str | dict):
-        return [_named(written)]
-    return [_named(each) for each in written] if isinstance(written, list) else written
+        return [_parse_point(written)]
+    return [_parse_point(each) for each in written] if isinstance(written, list) else written
 
 
-OneWrite = Annotated[Write, BeforeValidator(_named)]
-Writes = Annotated[list[Write], BeforeValidator(_several)]
-Conditions = Annotated[list[Condition], BeforeValidator(_several)]
+OneWrite = Annotated[Write, BeforeValidator(_parse_point)]
+Writes = Annotated[list[Write], BeforeValidator(_parse_list)]
+Conditions = Annotated[list[Condition], BeforeValidator(_parse_list)]
 
 
 class MappedAction(Part):
@@ -160,14 +160,14 @@ class MappedAction(Part):
         return bool(self.result) and self.start is None and not self.set and not self.done
 
     @property
-    def points_read(self) -> list[str]:
-        """Of the result."""
+    def result_points(self) -> list[str]:
+        """The points that the result is read from."""
         named = self.result.values() if isinstance(self.result, dict) else [self.result]
         return [name for name in named if name]
 
 
 class Code(Part):
-    """What a number of ``why`` means, and what to do."""
+    """The meaning of a number of ``why``, and the remedy."""
 
     why: str
     remedy: str = ""
@@ -203,14 +203,14 @@ class Variable(Part):
     rest: Value | None = None
 
     @model_validator(mode="after")
-    def _is_told_by_something(self) -> Variable:
+    def _check_source(self) -> Variable:
         if bool(self.point) == bool(self.values):
             raise ValueError("a variable needs `point` or `values`, and not both")
         return self
 
 
 class PlcMapping(Part):
-    """All of it."""
+    """The whole table."""
 
     description: str
     points: dict[Name, Point]

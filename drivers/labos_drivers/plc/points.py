@@ -9,9 +9,9 @@ from typing import Any
 
 from labos.errors import DeviceError, LinkError
 from labos.link import ModbusLink
-from labos_drivers._wired import host_and_port
+from labos_drivers._wired import parse_host_port
 from labos_drivers.plc.mapping import Point, Where, Write
-from labos_drivers.plc.values import Told, decoded, encoded
+from labos_drivers.plc.values import PointValue, decode, encode
 
 ANSWER_S = 2.0
 MODBUS_PORT = 502
@@ -22,13 +22,13 @@ Span = tuple[Where, int, int]
 """A table, its first address, and how many."""
 
 
-def link_to(address: str, name: str, config: Mapping[str, Any]) -> ModbusLink:
+def make_link(address: str, name: str, config: Mapping[str, Any]) -> ModbusLink:
     """The link for an address: a host, ``host:port``, or a serial port. Raises DeviceError."""
     unit = int(config.get("unit", 1))
     if os.path.isabs(address) or re.match(r"COM\d+$|socket:|rfc2217:", address):
-        told = {key: config[key] for key in ("baudrate", "parity", "stopbits", "late_s") if key in config}
-        return ModbusLink.rtu(address, unit=unit, name=name, **told)
-    return ModbusLink.tcp(*host_and_port(address, MODBUS_PORT), unit=unit, name=name)
+        settings = {key: config[key] for key in ("baudrate", "parity", "stopbits", "late_s") if key in config}
+        return ModbusLink.rtu(address, unit=unit, name=name, **settings)
+    return ModbusLink.tcp(*parse_host_port(address, MODBUS_PORT), unit=unit, name=name)
 
 
 class Points:
@@ -37,32 +37,32 @@ class Points:
     def __init__(self, link: ModbusLink, points: Mapping[str, Point]) -> None:
         self.link, self._points = link, points
 
-    def read(self, names: Iterable[str]) -> dict[str, Told]:
-        """What points tell. Each value comes in one message; values of different messages may be of
+    def read(self, names: Iterable[str]) -> dict[str, PointValue]:
+        """The values of points. Each value comes in one message; values of different messages may be of
         different moments. Raises LinkError, DeviceError."""
         wanted = {name: self._points[name] for name in names}
-        spans = _spans(wanted.values())
+        spans = _group_spans(wanted.values())
         found: dict[Span, list[int]] = {span: self._read(span) for span in spans}
-        told = {}
+        values = {}
         for name, point in wanted.items():
-            span = next(s for s in spans if _holds(s, point))
+            span = next(s for s in spans if _is_within(s, point))
             start = point.address - span[1]
-            told[name] = decoded(point, found[span][start : start + point.width])
-        return told
+            values[name] = decode(point, found[span][start : start + point.width])
+        return values
 
-    def write(self, name: str, value: Told) -> None:
+    def write(self, name: str, value: PointValue) -> None:
         """Write one value, in one message. Raises LinkError, DeviceError."""
         point = self._points[name]
-        words = encoded(name, point, value)
+        words = encode(name, point, value)
         if point.table == "coil":
             self.link.write_coils(point.address, [bool(word) for word in words], timeout_s=ANSWER_S)
         else:
             self.link.write_holding(point.address, words, timeout_s=ANSWER_S)
 
     def write_all(self, writes: Iterable[Write], values: Mapping[str, Any]) -> None:
-        """One after the other."""
+        """Write several values, one after the other."""
         for write in writes:
-            self.write(write.point, filled(write.value, values))
+            self.write(write.point, fill_arguments(write.value, values))
 
     def _read(self, span: Span) -> list[int]:
         table, first, count = span
@@ -79,23 +79,23 @@ class Points:
         except LinkError:
             raise
         except DeviceError as error:
-            names = ", ".join(name for name, point in self._points.items() if _holds(span, point))
+            names = ", ".join(name for name, point in self._points.items() if _is_within(span, point))
             words = f"{error.message} It was asked for {names}."
             raise DeviceError(words, effects=error.effects, remedy=error.remedy) from error
 
 
-def filled(value: Any, values: Mapping[str, Any]) -> Any:
-    """What is written, with an argument in the place of ``{argument}``."""
+def fill_arguments(value: Any, values: Mapping[str, Any]) -> Any:
+    """The value to write, with an argument in place of ``{argument}``."""
     return values[value[1:-1]] if isinstance(value, str) else value
 
 
-def _holds(span: Span, point: Point) -> bool:
+def _is_within(span: Span, point: Point) -> bool:
     table, first, count = span
     return point.table == table and first <= point.address <= first + count - point.width
 
 
-def _spans(points: Iterable[Point]) -> list[Span]:
-    """As few questions as there can be without asking for what is between the points."""
+def _group_spans(points: Iterable[Point]) -> list[Span]:
+    """The fewest requests that ask for no address between the points."""
     spans: list[Span] = []
     for point in sorted(points, key=lambda p: (p.table, p.address, p.width)):
         if spans:

@@ -13,7 +13,8 @@ from labos_drivers.plc.mapping import MappedAction, PlcMapping
 
 
 class MappedSimulator(Simulated):
-    """Any PLC. A station that is out of reach while a variable has another value is shut then."""
+    """Any PLC. A station that is accessible only while a variable has a value is shut while it has
+    another."""
 
     mapping: ClassVar[PlcMapping]
 
@@ -23,30 +24,30 @@ class MappedSimulator(Simulated):
         self._reach()
 
     async def do(self, name: str, args: dict[str, Any]) -> Any:
-        """What the action says that it does."""
-        told = self.mapping.actions[name]
-        if told.only_reads:
-            return self._made_up(told)
+        """Do what the table says of the action."""
+        action = self.mapping.actions[name]
+        if action.only_reads:
+            return self._make_result(action)
         with self.motion():
-            for variable in told.sets:
-                if self.variables.get(variable) != told.sets[variable]:
+            for variable in action.sets:
+                if self.variables.get(variable) != action.sets[variable]:
                     self.variables[variable] = self.mapping.variables[variable].otherwise
             self._reach()
-            await self.take_time(told.duration)
-            for variable, value in told.sets.items():
+            await self.take_time(action.duration)
+            for variable, value in action.sets.items():
                 self.variables[variable] = args[value[1:-1]] if _is_argument(value) else value
             self._reach()
-        return self._made_up(told)
+        return self._make_result(action)
 
-    def _made_up(self, told: MappedAction) -> Any:
-        """A result that the points could tell."""
-        points = {name: self.mapping.points[name] for name in told.points_read}
-        values = {n: False if p.tells == "bool" else p.minimum or 0.0 for n, p in points.items()}
-        if isinstance(told.result, dict):
-            return {key: values[name] for key, name in told.result.items()}
-        return values.get(told.result)
+    def _make_result(self, action: MappedAction) -> Any:
+        """A result that the points could have."""
+        points = {name: self.mapping.points[name] for name in action.result_points}
+        values = {n: False if p.value_type == "bool" else p.minimum or 0.0 for n, p in points.items()}
+        if isinstance(action.result, dict):
+            return {key: values[name] for key, name in action.result.items()}
+        return values.get(action.result)
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         labware = {name: bool(self.top(self.place(name))) for name in self.mapping.labware}
         return self.variables | ({"labware": labware} if labware else {})
 

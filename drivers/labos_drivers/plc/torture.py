@@ -8,27 +8,27 @@ from labos_drivers.plc.wire import Hatch, HatchOnTcp
 HERE = "labos_drivers.plc.driver"
 
 
-def _stand(open_: bool, hatch: Hatch, world: World) -> None:
-    """Somebody pushes the door, which is out of gear at rest."""
+def _push_door(open_: bool, hatch: Hatch, world: World) -> None:
+    """Somebody pushes the door, which is disengaged from its motor at rest."""
     hatch.position = 1.0 if open_ else 0.0
     if world.is_shut(hatch.nest) == open_:
         world.gate("person", hatch.nest, shut=not open_)
 
 
-def stands_open(hatch: Hatch, world: World) -> None:
-    _stand(True, hatch, world)
+def open_door(hatch: Hatch, world: World) -> None:
+    _push_door(True, hatch, world)
 
 
-def stands_closed(hatch: Hatch, world: World) -> None:
-    _stand(False, hatch, world)
+def close_door(hatch: Hatch, world: World) -> None:
+    _push_door(False, hatch, world)
 
 
 TORTURE = Torture(
     device=HatchOnTcp,
     config=lambda address: {"address": address},
     cases=(
-        Case("open", {"speed": 50.0}, prepare=stands_closed),
-        Case("close", {"speed": 50.0}, prepare=stands_open),
+        Case("open", {"speed": 50.0}, prepare=close_door),
+        Case("close", {"speed": 50.0}, prepare=open_door),
     ),
     faults=(
         Fault.by_setting("the door is jammed", "jammed"),

@@ -20,11 +20,11 @@ FORMATS = {
     "float64": ">d",
 }
 
-Told = bool | int | float
+PointValue = bool | int | float
 
 
-def decoded(point: Point, words: Sequence[int]) -> Told:
-    """What stands in a point. Raises DeviceError if it is no number."""
+def decode(point: Point, words: Sequence[int]) -> PointValue:
+    """The value of a point. Raises DeviceError if it is no number."""
     if point.kind == "bool":
         return bool(words[0] >> point.bit & 1) if point.bit is not None else bool(words[0])
     order = words if point.word_order == "big" else list(reversed(words))
@@ -32,14 +32,14 @@ def decoded(point: Point, words: Sequence[int]) -> Told:
     if not math.isfinite(raw):
         raise DeviceError(f"{point.table} {point.address} holds {raw}, which is no number.", effects="none")
     value = raw * point.scale + point.offset
-    return round(value) if point.tells == "int" else float(value)
+    return round(value) if point.value_type == "int" else float(value)
 
 
-def encoded(name: str, point: Point, value: Told) -> list[int]:
-    """What is written for a value. Raises DeviceError (``none``) if it does not fit."""
+def encode(name: str, point: Point, value: PointValue) -> list[int]:
+    """The words to write for a value. Raises DeviceError (``none``) if it does not fit."""
     if point.kind == "bool":
         return [int(bool(value))]
-    if not within_limits(point, value):
+    if not is_within_limits(point, value):
         low, high = ("…" if limit is None else f"{limit:g}" for limit in (point.minimum, point.maximum))
         raise DeviceError(
             f"{name} cannot be {value:g}{f' {point.unit}' if point.unit else ''}.",
@@ -59,14 +59,14 @@ def encoded(name: str, point: Point, value: Told) -> list[int]:
     return words if point.word_order == "big" else words[::-1]
 
 
-def within_limits(point: Point, value: Told) -> bool:
+def is_within_limits(point: Point, value: PointValue) -> bool:
     low, high = point.minimum, point.maximum
     return (low is None or value >= low) and (high is None or value <= high)
 
 
-def fits(condition: Condition, value: Told) -> bool:
-    """Whether a point tells what a condition wants."""
-    if condition.says_nothing:
+def is_met(condition: Condition, value: PointValue) -> bool:
+    """Whether the value of a point meets a condition."""
+    if condition.has_no_comparison:
         return bool(value)
     if condition.is_ is not None:
         wanted = condition.is_ if isinstance(condition.is_, list) else [condition.is_]
@@ -77,15 +77,15 @@ def fits(condition: Condition, value: Told) -> bool:
     return (low is None or value >= low) and (high is None or value <= high)
 
 
-def leaves_open(condition: Condition, value: Told) -> bool:
-    """Whether a value neither fits a condition nor is among those that say the opposite."""
-    if condition.not_ is None or fits(condition, value):
+def is_undecided(condition: Condition, value: PointValue) -> bool:
+    """Whether a value neither meets a condition nor is among those that say the opposite."""
+    if condition.not_ is None or is_met(condition, value):
         return False
     return value not in (condition.not_ if isinstance(condition.not_, list) else [condition.not_])
 
 
-def in_words(condition: Condition, value: Told | None = None) -> str:
-    """A condition as a person reads it: its own words, or what its point says."""
+def describe_condition(condition: Condition, value: PointValue | None = None) -> str:
+    """A condition for people: its own text, or the value of its point."""
     if condition.why:
         return condition.why
     shown = value if value is not None else condition.is_ if condition.is_ is not None else "as it is"

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from labos.node import Case, Setup, Torture
-from labos_drivers._hudson_torture import WAITS, closed_on_a_plate, faults, holds, on_its_way, opened
+from labos_drivers._hudson_torture import (
+    WAITS,
+    close_fingers_on_plate,
+    is_holding,
+    is_moving_empty,
+    make_faults,
+    open_fingers,
+)
 from labos_drivers.sciclops.wire import SciclopsOnWire
 
 
-def _cold(setup: Setup) -> SciclopsOnWire:
+def _make_cold(setup: Setup) -> SciclopsOnWire:
     """Not homed, as it is after its switch was turned."""
     return SciclopsOnWire(setup, homed=False)
 
 
 TORTURE = Torture(
-    device=_cold,
+    device=_make_cold,
     cases=(
         Case("get_plate", {"loc": "tower1"}),
         Case(
@@ -24,13 +31,13 @@ TORTURE = Torture(
         ),
         Case("transfer", {"source": "exchange", "target": "tower2"}),
         Case("transfer", {"source": "exchange", "target": "bench.unknown"}, refused="was not taught"),
-        Case("put_down", prepare=closed_on_a_plate),
+        Case("put_down", prepare=close_fingers_on_plate),
         Case("put_down", stock={"tower1": "plate96"}, refused="its hand is empty"),
     ),
-    faults=faults("tower1", "exchange"),
+    faults=make_faults("tower1", "exchange"),
     settings={"speed_percent": 100},
     motion="get_plate",
-    moments=(on_its_way, holds),
-    clear=opened,
+    moments=(is_moving_empty, is_holding),
+    clear=open_fingers,
     waits=WAITS,
 )

@@ -23,9 +23,9 @@ class SciclopsOnWire(HudsonOnWire):
     speeds = Joints(120.0, 300.0, 180.0, 250.0)
     code_of_data = "0000 "
 
-    def tell(self, joints: Joints) -> str:
-        r, z, p, y = joints.all()
+    def format_position(self, joints: Joints) -> str:
+        r, z, p, y = joints.as_tuple()
         return f"Z:{z:.4f}, R:{r:.4f}, Y:{y:.4f}, P:{p:.4f}"
 
-    def _result(self, code: int) -> None:
+    def _send_result(self, code: int) -> None:
         self.say(f"{code:04d} {'Success' if not code else 'Error'}\r\n".encode())

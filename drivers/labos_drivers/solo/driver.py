@@ -16,5 +16,5 @@ class SoloDriver(GatewayDriver):
 
     async def run_protocol(self, path: str) -> None:
         file = Path(path)
-        text = await self.run(functools.partial(protocol.checked, self.name, file))
+        text = await self.run(functools.partial(protocol.read_protocol, self.name, file))
         await self.call("run_protocol", name=file.name, text=text)

@@ -8,22 +8,22 @@ from typing import Annotated, ClassVar
 
 from labos.core.counts import Counter
 from labos.node import Consumes, Needs, Param, Requires, Station, action
-from labos_drivers.gateway.driver import BehindGateway
+from labos_drivers.gateway.driver import GatewayInstrument
 from labos_drivers.solo import protocol
 from labos_drivers.solo.driver import SoloDriver
-from labos_drivers.solo.protocol import tips_of
+from labos_drivers.solo.protocol import count_used_tips
 from labos_drivers.solo.simulator import POSITIONS, SoloSimulator
 from labos_drivers.solo.wire import SoloOnWire
 
 
-class Solo(BehindGateway):
+class Solo(GatewayInstrument):
     """Liquid handler with eight deck positions."""
 
     driver = "solo"
     models = ("solo", "hudson_solo")
     stations = tuple(Station(position, kind="deck") for position in POSITIONS)
     levels = {"tips": 384}
-    counters: ClassVar[dict[str, Counter]] = {"tips": tips_of}
+    counters: ClassVar[dict[str, Counter]] = {"tips": count_used_tips}
     devices = (SoloSimulator, SoloOnWire, SoloDriver)
     device: SoloSimulator | SoloDriver
 
@@ -45,5 +45,5 @@ class Solo(BehindGateway):
         """Run a protocol of 69 steps at most on what stands on the deck."""
         # The driver looks at what it sends; a simulated handler has no program that would crash.
         if isinstance(self.device, SoloSimulator) and (file := Path(protocol_path)).is_file():
-            await asyncio.to_thread(protocol.checked, self.setup.name, file)
+            await asyncio.to_thread(protocol.read_protocol, self.setup.name, file)
         await self.device.run_protocol(protocol_path)

@@ -24,14 +24,14 @@ STEPS = {
 }
 
 
-def checked(driver: str, file: Path) -> str:
+def read_protocol(driver: str, file: Path) -> str:
     """The text of a protocol. Raises DeviceError for one that the program would not take: nothing has
     moved."""
     why, text = "there is no such file", ""
     if file.is_file():
         data = file.read_bytes()
         text = data.decode("utf-8", "replace")
-        why = f"it has {len(data)} bytes, more than {LARGEST}" if len(data) > LARGEST else wrong_in(text)
+        why = f"it has {len(data)} bytes, more than {LARGEST}" if len(data) > LARGEST else find_flaw(text)
     if why:
         raise DeviceError(
             f"{driver}: {file.name} cannot be run: {why}.",
@@ -41,8 +41,8 @@ def checked(driver: str, file: Path) -> str:
     return text
 
 
-def wrong_in(text: str) -> str:
-    """Why the program would not open it; empty if nothing is known against it."""
+def find_flaw(text: str) -> str:
+    """Why the program would not open a protocol; empty if nothing is known against it."""
     lines = text.splitlines()
     if text and "\r\n" not in text:
         return "its lines do not end with carriage return and line feed"
@@ -65,23 +65,23 @@ TIPS = 3
 REMEDY = "Write the numbers into its GetTip and Loop steps, as SOLOSoft does."
 
 
-def tips_of(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
-    """The tips that the steps of a protocol get; those within a loop as often as it says."""
+def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
+    """The tips that the steps of a protocol get; those in a loop as often as it says."""
     text = content.decode("utf-8", "replace")
-    if why := wrong_in(text):
+    if why := find_flaw(text):
         return Count(0.0, why, REMEDY)
     tips, rounds, inside = 0.0, 1, False
-    for step in _steps(text.splitlines()[POSITIONS:]):
+    for step in _split_steps(text.splitlines()[POSITIONS:]):
         match step[0]:
             case "Loop":
-                again = _whole(step, 1)
+                again = _parse_integer(step, 1)
                 if again is None or inside:
                     return Count(tips, "how often it goes through a loop cannot be told", REMEDY)
                 rounds, inside = again, True
             case "EndLoop":
                 rounds, inside = 1, False
             case "GetTip":
-                number = _whole(step, TIPS)
+                number = _parse_integer(step, TIPS)
                 if number is None:
                     return Count(tips, "a step GetTip does not say how many tips it gets", REMEDY)
                 tips += rounds * number
@@ -90,7 +90,7 @@ def tips_of(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
     return Count(tips)
 
 
-def _steps(lines: list[str]) -> Iterator[list[str]]:
+def _split_steps(lines: list[str]) -> Iterator[list[str]]:
     """Each step with its properties, a line each."""
     step: list[str] = []
     for line in lines:
@@ -101,7 +101,7 @@ def _steps(lines: list[str]) -> Iterator[list[str]]:
             step.append(line.strip())
 
 
-def _whole(step: list[str], number: int) -> int | None:
+def _parse_integer(step: list[str], number: int) -> int | None:
     """A property that is a whole number from 0; None if it is not."""
     return int(step[number]) if len(step) > number and step[number].isdecimal() else None
 
@@ -109,22 +109,22 @@ def _whole(step: list[str], number: int) -> int | None:
 ROWS, COLUMNS = "ABCDEFGH", 12
 
 
-def dispensed_by(text: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """What the steps of a protocol put into wells (µL by liquid and well); ``liquids`` says what stands at
-    the positions that it takes from."""
+def find_dispensed(text: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """The volumes that the steps of a protocol put into wells (µL by liquid and well); ``liquids`` has the
+    liquid at each position that it takes from."""
     found: dict[str, dict[str, float]] = {}
     liquid = ""
-    for step in _steps(text.splitlines()[POSITIONS:]):
+    for step in _split_steps(text.splitlines()[POSITIONS:]):
         if step[0] == "Aspirate":
             liquid = liquids.get(step[1], "") if len(step) > 1 else ""
         elif step[0] == "Dispense" and liquid:
             doses = found.setdefault(liquid, {})
-            for well, ul in _matrix(step):
+            for well, ul in _read_matrix(step):
                 doses[well] = doses.get(well, 0.0) + ul
     return found
 
 
-def _matrix(step: list[str]) -> Iterator[tuple[str, float]]:
+def _read_matrix(step: list[str]) -> Iterator[tuple[str, float]]:
     """The volumes that a step has for single wells: eight lines of twelve numbers."""
     rows = [line.split(",") for line in step if line.count(",") == COLUMNS - 1]
     for row, volumes in zip(ROWS, rows, strict=False):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from labos_drivers._deck import Deck, facts_of
-from labos_drivers.solo.protocol import dispensed_by
+from labos_drivers._deck import Deck, make_facts
+from labos_drivers.solo.protocol import find_dispensed
 
 POSITIONS = tuple(f"Position{number}" for number in range(1, 9))
 
@@ -17,10 +17,10 @@ class SoloSimulator(Deck):
 
     async def run_protocol(self, protocol: str) -> None:
         liquids = self.config.get("liquids") or {}
-        dispensed = dispensed_by(self.text_of(protocol), liquids) if liquids else {}
-        await self.pipette(300, protocol=protocol, **facts_of(dispensed))
+        dispensed = find_dispensed(self.read_text(protocol), liquids) if liquids else {}
+        await self.pipette(300, protocol=protocol, **make_facts(dispensed))
 
-    def text_of(self, protocol: str) -> str:
-        """What the protocol says; nothing, if it is only a name."""
+    def read_text(self, protocol: str) -> str:
+        """The text of a protocol; empty if it is only a name."""
         file = Path(protocol)
         return file.read_text("utf-8", "replace") if file.is_file() else ""

@@ -8,7 +8,7 @@ from labos_drivers.solo.simulator import SoloSimulator
 
 
 class SoloOfText(SoloSimulator):
-    """Is given the text of a protocol, not a path."""
+    """A SOLO that is given the text of a protocol, not a path."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -18,7 +18,7 @@ class SoloOfText(SoloSimulator):
         self.given = text
         await self.run_protocol(name)
 
-    def text_of(self, protocol: str) -> str:
+    def read_text(self, protocol: str) -> str:
         return self.given
 
 

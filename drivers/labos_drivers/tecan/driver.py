@@ -10,8 +10,8 @@ from typing import Any
 from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, UsbWire, Wire
 from labos.node import Attachment, Setup
-from labos_drivers._limits import serial_wire
-from labos_drivers._wired import Behind, Wired, off_loop
+from labos_drivers._limits import make_serial_wire
+from labos_drivers._wired import DeviceOnWire, Wired, off_loop
 from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import Calibration, Grid
 
@@ -32,7 +32,7 @@ class TecanDriver(Wired):
     where = ("port", "usb")
     link: Link
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._frames = protocol.Frames()
         self._scans = False
@@ -50,7 +50,7 @@ class TecanDriver(Wired):
             return UsbWire(
                 protocol.USB_VENDOR, protocol.USB_PRODUCT, serial=str(setup.config.get("serial", ""))
             )
-        return serial_wire(setup, address)
+        return make_serial_wire(setup, address)
 
     # -- carrier -----------------------------------------------------------------------------
 
@@ -65,16 +65,16 @@ class TecanDriver(Wired):
             self._drive(protocol.IN)
 
     def _drive(self, goal: str) -> None:
-        self.unless_stopped()
+        self.check_not_stopped()
         self._order(f"ABSOLUTE MTP,{goal}", self.limit_s("gate", GATE_S))
         with self.under_way():
-            if (found := self._position()) != goal:
+            if (found := self._read_position()) != goal:
                 raise DeviceError(
                     f"{self.name}: the carrier should be {goal}, and is {found}.",
                     remedy="Look at the carrier, then reset the module.",
                 )
 
-    def _position(self) -> str:
+    def _read_position(self) -> str:
         return self._ask("?ABSOLUTE MTP,POS")
 
     # -- absorbance --------------------------------------------------------------------------
@@ -83,32 +83,33 @@ class TecanDriver(Wired):
     def measure(
         self, method: str, start_nm: float, end_nm: float, step_nm: float, wells: int, name: str
     ) -> Attachment:
-        """A table of the spectra, as Magellan exports one: tabs, UTF-16, wavelengths in the first line."""
+        """Measure spectra; returns a table as Magellan exports one: tabs, UTF-16, wavelengths in the first
+        line."""
         if method:
             raise DeviceError(
                 f"{self.name}: over USB the reader knows no stored methods; it was asked for {method!r}.",
                 effects="none",
                 remedy="Leave the method out, and name start, end and step.",
             )
-        wavelengths = self._wavelengths(start_nm, end_nm, step_nm)
+        wavelengths = self._list_wavelengths(start_nm, end_nm, step_nm)
         with self.motion():
-            if (position := self._position()) != protocol.IN:
+            if (position := self._read_position()) != protocol.IN:
                 where = (
                     "the gate is open" if position == protocol.OUT else f"its carrier is {position!r}, not IN"
                 )
                 raise DeviceError(f"{self.name}: {where}.", effects="none", remedy="Close the gate first.")
-            if self._plate() is False:
+            if self._detect_plate() is False:
                 raise DeviceError(
                     f"{self.name}: no plate is on the carrier.", effects="none", remedy="Put one there."
                 )
             grid = protocol.GRIDS[wells]
             spectra: Spectra = {}
-            with self._scanning():
+            with self._scan():
                 for wavelength in wavelengths:
-                    spectra[wavelength] = self._spectrum_at(wavelength, grid)
+                    spectra[wavelength] = self._read_spectrum(wavelength, grid)
             return Attachment(name, protocol.write_table(spectra, grid))
 
-    def _wavelengths(self, start_nm: float, end_nm: float, step_nm: float) -> list[float]:
+    def _list_wavelengths(self, start_nm: float, end_nm: float, step_nm: float) -> list[float]:
         if start_nm > end_nm:
             raise DeviceError(f"{self.name}: {start_nm:g} nm lies behind {end_nm:g} nm.", effects="none")
         count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
@@ -119,8 +120,8 @@ class TecanDriver(Wired):
         return [round(start_nm + number * step_nm, 1) for number in range(count)]
 
     @contextmanager
-    def _scanning(self) -> Iterator[None]:
-        """The reader's keys are locked; whatever happens, it is told that the run is over."""
+    def _scan(self) -> Iterator[None]:
+        """Lock the reader's keys for a run; whatever happens, the end of the run is sent."""
         self._order("KEYLOCK ON")
         self._scans = True
         try:
@@ -139,15 +140,15 @@ class TecanDriver(Wired):
         finally:
             self._scans = False
 
-    def _spectrum_at(self, nm: float, grid: Grid) -> dict[str, float]:
-        """Of all wells, at one wavelength."""
+    def _read_spectrum(self, nm: float, grid: Grid) -> dict[str, float]:
+        """Measure all wells at one wavelength."""
         self._set_up(nm)
         self.link.send(b"PREPARE REF")
-        calibration = self._calibration(nm)
+        calibration = self._read_calibration(nm)
         found: dict[str, float] = {}
         for row in range(grid.rows):
-            self.unless_stopped("unknown")
-            found |= self._row(row, nm, grid, calibration)
+            self.check_not_stopped("unknown")
+            found |= self._read_row(row, nm, grid, calibration)
         return found
 
     def _set_up(self, nm: float) -> None:
@@ -163,28 +164,29 @@ class TecanDriver(Wired):
         self._order(f"BEAM DIAMETER={protocol.BEAM_UM}")
         self._order("RATIO LABELS=1")
 
-    def _calibration(self, nm: float) -> Calibration:
-        packets = self._packets(
+    def _read_calibration(self, nm: float) -> Calibration:
+        packets = self._read_packets(
             self.limit_s("row", ROW_S), lambda found: any(map(protocol.is_calibration, found))
         )
         if not packets:
             raise Garbled(f"{self.name}: no calibration has come at {nm:g} nm.")
         return protocol.read_calibration(next(filter(protocol.is_calibration, packets)))
 
-    def _row(self, row: int, nm: float, grid: Grid, calibration: Calibration) -> dict[str, float]:
-        """Rows go forth and back. Y alone first: X and Y at once spoil the first wells (PyLabRobot)."""
+    def _read_row(self, row: int, nm: float, grid: Grid, calibration: Calibration) -> dict[str, float]:
+        """Measure a row. Rows go back and forth. Y moves alone first: X and Y at once spoil the first wells
+        (PyLabRobot)."""
         columns = list(range(grid.columns))[:: -1 if row % 2 else 1]
         first, last, y = grid.x(columns[0]), grid.x(columns[-1]), grid.y(row)
         self._order(f"ABSOLUTE MTP,Y={y}")
         self._order(f"ABSOLUTE MTP,X={first},Y={y}")
         self._order("SCAN DIRECTION=ALTUP")
         self.link.send(f"SCANX {first},{last},{len(columns)}".encode())
-        packets = self._packets(
+        packets = self._read_packets(
             self.limit_s("row", ROW_S), lambda found: sum(map(protocol.is_measurement, found)) >= len(columns)
         )
         packets = [packet for packet in packets if protocol.is_measurement(packet)]
         if len(packets) != len(columns):
-            raise Garbled(f"{self.name}: {len(packets)} of {len(columns)} wells of a row were told of.")
+            raise Garbled(f"{self.name}: {len(packets)} of {len(columns)} wells of a row were reported.")
         found: dict[str, float] = {}
         for column, packet in zip(columns, packets, strict=True):
             told_nm, pairs = protocol.read_measurement(packet)
@@ -198,8 +200,9 @@ class TecanDriver(Wired):
                 ) from error
         return found
 
-    def _packets(self, limit_s: float, enough: Any) -> list[bytes]:
-        """Numbers until it stands by again; what it says besides is passed over. Raises DeviceError."""
+    def _read_packets(self, limit_s: float, enough: Any) -> list[bytes]:
+        """Packets of numbers until the reader is on standby again; other messages are ignored. Raises
+        DeviceError."""
         deadline = time.monotonic() + limit_s
         found: list[bytes] = []
         while True:
@@ -208,7 +211,9 @@ class TecanDriver(Wired):
                 found.append(message[1:])
             elif message.decode() == protocol.STANDBY:
                 if not enough(found):
-                    raise Garbled(f"{self.name}: it stands by, and has not told all that it measured.")
+                    raise Garbled(
+                        f"{self.name}: it is on standby, and has not reported all that it measured."
+                    )
                 return found
             else:
                 self._refuse(message.decode(), "the measurement")
@@ -217,7 +222,7 @@ class TecanDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """All axes find their ends, and the carrier comes out."""
+        """Home all axes; the carrier comes out."""
         self.resume()
         self._order("INIT FORCE", self.limit_s("init", INIT_S))
         with self.under_way():
@@ -225,7 +230,7 @@ class TecanDriver(Wired):
             self._drive(protocol.OUT)
 
     async def stop(self) -> None:
-        """A measurement ends with its row; the carrier ends what it has begun."""
+        """A measurement ends after its row; the carrier ends what it has begun."""
         if self._scans:
             self._halted.set()
         else:
@@ -236,23 +241,23 @@ class TecanDriver(Wired):
         return self._ask("QQ") == protocol.STANDBY
 
     @off_loop
-    def look(self) -> dict[str, Any]:
-        """The plate is felt when the carrier has come in."""
-        position = self._position()
+    def observe(self) -> dict[str, Any]:
+        """The plate sensor is valid when the carrier has come in."""
+        position = self._read_position()
         seen: dict[str, Any] = {}
         if position in (protocol.IN, protocol.OUT):
             seen["gate"] = "open" if position == protocol.OUT else "closed"
-        if position == protocol.IN and (plate := self._plate()) is not None:
+        if position == protocol.IN and (plate := self._detect_plate()) is not None:
             seen["labware"] = {"default": plate}
         return seen
 
-    def _plate(self) -> bool | None:
+    def _detect_plate(self) -> bool | None:
         return {"TAKEN": True, "FREE": False}.get(self._ask("?SENSOR PLATEPOS"))
 
     # -- one question ------------------------------------------------------------------------
 
     def _ask(self, question: str, limit_s: float = 0.0) -> str:
-        """What is said to it. Raises DeviceError."""
+        """Ask, and return the text of the answer. Raises DeviceError."""
         self._frames.forget()
         message = self.link.exchange(question.encode(), limit_s or self.limit_s("answer", ANSWER_S))
         if message[:1] == b"\0":
@@ -262,8 +267,8 @@ class TecanDriver(Wired):
         return text
 
     def _order(self, command: str, limit_s: float = 0.0) -> None:
-        """Until it is done: a reader that is busy says when no more, and obeys then. Raises DeviceError,
-        with nothing done if it is refused."""
+        """Send a command and wait until it is done: a busy reader queues it. Raises DeviceError, with nothing
+        done if it is refused."""
         text = self._ask(command, limit_s)
         if text in (protocol.STANDBY, protocol.TAKEN):
             return

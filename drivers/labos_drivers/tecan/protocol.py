@@ -80,7 +80,7 @@ def frame(text: str) -> bytes:
 
 
 def bandwidth_nm(wavelength_nm: float) -> float:
-    """What the monochromator is set to."""
+    """The bandwidth to which the monochromator is set (nm)."""
     return 9.0 if wavelength_nm > 315 else 5.0
 
 
@@ -95,7 +95,7 @@ class Frames:
         return frame(message.decode("ascii"))
 
     def forget(self) -> None:
-        """The line was lost: what was announced will not come."""
+        """Forget announced packets: the connection was lost."""
         self._announced = 0
 
     def take(self, buffer: bytearray) -> bytes | None:
@@ -158,11 +158,19 @@ def read_calibration(packet: bytes) -> Calibration:
     return Calibration(dark, bright, reference_dark, reference_bright)
 
 
-def write_calibration(wavelength_nm: float, told: Calibration) -> bytes:
+def write_calibration(wavelength_nm: float, calibration: Calibration) -> bytes:
     """As the device sends it."""
     head = struct.pack(">HH", 0, round(wavelength_nm * 10))
     return head + struct.pack(
-        ">IHHHHHHH", 0, 0, 1, told.dark, told.bright, 1, told.reference_dark, told.reference_bright
+        ">IHHHHHHH",
+        0,
+        0,
+        1,
+        calibration.dark,
+        calibration.bright,
+        1,
+        calibration.reference_dark,
+        calibration.reference_bright,
     )
 
 
@@ -178,13 +186,19 @@ def write_measurement(wavelength_nm: float, sample: int, reference: int) -> byte
     return struct.pack(">HH6xHH", 1, round(wavelength_nm * 10), sample, reference)
 
 
-def optical_density(told: Calibration, pairs: Sequence[tuple[int, int]]) -> float:
+def optical_density(calibration: Calibration, pairs: Sequence[tuple[int, int]]) -> float:
     """Of the mean transmittance. Raises ValueError for what cannot be."""
-    through = told.bright - told.dark
-    seen = [(s - told.dark) / (r - told.reference_dark) for s, r in pairs if r != told.reference_dark]
+    through = calibration.bright - calibration.dark
+    seen = [
+        (s - calibration.dark) / (r - calibration.reference_dark)
+        for s, r in pairs
+        if r != calibration.reference_dark
+    ]
     if not seen or through <= 0:
         raise ValueError("the lamp gave no light")
-    transmittance = sum(seen) / len(seen) * (told.reference_bright - told.reference_dark) / through
+    transmittance = (
+        sum(seen) / len(seen) * (calibration.reference_bright - calibration.reference_dark) / through
+    )
     return round(-math.log10(max(transmittance, 10**-MOST_OD)), 4)
 
 
@@ -194,6 +208,6 @@ def write_table(spectra: Mapping[float, Mapping[str, float]], grid: Grid) -> byt
     for row in range(grid.rows):
         for column in range(grid.columns):
             well = grid.well(row, column)
-            told = (spectrum[well] for spectrum in spectra.values())
-            lines.append("\t".join([well, *("NaN" if math.isnan(od) else f"{od:.4f}" for od in told)]))
+            densities = (spectrum[well] for spectrum in spectra.values())
+            lines.append("\t".join([well, *("NaN" if math.isnan(od) else f"{od:.4f}" for od in densities)]))
     return ("\r\n".join(lines) + "\r\n").encode("utf-16-le")

@@ -29,9 +29,9 @@ def absorbance(
 
 
 def optics_of(world: World, plate: str) -> Callable[[str, float], float]:
-    """The optical density of a plate's wells at a wavelength (nm): of the polymers that were made in it, else
-    of what was pipetted into it."""
-    polymers = _polymers.synthesised(world, plate)
+    """A function for the optical density of a plate's wells at a wavelength (nm): by the polymers that were
+    made in it, else by what was pipetted into it."""
+    polymers = _polymers.find_polymers(world, plate)
     contents = {} if polymers else world.contents(plate)
     nothing = _polymers.Polymer((0.0, 0.0, 0.0), 1.0)
     if polymers:
@@ -52,11 +52,11 @@ class TecanSimulator(Gated):
         if not 0 < count <= MOST_WAVELENGTHS:
             raise DeviceError(f"{self.name}: {count} wavelengths cannot be measured.", effects="none")
         with self.motion():
-            self.needs_closed()
-            self.needs_bare(self.place("default"), "reads through a lid")
+            self.check_closed()
+            self.crash_if_lidded(self.place("default"), "reads through a lid")
             await self.take_time(350)
             place = self.place("default")
-            bubbles = _polymers.bubbles_in(self.world, self.top(place))
+            bubbles = _polymers.find_bubbles(self.world, self.top(place))
             plate = self.world.work(self.name, "read", place, method=method, start_nm=start_nm, end_nm=end_nm)
             nms = [round(start_nm + number * step_nm, 1) for number in range(count)]
             return Attachment(name, self._table(plate, nms, wells, bubbles))
@@ -64,9 +64,12 @@ class TecanSimulator(Gated):
     def _table(self, plate: str, nms: list[float], wells: int, bubbles: set[str]) -> bytes:
         grid, see = GRIDS[wells], optics_of(self.world, plate)
         names = [grid.well(row, column) for row in range(grid.rows) for column in range(grid.columns)]
-        noisy, draw = _polymers.noisy, self._random.gauss
+        add_noise, draw = _polymers.add_noise, self._random.gauss
         spectra = {
-            nm: {well: math.nan if well in bubbles else noisy(see(well, nm), draw, MOST_OD) for well in names}
+            nm: {
+                well: math.nan if well in bubbles else add_noise(see(well, nm), draw, MOST_OD)
+                for well in names
+            }
             for nm in nms
         }
         return write_table(spectra, grid)
@@ -75,9 +78,9 @@ class TecanSimulator(Gated):
         super().reset()
         self.open(*self.behind)
 
-    def look(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """The plate is felt when the carrier is in."""
-        seen = super().look()
+        seen = super().observe()
         if self.is_closed():
             seen["labware"] = {"default": bool(self.top(self.place("default")))}
         return seen

@@ -10,41 +10,41 @@ SLOW_S = 250.0
 """Under torture time passes so that a measurement takes a second. The carrier is slow, to be interrupted."""
 
 
-def _reader(setup: Setup) -> TecanOnWire:
+def _make_reader(setup: Setup) -> TecanOnWire:
     return TecanOnWire(setup, gate_s=SLOW_S)
 
 
-def _jammed(reader: TecanOnWire, world: World) -> None:
+def _jam(reader: TecanOnWire, world: World) -> None:
     reader.jammed = True
 
 
-def _freed(reader: TecanOnWire, world: World) -> None:
+def _free(reader: TecanOnWire, world: World) -> None:
     reader.free()
 
 
-def _pushed_in(reader: TecanOnWire, world: World) -> None:
+def _push_in(reader: TecanOnWire, world: World) -> None:
     reader.push()
 
 
-def _pulled_out(reader: TecanOnWire, world: World) -> None:
+def _pull_out(reader: TecanOnWire, world: World) -> None:
     reader.pull()
 
 
 TORTURE = Torture(
-    device=_reader,
+    device=_make_reader,
     cases=(
-        Case("open_gate", prepare=_pushed_in),
-        Case("close_gate", prepare=_pulled_out),
+        Case("open_gate", prepare=_push_in),
+        Case("close_gate", prepare=_pull_out),
         Case(
             "measure_sample",
             {"start": 400.0, "end": 440.0, "step": 20.0},
             stock={"default": "plate96"},
-            prepare=_pushed_in,
+            prepare=_push_in,
         ),
         Case("measure_sample", {"protocol_path": "ECP"}, refused="knows no stored methods"),
     ),
     faults=(
-        Fault("its carrier jams", _jammed, _freed),
+        Fault("its carrier jams", _jam, _free),
         Fault.by_setting("it refuses whatever it is told", "refuses"),
     ),
     motion="close_gate",  # that of a measurement: tests/drivers/tecan_measuring.py

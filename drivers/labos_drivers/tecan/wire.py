@@ -72,10 +72,10 @@ class TecanOnWire(OnWire):
             if trailer == bytes((0, 0, len(text) & 0xFF, protocol.check_sum(text))):
                 self._obey(text.decode("ascii", "replace"))
             else:
-                self._tell("-")
+                self._send("-")
         self._heard = b""
 
-    def _tell(self, text: str) -> None:
+    def _send(self, text: str) -> None:
         self.say(frame(text))
 
     def _numbers(self, packet: bytes) -> None:
@@ -91,16 +91,16 @@ class TecanOnWire(OnWire):
             "#EMISSION ATTENUATION": "0",
         }
         if command in queries:
-            self._tell(queries[command])
+            self._send(queries[command])
         elif self.busy:
             if not command.startswith("BY#"):  # who waits is told when it stands by
                 self._waiting.append(command)
         elif self.refuses:
-            self._tell(protocol.REFUSED)
+            self._send(protocol.REFUSED)
         elif command.startswith("BY#"):
-            self._tell(protocol.STANDBY)
+            self._send(protocol.STANDBY)
         elif match := re.fullmatch(r"ABSOLUTE MTP,(IN|OUT)", command):
-            self._tell("BY#T5000")
+            self._send("BY#T5000")
             self._begin(self._gate_s)
             self._drive(match[1])
         elif match := re.fullmatch(r"ABSOLUTE MTP,(?:X=(\d+),)?Y=(\d+)", command):
@@ -112,13 +112,13 @@ class TecanOnWire(OnWire):
             self.after(REFERENCE_S, self._reference)
         elif command == "INIT FORCE":
             self._begin(INIT_S)
-            self.after(INIT_S, self._initialised)
+            self.after(INIT_S, self._finish_initialising)
         elif SETTINGS.fullmatch(command):
             if match := re.fullmatch(r"EXCITATION \d,ABS,(\d+),\d+,0", command):
                 self._nm = int(match[1]) / 10
-            self._tell(protocol.STANDBY)
+            self._send(protocol.STANDBY)
         else:
-            self._tell(protocol.REFUSED)
+            self._send(protocol.REFUSED)
 
     # -- doing -------------------------------------------------------------------------------
 
@@ -129,7 +129,7 @@ class TecanOnWire(OnWire):
     def _stand_by(self) -> None:
         self.busy = False
         self.world.leave(self.name)
-        self._tell(protocol.STANDBY)
+        self._send(protocol.STANDBY)
         while self._waiting and not self.busy:
             self._obey(self._waiting.pop(0))
 
@@ -152,7 +152,7 @@ class TecanOnWire(OnWire):
     def _feel(self) -> None:
         self.sensor = "TAKEN" if self.top(self.place("default")) else "FREE"
 
-    def _initialised(self) -> None:
+    def _finish_initialising(self) -> None:
         if not self.jammed:
             self.shut("default")
             self.position = protocol.IN
@@ -161,7 +161,7 @@ class TecanOnWire(OnWire):
 
     def _go(self, match: re.Match[str]) -> None:
         if self.position == protocol.OUT:
-            self._tell(protocol.REFUSED)
+            self._send(protocol.REFUSED)
             return
         x, y = match.groups()
         self._at = (int(x) if x else self._at[0], int(y))
@@ -201,4 +201,4 @@ class TecanOnWire(OnWire):
     def damage(self, crash: Crash) -> None:
         self.forget_plans()
         self.busy = False
-        self._tell("ERR")
+        self._send("ERR")

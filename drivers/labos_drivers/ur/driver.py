@@ -12,7 +12,7 @@ from typing import Any
 from labos.errors import Collision, DeviceError, Garbled
 from labos.link import Link, TcpWire, Terminated
 from labos.node import Setup
-from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.ur import programs, protocol, rtde
 from labos_drivers.ur.stream import Stream
 
@@ -41,8 +41,8 @@ SENSORS: dict[str, tuple[str, Any, Any]] = {
 
 
 class URDriver(Wired):
-    """What the arm does stands in programs that were taught on the controller; the workcell file says
-    which of them carries what from where to where."""
+    """The arm's motions are programs that were taught on the controller; the workcell file says which of them
+    carries what from where to where."""
 
     deadlines = ("answer", "load", "begin", "program", "power", "fingers")
     where = ("host", "192.168.0.40")
@@ -51,11 +51,11 @@ class URDriver(Wired):
     _gripper_input: int | None = None
     _stream: Stream | None = None
 
-    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+    def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._setup = setup
         dashboard, gripper, data = [*address.split(","), "", ""][:3]
-        host, port = host_and_port(dashboard, protocol.DASHBOARD)
+        host, port = parse_host_port(dashboard, protocol.DASHBOARD)
         self.link = Link(
             TcpWire(host, port),
             Terminated(protocol.END),
@@ -64,16 +64,16 @@ class URDriver(Wired):
             expected=WHO,
         )
         if setup.config.get("rtde", True):
-            self._stream = Stream(*host_and_port(data or host, rtde.PORT), setup.name)
-        told = setup.config.get("gripper")
-        if told == "robotiq":
-            at = host_and_port(gripper or host, protocol.GRIPPER)
+            self._stream = Stream(*parse_host_port(data or host, rtde.PORT), setup.name)
+        configured = setup.config.get("gripper")
+        if configured == "robotiq":
+            at = parse_host_port(gripper or host, protocol.GRIPPER)
             self._gripper = Link(TcpWire(*at), Terminated(protocol.END), name=f"{setup.name} gripper")
-        elif isinstance(told, dict):
-            self._gripper_input = programs.input_of(setup, told, "input", "gripper")
+        elif isinstance(configured, dict):
+            self._gripper_input = programs.read_input(setup, configured, "input", "gripper")
         pendant = setup.config.get("pendant") or {}
         self._wired = {
-            variable: (programs.input_of(setup, pendant, key, "pendant"), on, off)
+            variable: (programs.read_input(setup, pendant, key, "pendant"), on, off)
             for variable, (key, on, off) in SENSORS.items()
             if key in pendant
         }
@@ -95,100 +95,103 @@ class URDriver(Wired):
 
     @off_loop
     def transfer(self, source: str, target: str, program: str = "") -> None:
-        """By the program for this way; ``program`` names it if the workcell file does not."""
+        """Carry labware, by the program for this way; ``program`` names it if the workcell file does not."""
         with self.motion():
-            named = programs.carrying(self._setup, source, target, program)
-            self._needs_hand(full=False)
+            named = programs.find_carrying_program(self._setup, source, target, program)
+            self._check_hand(full=False)
             held = self._run(named)
-            if not held and self._gripper_tells:
+            if not held and self._has_gripper_sensor:
                 raise DeviceError(
                     f"{self.name}: the gripper was not seen to hold anything in {named}.",
                     remedy=f"Look whether the labware stands at {source} still.",
                 )
-            self._expect(held=False, after=f"the transfer to {target}")
+            self._check_hand_after(held=False, after=f"the transfer to {target}")
 
     @off_loop
     def pick(self, source: str) -> None:
         with self.motion():
-            program = programs.carrying(self._setup, source, "gripper")
-            self._needs_hand(full=False)
+            program = programs.find_carrying_program(self._setup, source, "gripper")
+            self._check_hand(full=False)
             self._run(program)
-            self._expect(held=True, after=f"picking at {source}")
+            self._check_hand_after(held=True, after=f"picking at {source}")
 
     @off_loop
     def put_down(self, target: str) -> None:
         with self.motion():
-            program = programs.carrying(self._setup, "gripper", target)
-            self._needs_hand(full=True)
+            program = programs.find_carrying_program(self._setup, "gripper", target)
+            self._check_hand(full=True)
             self._run(program)
-            self._expect(held=False, after=f"putting down at {target}")
+            self._check_hand_after(held=False, after=f"putting down at {target}")
 
     @off_loop
     def run_program(self, program: str) -> None:
         with self.motion():
-            self._run(programs.checked(self.name, program))
+            self._run(programs.check_program(self.name, program))
 
     @off_loop
     def pendant(self, action: str, /, **args: str) -> None:
-        """An action of the pendant drop, by the program for it."""
+        """Do an action of the pendant drop, by the program for it."""
         with self.motion():
-            program = programs.pendant(self._setup, action, args)
+            program = programs.find_pendant_program(self._setup, action, args)
             before, after = PENDANT[action]
             if action == "undock":
                 after = {**after, "tool": args["tool"]}
-            with self.at_rest():
-                self._needs_sensed(before, f"{action} needs")
+            with self.report_no_effects():
+                self._check_sensors(before, f"{action} needs")
             self._run(program)
             with self.under_way():
-                self._needs_sensed(after, f"after {action} it should be")
+                self._check_sensors(after, f"after {action} it should be")
 
     # -- the device itself -------------------------------------------------------------------
 
     @off_loop
     def reset(self) -> None:
-        """Out of a stop, powered and with its brakes released; no program runs. Nothing else moves."""
+        """Bring the arm out of a stop, power it and release its brakes; no program runs, and nothing else
+        moves."""
         self.resume()
         self.disconnect()  # all lines are opened anew: it may have been switched off meanwhile
-        self._held()
-        self._needs_remote()
-        safety = self._safety()
+        self._read_hand()
+        self._check_remote()
+        safety = self._read_safety()
         if safety == protocol.PROTECTIVE:
             self._order("unlock protective stop", "Protective stop releasing")
         elif safety in protocol.FAULTS:
             self._order("close safety popup", "closing safety popup")
             self._order("restart safety", "Restarting safety", "true")
-            self._await_told("safety status", self._safety, protocol.NORMAL, protocol.REDUCED)
+            self._await_status("safety status", self._read_safety, protocol.NORMAL, protocol.REDUCED)
         elif safety not in (protocol.NORMAL, protocol.REDUCED):
             raise DeviceError(
                 f"{self.name}: its safety status is {safety}.",
                 effects="none",
                 remedy="Release the emergency stop, then reset the module.",
             )
-        if self._state() != protocol.STOPPED:
+        if self._read_state() != protocol.STOPPED:
             self._order("stop", "Stopped")
-        if self._mode() != protocol.RUNNING:
+        if self._read_mode() != protocol.RUNNING:
             self._order("power on", "Powering on")
-            self._await_told("robotmode", self._mode, protocol.IDLE, protocol.RUNNING)
+            self._await_status("robotmode", self._read_mode, protocol.IDLE, protocol.RUNNING)
             self._order("brake release", "Brake releasing")
-            self._await_told("robotmode", self._mode, protocol.RUNNING)
+            self._await_status("robotmode", self._read_mode, protocol.RUNNING)
 
-    @aside
+    @during_motion
     def stop(self) -> None:
-        """Stops the program; the arm comes to rest where it is."""
+        """Stop the program; the arm comes to rest where it is."""
         self._halted.set()
-        if self._state() != protocol.STOPPED:
+        if self._read_state() != protocol.STOPPED:
             self._order("stop", "Stopped")
 
-    @aside
+    @during_motion
     def is_idle(self) -> bool:
-        return self._state() == protocol.STOPPED and (self._stream is None or self._stream.now().stands_still)
+        return self._read_state() == protocol.STOPPED and (
+            self._stream is None or self._stream.read_state().stands_still
+        )
 
-    @aside
-    def look(self) -> dict[str, Any]:
-        """What its gripper tells of what it holds; nothing while its fingers move, or without one. What its
-        inputs tell of pipette and tip, where they are wired to them."""
-        held = self._held()
-        return self._sensed() | ({} if held is None else {"labware": {"gripper": held}})
+    @during_motion
+    def observe(self) -> dict[str, Any]:
+        """What the gripper reports of what it holds; nothing while its fingers move, or without one. What the
+        inputs report of pipette and tip, where they are wired to them."""
+        held = self._read_hand()
+        return self._read_sensors() | ({} if held is None else {"labware": {"gripper": held}})
 
     # -- one program -------------------------------------------------------------------------
 
@@ -196,20 +199,20 @@ class URDriver(Wired):
         """Raises DeviceError unless it has run to its end. Returns whether the gripper held something
         meanwhile; None if it cannot tell."""
         with ExitStack() as end:
-            with self.at_rest():
+            with self.report_no_effects():
                 self._refuse_unless_ready()
                 self._order(f"load {program}", "Loading program", limit_s=self.limit_s("load", LOAD_S))
-                self.unless_stopped()
-                states = end.enter_context(self._watched())
+                self.check_not_stopped()
+                states = end.enter_context(self._watch_program())
             self._play(program)
             with self.under_way():
-                held = self._see_through(program, states)
+                held = self._await_end(program, states)
                 self._refuse_unless_safe(program)
-                self.unless_stopped()
+                self.check_not_stopped()
         return held
 
-    def _see_through(self, program: str, states: Iterator[str]) -> bool | None:
-        """Wait for its end, and for the arm to stand still."""
+    def _await_end(self, program: str, states: Iterator[str]) -> bool | None:
+        """Wait for the end of a program, and for the arm to stand still."""
         began, limit_s = time.monotonic(), self.limit_s("program", PROGRAM_S)
         played = False
         held = None
@@ -217,7 +220,7 @@ class URDriver(Wired):
             played = played or state == protocol.PLAYING
             if state == protocol.STOPPED and (played or self._halted.is_set()):
                 break
-            if (holds := self._held()) is not None:
+            if (holds := self._read_hand()) is not None:
                 held = held or holds
             passed_s = time.monotonic() - began
             if not played and passed_s > self.limit_s("begin", BEGIN_S):
@@ -232,22 +235,22 @@ class URDriver(Wired):
         return held
 
     @contextmanager
-    def _watched(self) -> Iterator[Iterator[str]]:
-        """The states of its program from now on: as it tells them in real time, where none is missed,
-        else as it answers when it is asked. One that has stopped while the arm still moves plays on."""
+    def _watch_program(self) -> Iterator[Iterator[str]]:
+        """The states of the program from now on: from the real-time data, where none is missed, else by
+        asking. A program that has stopped while the arm still moves counts as playing."""
         if self._stream is None:
-            yield self._asked_again()
+            yield self._poll_states()
             return
-        with self._stream.watched() as told:
-            yield (_state_of(robot) for robot in told)
+        with self._stream.watch() as robots:
+            yield (_find_state(robot) for robot in robots)
 
-    def _asked_again(self) -> Iterator[str]:
+    def _poll_states(self) -> Iterator[str]:
         while True:
-            yield self._state()
+            yield self._read_state()
             time.sleep(POLL_S)
 
     def _play(self, program: str) -> None:
-        """Only a refusal that is known as one says that the program does not run."""
+        """Start the program. Only a known refusal says that it does not run. Raises DeviceError."""
         answer = self._ask("play")
         if answer.startswith("Starting program"):
             return
@@ -260,7 +263,7 @@ class URDriver(Wired):
         raise Garbled(f"{self.name}: {answer!r} does not say whether {program} runs.")
 
     def _refuse_unless_safe(self, program: str) -> None:
-        safety = self._safety()
+        safety = self._read_safety()
         if safety not in (protocol.NORMAL, protocol.REDUCED):
             kind = Collision if safety == protocol.PROTECTIVE else DeviceError
             raise kind(
@@ -269,18 +272,18 @@ class URDriver(Wired):
             )
 
     def _refuse_unless_ready(self) -> None:
-        """Raises DeviceError."""
-        self._needs_remote()
+        """Raises DeviceError if the controller is not ready for a program."""
+        self._check_remote()
         for what, ask, wanted in (
-            ("safetystatus", self._safety, (protocol.NORMAL, protocol.REDUCED)),
-            ("robotmode", self._mode, (protocol.RUNNING,)),
+            ("safetystatus", self._read_safety, (protocol.NORMAL, protocol.REDUCED)),
+            ("robotmode", self._read_mode, (protocol.RUNNING,)),
         ):
-            if (told := ask()) not in wanted:
-                raise DeviceError(f"{self.name}: its {what} is {told}.", remedy="Reset the module.")
-        if (state := self._state()) != protocol.STOPPED:
+            if (answer := ask()) not in wanted:
+                raise DeviceError(f"{self.name}: its {what} is {answer}.", remedy="Reset the module.")
+        if (state := self._read_state()) != protocol.STOPPED:
             raise DeviceError(f"{self.name}: a program is {state}.", remedy="Wait, or reset the module.")
 
-    def _needs_remote(self) -> None:
+    def _check_remote(self) -> None:
         answer = self._ask("is in remote control")
         if _is_not_understood(answer):
             return  # a CB3, which has no local mode, or software before 5.6: it refuses what it must not do
@@ -291,48 +294,50 @@ class URDriver(Wired):
                 remedy="Switch it to remote control on the pendant.",
             )
 
-    def _sensed(self) -> dict[str, Any]:
+    def _read_sensors(self) -> dict[str, Any]:
         if self._stream is None or not self._wired:
             return {}
-        now = self._stream.now()
+        now = self._stream.read_state()
         inputs = self._wired.items()
         return {name: on if now.input(number) else off for name, (number, on, off) in inputs}
 
-    def _needs_sensed(self, wanted: Mapping[str, Any], why: str) -> None:
-        """Raises DeviceError if an input tells otherwise."""
-        for variable, seen in self._sensed().items():
+    def _check_sensors(self, wanted: Mapping[str, Any], why: str) -> None:
+        """Raises DeviceError if an input has another value than needed."""
+        for variable, seen in self._read_sensors().items():
             if seen != wanted.get(variable, seen):
+                is_now, needed = _describe_value(seen), _describe_value(wanted[variable])
                 raise DeviceError(
-                    f"{self.name}: its {variable} is {_word(seen)}; {why} {_word(wanted[variable])}.",
+                    f"{self.name}: its {variable} is {is_now}; {why} {needed}.",
                     remedy="Look at the arm and at the dock.",
                 )
 
-    def _needs_hand(self, *, full: bool) -> None:
-        with self.at_rest():
-            self._needs_sensed({"tool": ""}, "its gripper needs")
-            if self._held_at_rest() is (not full):
+    def _check_hand(self, *, full: bool) -> None:
+        with self.report_no_effects():
+            self._check_sensors({"tool": ""}, "its gripper needs")
+            if self._read_hand_at_rest() is (not full):
                 raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.")
 
-    def _expect(self, *, held: bool, after: str) -> None:
-        """Raises DeviceError; a gripper that cannot be asked any more leaves open what it did."""
+    def _check_hand_after(self, *, held: bool, after: str) -> None:
+        """Check what the gripper holds after a motion; one that does not answer any more leaves the effects
+        open. Raises DeviceError."""
         with self.under_way():
-            if self._held_at_rest() is (not held):
+            if self._read_hand_at_rest() is (not held):
                 raise DeviceError(
                     f"{self.name}: after {after} the gripper holds {'nothing' if held else 'something'}.",
                     remedy="Look where the labware is.",
                 )
 
     @property
-    def _gripper_tells(self) -> bool:
-        """Whether there is a gripper that can be asked what it holds."""
+    def _has_gripper_sensor(self) -> bool:
+        """Whether there is a gripper that reports what it holds."""
         return self._gripper is not None or (self._gripper_input is not None and self._stream is not None)
 
-    def _held_at_rest(self) -> bool | None:
-        """What the gripper tells when its fingers stand still; None if there is none that could tell. Raises
-        DeviceError if they do not come to rest: what they hold is not known then."""
+    def _read_hand_at_rest(self) -> bool | None:
+        """Whether the gripper holds something when its fingers stand still; None if no gripper reports it.
+        Raises DeviceError if they do not come to rest: what they hold is not known then."""
         limit_s = self.limit_s("fingers", FINGERS_S)
         deadline = time.monotonic() + limit_s
-        while (held := self._held()) is None and self._gripper_tells:
+        while (held := self._read_hand()) is None and self._has_gripper_sensor:
             if time.monotonic() > deadline:
                 raise DeviceError(
                     f"{self.name}: its gripper says for {limit_s:g} s that its fingers move: whether it "
@@ -343,14 +348,14 @@ class URDriver(Wired):
             time.sleep(POLL_S)
         return held
 
-    def _held(self) -> bool | None:
-        """None if there is no gripper that could tell, or its fingers move."""
+    def _read_hand(self) -> bool | None:
+        """Whether the gripper holds something; None if no gripper reports it, or its fingers move."""
         if self._gripper_input is not None and self._stream is not None:
-            return self._stream.now().input(self._gripper_input)
+            return self._stream.read_state().input(self._gripper_input)
         if self._gripper is None:
             return None
-        told = self._gripper.exchange(b"GET OBJ", self.limit_s("answer", ANSWER_S))
-        answer = told.decode("ascii", "replace").strip()
+        raw = self._gripper.exchange(b"GET OBJ", self.limit_s("answer", ANSWER_S))
+        answer = raw.decode("ascii", "replace").strip()
         found = re.fullmatch(r"OBJ ([0-3])", answer)
         if found is None:
             raise Garbled(f"{self.name}: {answer!r} does not tell what the gripper holds.")
@@ -363,25 +368,26 @@ class URDriver(Wired):
         answer = self.link.exchange(question.encode(), limit_s or self.limit_s("answer", ANSWER_S))
         return answer.decode("utf-8", "replace").strip()
 
-    def _told(self, question: str, begins: str) -> str:
+    def _ask_status(self, question: str, begins: str) -> str:
         answer = self._ask(question)
         if not answer.startswith(begins):
             raise Garbled(f"{self.name}: {answer!r} is no answer to {question!r}.")
         return answer.removeprefix(begins).strip()
 
-    def _mode(self) -> str:
-        return self._told("robotmode", "Robotmode:")
+    def _read_mode(self) -> str:
+        return self._ask_status("robotmode", "Robotmode:")
 
-    def _safety(self) -> str:
-        """A controller that does not know ``safetystatus`` (before 5.4) tells its ``safetymode``."""
+    def _read_safety(self) -> str:
+        """The safety status. A controller that does not know ``safetystatus`` (before 5.4) reports its
+        ``safetymode``."""
         answer = self._ask("safetystatus")
         if _is_not_understood(answer):
-            return self._told("safetymode", "Safetymode:")
+            return self._ask_status("safetymode", "Safetymode:")
         if not answer.startswith("Safetystatus:"):
             raise Garbled(f"{self.name}: {answer!r} is no answer to 'safetystatus'.")
         return answer.removeprefix("Safetystatus:").strip()
 
-    def _state(self) -> str:
+    def _read_state(self) -> str:
         answer = self._ask("programState")
         state = answer.partition(" ")[0]
         if state not in (protocol.STOPPED, protocol.PLAYING, protocol.PAUSED):
@@ -398,13 +404,13 @@ class URDriver(Wired):
                 remedy="Look at the pendant.",
             )
 
-    def _await_told(self, what: str, ask: Callable[[], str], *wanted: str) -> None:
+    def _await_status(self, what: str, ask: Callable[[], str], *wanted: str) -> None:
         limit_s = self.limit_s("power", POWER_S)
         deadline = time.monotonic() + limit_s
-        while (told := ask()) not in wanted:
+        while (answer := ask()) not in wanted:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}: its {what} is {told} after {limit_s:g} s.",
+                    f"{self.name}: its {what} is {answer} after {limit_s:g} s.",
                     effects="none",
                     remedy="Look at the pendant.",
                 )
@@ -425,12 +431,12 @@ def _is_not_understood(answer: str) -> bool:
     return answer.lower().startswith("could not understand")
 
 
-def _word(value: Any) -> str:
+def _describe_value(value: Any) -> str:
     return {True: "true", False: "false", "": "none"}.get(value, str(value))
 
 
-def _state_of(robot: rtde.Robot) -> str:
-    """In the dashboard's words; empty while it changes."""
+def _find_state(robot: rtde.Robot) -> str:
+    """The program state in the dashboard's words; empty while it changes."""
     if robot.runtime_state == rtde.STOPPED:
         return protocol.STOPPED if robot.stands_still else ""
     return {rtde.PLAYING: protocol.PLAYING, rtde.PAUSED: protocol.PAUSED}.get(robot.runtime_state, "")

@@ -14,8 +14,8 @@ from labos_drivers.ur.rtde import INPUTS
 PROGRAM = re.compile(r"[\w /.\-]{1,200}\.urp")
 
 
-def checked(name: str, program: str) -> str:
-    """Raises DeviceError for what would be more than the name of a program."""
+def check_program(name: str, program: str) -> str:
+    """The name of a program. Raises DeviceError for text that is more than a name."""
     if not PROGRAM.fullmatch(program):
         raise DeviceError(
             f"{name}: {program[:60]!r} is no name of a program.", effects="none", remedy="It ends with .urp."
@@ -23,10 +23,10 @@ def checked(name: str, program: str) -> str:
     return program
 
 
-def input_of(setup: Setup, told: Mapping[str, Any], key: str, where: str) -> int:
-    """The digital input that is named below a key. Raises DeviceError for one that no controller has: it
-    would tell for ever that nothing is there."""
-    number = told.get(key)
+def read_input(setup: Setup, config: Mapping[str, Any], key: str, where: str) -> int:
+    """The digital input below a key. Raises DeviceError for a number that no controller has, as it would
+    always report that nothing is there."""
+    number = config.get(key)
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < INPUTS:
         return number
     raise DeviceError(
@@ -36,8 +36,8 @@ def input_of(setup: Setup, told: Mapping[str, Any], key: str, where: str) -> int
     )
 
 
-def carrying(setup: Setup, source: str, target: str, named: str = "") -> str:
-    """That which carries labware this way. Raises DeviceError if the workcell file knows none, or another
+def find_carrying_program(setup: Setup, source: str, target: str, named: str = "") -> str:
+    """The program that carries labware this way. Raises DeviceError if the workcell file has none, or another
     one than is named."""
     way = place_of(setup, source), place_of(setup, target)
     for entry in setup.config.get("programs") or ():
@@ -50,24 +50,24 @@ def carrying(setup: Setup, source: str, target: str, named: str = "") -> str:
                     effects="none",
                     remedy="Correct the workflow, or `programs:` of the module.",
                 )
-            return checked(setup.name, program)
+            return check_program(setup.name, program)
     if not named:
         raise DeviceError(
             f"{setup.name}: it has no program that goes from {source} to {target}.",
             effects="none",
             remedy="Teach one, and write it under `programs:` of the module's `config:`.",
         )
-    return checked(setup.name, named)
+    return check_program(setup.name, named)
 
 
-def pendant(setup: Setup, action: str, args: Mapping[str, str]) -> str:
-    """That of an action of the pendant drop. Raises DeviceError if the workcell file knows none for these
-    arguments."""
-    told: Any = (setup.config.get("pendant") or {}).get(action)
-    entries = [{"program": told}] if isinstance(told, str) else told or ()
+def find_pendant_program(setup: Setup, action: str, args: Mapping[str, str]) -> str:
+    """The program of an action of the pendant drop. Raises DeviceError if the workcell file has none for
+    these arguments."""
+    configured: Any = (setup.config.get("pendant") or {}).get(action)
+    entries = [{"program": configured}] if isinstance(configured, str) else configured or ()
     for entry in entries:
-        if all(_same(setup, name, value, str(entry.get(name, ""))) for name, value in args.items()):
-            return checked(setup.name, str(entry.get("program", "")))
+        if all(_is_same(setup, name, value, str(entry.get(name, ""))) for name, value in args.items()):
+            return check_program(setup.name, str(entry.get("program", "")))
     what = ", ".join(f"{name} {value}" for name, value in args.items())
     raise DeviceError(
         f"{setup.name}: it has no program for {action}{f' with {what}' if what else ''}.",
@@ -76,7 +76,7 @@ def pendant(setup: Setup, action: str, args: Mapping[str, str]) -> str:
     )
 
 
-def _same(setup: Setup, name: str, one: str, other: str) -> bool:
+def _is_same(setup: Setup, name: str, one: str, other: str) -> bool:
     if name == "plate" and other:
         return place_of(setup, one) == place_of(setup, other)
     return one == other

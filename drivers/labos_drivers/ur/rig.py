@@ -25,7 +25,7 @@ class Rig:
                 self._note(motion.verb, motion.facts)
 
     def do(self, action: str, plate: str = "", **facts: Any) -> None:
-        """What an action does there. Raises Crash if the rig is not as it should be."""
+        """Do an action. Raises Crash if the rig is not in the state that it needs."""
         if action in ("dock", "undock"):
             self._dock(action, str(facts.get("tool", "")))
             return
@@ -54,16 +54,16 @@ class Rig:
         self._world.work(self._arm, action, **facts)
         self._note(action, facts)
 
-    def sensed(self, wired: Mapping[str, Any]) -> dict[str, Any]:
-        """What the sensors tell that are wired to the arm."""
-        told: dict[str, Any] = {}
+    def read_sensors(self, wired: Mapping[str, Any]) -> dict[str, Any]:
+        """The values of the sensors that are wired to the arm."""
+        seen: dict[str, Any] = {}
         if "dock_input" in wired:
-            told["docked"] = self.is_docked
+            seen["docked"] = self.is_docked
         if "pipette_input" in wired:
-            told["tool"] = "pipette" if self.wears_pipette else ""
+            seen["tool"] = "pipette" if self.wears_pipette else ""
         if "tip_input" in wired:
-            told["tip"] = "sample" if self.has_tip else ""
-        return told
+            seen["tip"] = "sample" if self.has_tip else ""
+        return seen
 
     def _pipette(self, plate: str) -> None:
         here = self._world.at(plate)

@@ -66,7 +66,7 @@ STILL_RAD_S = 0.001
 
 
 class Robot(msgspec.Struct, frozen=True):
-    """What one data package tells. The names are those of the recipe."""
+    """The content of one data package. The names are those of the recipe."""
 
     actual_qd: tuple[float, ...]
     runtime_state: int
@@ -107,13 +107,13 @@ class Packages:
         return message
 
 
-def ask_outputs(names: Iterable[str], frequency_hz: float) -> bytes:
-    """The package that names the outputs to be told, so many times a second."""
+def request_outputs(names: Iterable[str], frequency_hz: float) -> bytes:
+    """The package that requests outputs, so many times a second."""
     return OUTPUTS + struct.pack(">d", frequency_hz) + ",".join(names).encode("ascii")
 
 
-def asked_outputs(content: bytes) -> tuple[float, list[str]]:
-    """The frequency and the names of such a package's content. Raises ValueError."""
+def parse_outputs(content: bytes) -> tuple[float, list[str]]:
+    """Frequency and names in the content of such a package. Raises ValueError."""
     if len(content) < 8:
         raise ValueError("no frequency")
     names = content[8:].decode("ascii").split(",")
@@ -129,18 +129,18 @@ def pack_values(recipe: int, types: Sequence[str], values: Iterable[Any]) -> byt
 
 
 def unpack_robot(recipe: int, content: bytes) -> Robot:
-    """Of a data package's content. Raises ValueError."""
+    """The content of a data package. Raises ValueError."""
     layout = f">B{_format(TYPES)}"
     if len(content) != struct.calcsize(layout):
         raise ValueError(f"a data package of {len(content)} bytes")
-    told, *flat = struct.unpack(layout, content)
-    if told != recipe:
-        raise ValueError(f"a package of recipe {told}")
+    number, *flat = struct.unpack(layout, content)
+    if number != recipe:
+        raise ValueError(f"a package of recipe {number}")
     return Robot(tuple(flat[:6]), *flat[6:])
 
 
 def types_of(known: Mapping[str, str], names: Iterable[str]) -> list[str]:
-    """What a controller that knows these outputs says of those asked for."""
+    """The types of the requested outputs, from a controller that has these."""
     return [known.get(name, NOT_FOUND) for name in names]
 
 

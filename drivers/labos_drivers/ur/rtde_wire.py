@@ -16,14 +16,17 @@ SOFTWARE = (5, 12, 2, 1101534)
 
 
 class RtdePort:
-    """One client at a time. ``told`` gives the value of each output now; ``types`` of which type they
-    are."""
+    """One client at a time. ``read_outputs`` gives the present value of each output; ``types`` has their
+    types."""
 
     def __init__(
-        self, told: Callable[[], Mapping[str, Any]], types: Mapping[str, str], end: TcpEnd | None = None
+        self,
+        read_outputs: Callable[[], Mapping[str, Any]],
+        types: Mapping[str, str],
+        end: TcpEnd | None = None,
     ) -> None:
         self.end = end or TcpEnd()
-        self._told, self._types = told, types
+        self._read_outputs, self._types = read_outputs, types
         self._buffer = bytearray()
         self._packages = rtde.Packages()
         self._client = 0
@@ -33,7 +36,7 @@ class RtdePort:
         self.end.close()
 
     def listen(self, timeout_s: float) -> None:
-        """Wait so long for a package, answer it, and tell what is due."""
+        """Wait for a package, answer it, and send the data that are due."""
         data = self.end.read(timeout_s)
         if self.end.clients != self._client:
             self._client = self.end.clients
@@ -61,7 +64,7 @@ class RtdePort:
             case rtde.ASK_CONTROLLER:
                 self._say(kind, struct.pack(">4I", *SOFTWARE))
             case rtde.OUTPUTS:
-                frequency_hz, self._outputs = rtde.asked_outputs(content)
+                frequency_hz, self._outputs = rtde.parse_outputs(content)
                 self._every_s = 1 / min(max(frequency_hz, 1.0), FASTEST_HZ)
                 types = rtde.types_of(self._types, self._outputs)
                 self._say(kind, bytes([RECIPE]) + ",".join(types).encode("ascii"))
@@ -78,9 +81,9 @@ class RtdePort:
         now = time.monotonic()
         if self._is_started and now >= self._due:
             self._due = max(self._due + self._every_s, now)
-            told = self._told()
+            read_outputs = self._read_outputs()
             types = [self._types[name] for name in self._outputs]
-            package = rtde.pack_values(RECIPE, types, (told[name] for name in self._outputs))
+            package = rtde.pack_values(RECIPE, types, (read_outputs[name] for name in self._outputs))
             self.end.write(self._packages.pack(package))
 
     def _say(self, kind: bytes, content: bytes) -> None:

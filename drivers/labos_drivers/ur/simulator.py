@@ -37,5 +37,5 @@ class URSimulator(Arm):
             self.rig.do(action, self.place(plate) if plate else "", **facts)
             await self.take_time(0.5 * PENDANT_S)
 
-    def look(self) -> dict[str, Any]:
-        return super().look() | self.rig.sensed(self.config.get("pendant") or {})
+    def observe(self) -> dict[str, Any]:
+        return super().observe() | self.rig.read_sensors(self.config.get("pendant") or {})

@@ -19,8 +19,8 @@ WHO = "a UR controller that tells its state"
 
 
 class Stream:
-    """Started for as long as somebody watches, paused otherwise, so that nothing piles up that is not
-    read. While one watches, others are told what it was told last."""
+    """The stream of states. It is started for as long as somebody watches and paused otherwise, so that no
+    data pile up unread. While one watches, others get the last state."""
 
     def __init__(self, host: str, port: int, name: str) -> None:
         self._name = name
@@ -39,32 +39,32 @@ class Stream:
         )
 
     def close(self) -> None:
-        """Let go of the controller; who asks next connects again."""
+        """Close the connection; the next request connects again."""
         self.link.close()
 
     @contextmanager
-    def watched(self) -> Iterator[Iterator[Robot]]:
-        """What it tells from now on, without an end. Raises LinkError; nothing moves by this."""
+    def watch(self) -> Iterator[Iterator[Robot]]:
+        """Start the stream, and yield its states without an end. Raises LinkError; nothing moves by this."""
         with self._turn:
             self._last = None
             self._order(rtde.START)
             self._is_watched = True
         try:
-            yield self._told()
+            yield self._receive_states()
         finally:
             with self._turn:
                 self._is_watched = False
                 with suppress(LinkError):
                     self._order(rtde.PAUSE)
 
-    def now(self) -> Robot:
-        """Its state. Raises LinkError."""
+    def read_state(self) -> Robot:
+        """The present state. Raises LinkError."""
         deadline = time.monotonic() + ANSWER_S
         while time.monotonic() < deadline:
             with self._turn:
                 if not self._is_watched:
                     self._order(rtde.START)
-                    robot = next(self._told())
+                    robot = next(self._receive_states())
                     self._order(rtde.PAUSE)
                     return robot
                 if self._last is not None:
@@ -74,7 +74,7 @@ class Stream:
 
     # -- inside ------------------------------------------------------------------------------
 
-    def _told(self) -> Iterator[Robot]:
+    def _receive_states(self) -> Iterator[Robot]:
         while True:
             message = self.link.receive(ANSWER_S)
             if message[:1] == rtde.DATA:
@@ -92,12 +92,12 @@ class Stream:
         version = rtde.ASK_VERSION + struct.pack(">H", rtde.VERSION)
         if link.exchange(version, ANSWER_S) != rtde.ASK_VERSION + b"\x01":
             return "a controller that does not speak version 2 of RTDE"
-        told = link.exchange(rtde.ask_outputs(rtde.RECIPE, FREQUENCY_HZ), ANSWER_S)[1:]
-        types = told[1:].decode("ascii", "replace").split(",")
+        answer = link.exchange(rtde.request_outputs(rtde.RECIPE, FREQUENCY_HZ), ANSWER_S)[1:]
+        types = answer[1:].decode("ascii", "replace").split(",")
         missing = [name for name, kind in zip(rtde.RECIPE, types, strict=False) if kind == rtde.NOT_FOUND]
         if missing:
             return f"a controller without {', '.join(missing)}"
         if tuple(types) != rtde.TYPES:
-            return f"a controller that tells {told[:80]!r}"
-        self._recipe = told[0]
+            return f"a controller that tells {answer[:80]!r}"
+        self._recipe = answer[0]
         return WHO

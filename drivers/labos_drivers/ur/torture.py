@@ -10,16 +10,16 @@ HERE = "labos_drivers.ur.driver"
 SAMPLE = {"plate": "bench.wells", "well": "A1", "liquid_1": "water", "liquid_2": "silica"}
 
 
-def _cold(setup: Setup) -> UROnWire:
+def _make_cold(setup: Setup) -> UROnWire:
     """Without power at its joints, as it is after its switch was turned."""
     return UROnWire(setup, started=False)
 
 
-def _no_plate(arm: UROnWire, world: World) -> None:
+def _remove_plate(arm: UROnWire, world: World) -> None:
     world.carry(arm.top("bench.source"), "")
 
 
-def _taken_target(arm: UROnWire, world: World) -> None:
+def _occupy_target(arm: UROnWire, world: World) -> None:
     world.stock("bench.target", "plate96")
 
 
@@ -31,20 +31,20 @@ def _release_stop(arm: UROnWire, world: World) -> None:
     arm.safety = protocol.NORMAL
 
 
-def _safety_fault(arm: UROnWire, world: World) -> None:
+def _cause_safety_fault(arm: UROnWire, world: World) -> None:
     arm.safety, arm.mode = "FAULT", protocol.OFF
 
 
-def _on_its_way(arm: UROnWire, world: World) -> bool:
+def _is_moving_empty(arm: UROnWire, world: World) -> bool:
     return arm.state == protocol.PLAYING and not world.at(f"hand:{arm.name}")
 
 
-def _holds(arm: UROnWire, world: World) -> bool:
+def _is_holding(arm: UROnWire, world: World) -> bool:
     return bool(world.at(f"hand:{arm.name}"))
 
 
 TORTURE = Torture(
-    device=_cold,
+    device=_make_cold,
     config=lambda address: {"host": address},
     cases=(
         Case("undock", {"tool": "pipette"}),
@@ -60,11 +60,11 @@ TORTURE = Torture(
         Case("run_urp_program", {"program_name": "wave.urp\nshutdown"}, refused="is no name of a program"),
     ),
     faults=(
-        Fault("no plate at the source", _no_plate),
-        Fault("a plate at the target already", _taken_target),
+        Fault("no plate at the source", _remove_plate),
+        Fault("a plate at the target already", _occupy_target),
         Fault.by_setting("the program is stopped on the pendant", "stopped_by_hand"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
-        Fault("a fault of its safety system", _safety_fault),
+        Fault("a fault of its safety system", _cause_safety_fault),
         Fault.by_setting("it is not in remote control", "remote", to=False, back=True),
     ),
     settings={
@@ -92,7 +92,7 @@ TORTURE = Torture(
         ],
     },
     motion="transfer",
-    moments=(_on_its_way, _holds),
+    moments=(_is_moving_empty, _is_holding),
     waits={
         f"{HERE}:ANSWER_S": 3.0,
         f"{HERE}:PROGRAM_S": 30.0,

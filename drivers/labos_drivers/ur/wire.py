@@ -61,8 +61,8 @@ class UROnWire(OnWire):
         self._began_s = self._stopped_s = 0.0
         self.rig = Rig(self.world, self.name)
         self._pendant = setup.config.get("pendant") or {}
-        for action, told in self._pendant.items():
-            entries = [{"program": told}] if isinstance(told, str) else told
+        for action, configured in self._pendant.items():
+            entries = [{"program": configured}] if isinstance(configured, str) else configured
             for entry in entries if isinstance(entries, list) else ():
                 self.programs[entry["program"]] = {**entry, "does": action}
         self._heard = b""
@@ -72,7 +72,7 @@ class UROnWire(OnWire):
     def address(self) -> str:
         return f"{self.end.address},{self.fingers.address},{self.data.end.address}"
 
-    def own_end(self) -> FarEnd:
+    def make_end(self) -> FarEnd:
         return TcpEnd(greeting=protocol.GREETING + protocol.END)
 
     def close(self) -> None:
@@ -100,7 +100,7 @@ class UROnWire(OnWire):
             self._line(self._answer(line.strip().decode("utf-8", "replace")))
 
     def _answer(self, line: str) -> str:
-        told: dict[str, Callable[[], str]] = {
+        answers: dict[str, Callable[[], str]] = {
             "robotmode": lambda: f"Robotmode: {self.mode}",
             "safetystatus": lambda: f"Safetystatus: {self.safety}",
             "programState": lambda: f"{self.state} {self.loaded or '<unnamed>'}",
@@ -129,8 +129,8 @@ class UROnWire(OnWire):
             return f"could not understand: '{line}'"
         if self.is_cb3 and line == "safetymode":
             return f"Safetymode: {self.safety}"
-        if line in told:
-            return told[line]()
+        if line in answers:
+            return answers[line]()
         if line in orders or line.startswith("load "):
             if not self.remote:
                 return f"Command is not allowed due to safety reasons: {line}"
@@ -226,13 +226,13 @@ class UROnWire(OnWire):
         self.state = state
 
     def _restart_safety(self) -> str:
-        def restarted() -> None:
+        def finish_restart() -> None:
             if self.safety in protocol.FAULTS:
                 self.safety = protocol.NORMAL
 
         self._freeze(protocol.STOPPED)
         self.mode = protocol.OFF
-        self.after(RESTART_S, restarted)
+        self.after(RESTART_S, finish_restart)
         return "Restarting safety"
 
     def _unlock(self) -> str:

@@ -1,7 +1,7 @@
 """One SiLA 2 server, over gRPC.
 
-A call is sent once: gRPC's own repetitions are switched off. What SiLA says of a failure is told apart from a
-line that failed, after which nobody knows whether the call was carried out.
+A call is sent once: gRPC's own repetitions are switched off. A failure that SiLA reports is distinguished
+from a failed connection, after which it is unknown whether the call was carried out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from labos.adapter.sila.messages import Messages
 from labos.errors import DeviceError
 
 READ_S = 5.0
-"""How long what moves nothing may take."""
+"""The longest time for a call that moves nothing."""
 
 _SERVICE = ("sila2.org.silastandard.core.silaservice.v1", "SiLAService")
 SERVICE = Feature(
@@ -45,10 +45,10 @@ SERVICE = Feature(
         Property(*_SERVICE, "ServerVersion", Basic("String")),
     ),
 )
-"""What every server has, and what the rest is learned by."""
+"""The feature that every server has, and by which its other features are found."""
 
 NOT_CARRIED_OUT = ("UNIMPLEMENTED", "UNAUTHENTICATED", "PERMISSION_DENIED")
-"""gRPC's words for calls that never reach what carries them out."""
+"""Statuses of gRPC for calls that did not reach their handler."""
 
 OPTIONS = [
     ("grpc.enable_retries", 0),
@@ -65,7 +65,7 @@ _FRAMEWORK_KINDS: tuple[Kind, ...] = ("not accepted", "not known", "not finished
 
 
 class SilaError(Exception):
-    """What a server says is wrong; ``identifier`` of the parameter or the defined error."""
+    """An error that a server reports; ``identifier`` is that of the parameter or the defined error."""
 
     def __init__(self, kind: Kind, message: str, identifier: str = "") -> None:
         super().__init__(message)
@@ -73,9 +73,9 @@ class SilaError(Exception):
 
 
 class Client:
-    """``address`` is ``host:port``. ``certificate`` is the server's own or that of who signed it (PEM), None
-    for what the computer trusts; ``name`` is the name in it, where that is not the host. ``insecure`` is
-    without encryption."""
+    """``address`` is ``host:port``. ``certificate`` is the server's own certificate or its signer's (PEM);
+    None: the certificates that the computer trusts. ``name`` is the name in it, if this is not the host.
+    ``insecure``: without encryption."""
 
     def __init__(
         self, address: str, *, certificate: bytes | None = None, name: str = "", insecure: bool = False
@@ -88,7 +88,7 @@ class Client:
         self._grpc: Any = grpc
         self.address = address
         self.features: list[Feature] = []
-        """What the server offers beside SiLA's service; empty until it was learned."""
+        """The server's features besides SiLA's own; empty until they were read."""
         self._messages = Messages([SERVICE])
         options = [*OPTIONS, *([("grpc.ssl_target_name_override", name)] if name else [])]
         if insecure:
@@ -103,12 +103,12 @@ class Client:
     # -- what it is --------------------------------------------------------------------------
 
     async def alive(self) -> None:
-        """See whether the server answers. Raises DeviceError (``none``)."""
+        """Check whether the server answers. Raises DeviceError (``none``)."""
         await self.read(SERVICE.properties[1])
 
     async def learn(self) -> None:
-        """Read the server's features; of one in several versions the highest counts. Raises DeviceError
-        (``none``)."""
+        """Read the server's features; if there are several versions of one, the highest is used. Raises
+        DeviceError (``none``)."""
         found: dict[tuple[str, str, str], Feature] = {}
         for name in await self.read(SERVICE.properties[0]):
             if name.split("/")[-2:-1] == [SERVICE.name]:
@@ -136,7 +136,7 @@ class Client:
         return str(await self.read(next(told for told in SERVICE.properties if told.name == name)))
 
     async def read(self, told: Property) -> Any:
-        """The value of a property now. Raises DeviceError (``none``)."""
+        """The present value of a property. Raises DeviceError (``none``)."""
         path = f"/{told.package}.{told.feature}/{told.method}"
         try:
             if told.observable:
@@ -178,8 +178,8 @@ class Client:
     async def infos(
         self, command: SilaCommand, execution: str, *, limit_s: float
     ) -> AsyncGenerator[int, None]:
-        """The status of an execution, now and whenever it changes: 0 waiting, 1 running, 2 finished, 3
-        failed. Raises SilaError, Lost; Lost also when the time is up."""
+        """The status of an execution, now and after each change: 0 waiting, 1 running, 2 finished, 3 failed.
+        Raises SilaError, and Lost, also when the time is up."""
         path, asked = f"{self._path(command)}_Info", self._execution(execution)
         async with contextlib.aclosing(self._stream(path, asked, limit_s)) as told:
             async for data in told:
@@ -188,7 +188,7 @@ class Client:
     async def intermediate(
         self, command: SilaCommand, execution: str
     ) -> AsyncGenerator[dict[str, Any], None]:
-        """What an execution tells on its way. Raises SilaError, Lost."""
+        """The intermediate responses of an execution. Raises SilaError, Lost."""
         path, asked = f"{self._path(command)}_Intermediate", self._execution(execution)
         name = f"{command.name}_IntermediateResponses"
         async with contextlib.aclosing(self._stream(path, asked, None)) as told:
@@ -201,7 +201,7 @@ class Client:
         return self._responses(command, data)
 
     def _responses(self, command: SilaCommand, data: bytes) -> dict[str, Any]:
-        """Raises DeviceError (``all``): it was carried out."""
+        """Read responses. Raises DeviceError (``all``), because the command was carried out."""
         name = f"{command.name}_Responses"
         try:
             return self._messages.decode(command.package, name, command.responses, data)
@@ -237,7 +237,7 @@ class Client:
             call.cancel()
 
     def _read(self, error: Any, path: str, limit_s: float | None) -> Exception:
-        """What a failed call says: SilaError, DeviceError (``none``), Lost."""
+        """The error of a failed call: SilaError, DeviceError (``none``), Lost."""
         called = f"{self.address}: {path.rpartition('.')[2]}"
         code, words = error.code().name, error.details() or ""
         if code == "ABORTED" and (said := self._sila_error(words)):
@@ -249,7 +249,7 @@ class Client:
         return NoResponse(f"{called}: {code}: {words}" if words else f"{called}: {code}")
 
     def _sila_error(self, words: str) -> SilaError | None:
-        """SiLA's own error, which a server puts into gRPC's message."""
+        """SiLA's own error, which is in the message of gRPC."""
         try:
             told = self._messages.framework("SiLAError", base64.b64decode(words, validate=True))
         except (ValueError, binascii.Error):

@@ -1,4 +1,4 @@
-"""A server's features in LabOS' words, and LabOS' names in the server's."""
+"""Converts a server's features to a LabOS description, and LabOS' names to the server's names."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ _KINDS = {
 
 
 def our_name(theirs: str) -> str:
-    """``OpenDoor`` is ``open_door`` here."""
+    """The LabOS name: ``open_door`` for ``OpenDoor``."""
     return _WORD_ENDS.sub("_", theirs).lower()
 
 
 def alike(name: str) -> str:
-    """What is left of a name for comparison: ``open_door``, ``OpenDoor`` and ``Door.Open``'s own form."""
+    """A name in a form for comparison, which is the same for ``open_door`` and ``OpenDoor``."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def find_command(features: Iterable[Feature], name: str) -> SilaCommand | None:
-    """The command that a name means: ``Feature.Command``, or ``Command`` where one feature only has it, in
-    any way of writing; or the whole identifier ``originator/category/Feature/v1/Command/Command``."""
+    """Find a command by name: ``Feature.Command``, or ``Command`` if only one feature has it, in any
+    spelling; or the full identifier ``originator/category/Feature/v1/Command/Command``."""
     offered = list(features)
     commands = [command for feature in offered for command in feature.commands]
     for meant in (
@@ -64,7 +64,7 @@ def find_command(features: Iterable[Feature], name: str) -> SilaCommand | None:
 
 
 def find_property(features: Iterable[Feature], name: str) -> tuple[Property, list[str]] | None:
-    """The property that ``Feature.Property`` names, and the elements of its structure that follow."""
+    """Find the property ``Feature.Property``, and the elements of its structure that follow."""
     feature, _, rest = name.partition(".")
     wanted, *elements = rest.split(".")
     for each in features:
@@ -75,8 +75,8 @@ def find_property(features: Iterable[Feature], name: str) -> tuple[Property, lis
 
 
 def actions_of(features: Iterable[Feature]) -> tuple[ActionSpec, ...]:
-    """What a server's commands are as actions, without effects, and SiLA's names as aliases, which are those
-    in MADSci's workflows. Commands that SiLA defines for all servers are left out."""
+    """A server's commands as actions, without effects. SiLA's names, which MADSci's workflows use, are
+    aliases. Commands that SiLA defines for all servers are left out."""
     offered = [feature for feature in features if not feature.is_standard]
     names = Counter(command.name for feature in offered for command in feature.commands)
     return tuple(
@@ -123,7 +123,7 @@ def _kind(told: Any) -> str:
 
 
 def _choices(kind: str, limits: list[Limits]) -> tuple[Any, ...]:
-    """Values that are allowed, as they are written in a workflow."""
+    """The allowed values, in the form in a workflow."""
     written = next((each.choices for each in limits if each.choices), ())
     of = {"int": int, "float": float}.get(kind, str)
     return tuple(of(value) for value in written)

@@ -1,4 +1,4 @@
-"""What a SiLA 2 server offers, read from its feature definitions (SiLA 2 Part A, the FDL schema 1.1)."""
+"""The features of a SiLA 2 server, read from its feature definitions (SiLA 2 Part A, the FDL schema 1.1)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from labos.errors import DeviceError
 
 
 class Limits(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The constraints of a value that an argument of LabOS can say; the server checks all of them. Bounds
-    are inclusive, in ``unit``."""
+    """The constraints of a value that an argument of LabOS can express; the server checks all constraints.
+    Bounds are inclusive, in ``unit``."""
 
     unit: str = ""
     minimum: float | None = None
@@ -64,8 +64,8 @@ class Element(msgspec.Struct, frozen=True):
 
 
 class SilaCommand(msgspec.Struct, frozen=True):
-    """A command of a feature, which is in ``package``. An observable one is answered at once, with the UUID
-    of its execution."""
+    """A command of a feature, which is in ``package``. The answer to an observable command comes at once,
+    with the UUID of its execution."""
 
     package: str
     feature: str
@@ -83,7 +83,7 @@ class SilaCommand(msgspec.Struct, frozen=True):
 
 
 class Property(msgspec.Struct, frozen=True):
-    """A value that can be read; an observable one is subscribed to."""
+    """A value that can be read; an observable property is read by subscription."""
 
     package: str
     feature: str
@@ -110,17 +110,17 @@ class Feature(msgspec.Struct, frozen=True):
 
     @property
     def package(self) -> str:
-        """Where its messages and calls are."""
+        """The package of its messages and calls."""
         return package_of(self.originator, self.category, self.name, self.version)
 
     @property
     def identifier(self) -> str:
-        """Its whole name in SiLA."""
+        """Its full name in SiLA."""
         return f"{self.originator}/{self.category}/{self.name}/v{self.version}"
 
     @property
     def is_standard(self) -> bool:
-        """Whether it is one of those that SiLA defines for all servers, and no ability of the device."""
+        """Whether SiLA defines it for all servers, so that it is not a function of the device."""
         return self.originator == "org.silastandard" and self.category.partition(".")[0] == "core"
 
 
@@ -201,8 +201,8 @@ def _type(parent: ET.Element) -> DataType:
 
 
 def _limits(told: ET.Element, of: DataType) -> Limits:
-    """Of the bounds the narrower. What is excluded is told for whole numbers only; of other numbers the
-    bound itself is left to the server to refuse."""
+    """The narrower of the bounds. Excluded bounds are expressed only for whole numbers; for other numbers,
+    the server refuses the bound itself."""
     step = 1.0 if of == Basic("Integer") else 0.0
     low, high = [], []
     unit: str = ""
@@ -257,8 +257,8 @@ def _is_observable(found: ET.Element) -> bool:
 
 
 def unwrap(told: DataType, types: dict[str, DataType]) -> Iterator[Any]:
-    """A type and what it is made of while it is only a limited or a named form of another, until a name
-    comes again."""
+    """A type and its underlying types, as long as each is a constrained or named form of the next; ends at a
+    repeated name."""
     named: set[str] = set()
     while True:
         yield told

@@ -1,7 +1,7 @@
 """SiLA's messages: the framework's own, and those that follow from a feature definition (SiLA 2 Part B).
 
-They are made at run time from what the server says of itself, so no code has to be generated for a device,
-nor to fit the protobuf package that happens to be installed.
+They are made at run time from the server's description. Therefore no code is generated for a device, and none
+has to fit the installed protobuf package.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _FRAMEWORK: dict[str, tuple[tuple[str, str, int], ...]] = {
         ("frameworkError", "FrameworkError", 4),
     ),
 }
-"""The fields that are read or written here: name, type, number. Enumerations go over the wire as numbers."""
+"""The fields that are read or written here: name, type, number. Enumerations are sent as numbers."""
 
 LARGEST_INLINE = 2 * 1024 * 1024
 """Bytes of a binary value within a message; larger ones would need SiLA's binary transfer."""
@@ -276,7 +276,7 @@ def _fill_timestamp(field: Any, value: Any) -> None:
 
 
 def _fill_clock(field: Any, told: datetime.datetime | datetime.time) -> None:
-    """Hours to milliseconds, and the time zone: UTC where none is said."""
+    """Hours to milliseconds, and the time zone (default: UTC)."""
     field.hour, field.minute, field.second = told.hour, told.minute, told.second
     field.millisecond = told.microsecond // 1000
     minutes = int((told.utcoffset() or datetime.timedelta()).total_seconds() // 60)

@@ -1,9 +1,8 @@
-"""SiLA 2 servers: commands and properties over gRPC, by the feature definitions that the server tells.
-
-An observable command is answered at once, with the UUID of its execution. That is journalled as soon as it
-comes, and by it the end is learned across broken lines and restarts of the adapter, as long as the server
-keeps it. One whose UUID was lost, and an unobservable command whose answer was lost, cannot be asked for:
-they are never sent again, and how they ended is unknown.
+"""SiLA 2 servers: commands and properties over gRPC, by the feature definitions of the server. The answer to
+an observable command comes at once, with the UUID of its execution. The UUID is journalled immediately. With
+it, the end can be found out after broken connections and restarts of the adapter, as long as the server keeps
+the execution. If the UUID of an observable command or the answer of an unobservable command was lost, its
+outcome is unknown. It is never sent again.
 """
 
 from __future__ import annotations
@@ -31,22 +30,22 @@ START_S = 30.0
 """How long a server may take to say that it has started an observable command."""
 
 WATCH_S = 15.0
-"""How long an execution is watched before it is asked for anew: a line that has died tells nothing."""
+"""How long an execution is watched before it is requested again, because a dead connection gives no sign."""
 
 FINISHED, FAILED = 2, 3
-"""``ExecutionInfo.CommandStatus``; before are waiting and running."""
+"""``ExecutionInfo.CommandStatus``; lower numbers are waiting and running."""
 
 CANCEL = "CancelController.CancelAll"
-"""What SiLA has for a stop, where a server offers it."""
+"""SiLA's own command for a stop, if a server offers it."""
 
 MADSCI_PORT = 50052
-"""Where MADSci's client looks for a server."""
+"""The port at which MADSci's client expects a server."""
 
 NO_UUID = "the UUID of its execution never came, and nothing else can be asked for"
 NO_RECORD = "an unobservable command leaves no record"
 FORGOTTEN = "the server does not know the execution: it was restarted, or its lifetime is over"
 REFUSED = ("validation", "not accepted", "metadata")
-"""What a server says before it carries a command out."""
+"""Errors that a server reports before it carries out a command."""
 
 
 class SilaNode(ForeignNode):
@@ -55,7 +54,7 @@ class SilaNode(ForeignNode):
     not the host; ``sila_insecure`` for servers without encryption; ``sila`` (the mapping)."""
 
     trusts_the_line: ClassVar[bool] = False
-    """Whether a server is reached without encryption where the file says nothing of it."""
+    """The default for connecting without encryption."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -108,7 +107,8 @@ class SilaNode(ForeignNode):
         return bool(self.mapping.state.busy)
 
     async def is_idle(self) -> bool:
-        """By the properties that say so; else that it answers, and nothing can be under way any more."""
+        """By the properties of the mapping. Without them, the server is idle if it answers and no action can
+        still be under way."""
         await self._learn()
         if not self.tells_busy:
             await self.client.alive()
@@ -126,7 +126,7 @@ class SilaNode(ForeignNode):
             return str(silent)
 
     async def learn(self) -> None:
-        """Also sees that the server answers: a command for one that does not is not sent."""
+        """Also checks that the server answers; otherwise no command is sent."""
         await self._learn()
         await self.client.alive()
 
@@ -142,7 +142,7 @@ class SilaNode(ForeignNode):
             self._learned = True
 
     def _absent_words(self) -> str:
-        """What the server lacks of what was written for it, as a sentence."""
+        """The features in the mapping that the server does not have, as a sentence."""
         features = self.client.features
         if absent := self.describe_missing(lambda name: find_command(features, name) is not None):
             return absent
@@ -183,7 +183,7 @@ class SilaNode(ForeignNode):
         return ChannelReading(await self._value(condition.pv))
 
     async def _value(self, name: str) -> Any:
-        """A property's value now, or an element of it. Raises DeviceError (``none``)."""
+        """The present value of a property, or an element of it. Raises DeviceError (``none``)."""
         found = find_property(self.client.features, name)
         if found is None:
             raise DeviceError(f"The server has no property {name!r}.", effects="none")
@@ -203,14 +203,14 @@ class SilaNode(ForeignNode):
         self.believe_at_rest()
 
     async def stop(self) -> None:
-        """What the mapping says, else SiLA's own cancelling of all commands."""
+        """The command in the mapping, else SiLA's own command to cancel all commands."""
         await self._learn()
         if not self.mapping.stop and find_command(self.client.features, CANCEL) is None:
             raise DeviceError("`sila:` does not say how the device is stopped.", effects="none")
         await self._order(self.mapping.stop or CANCEL)
 
     async def _order(self, name: str) -> None:
-        """A command without parameters, to its end. Raises DeviceError."""
+        """Carry out a command without parameters, and wait for its end. Raises DeviceError."""
         await self.learn()
         command = self._command(name)
         try:
@@ -267,8 +267,8 @@ class SilaNode(ForeignNode):
         return command
 
     def _values(self, command: SilaCommand, given: dict[str, Any]) -> dict[str, Any]:
-        """Arguments by the names of parameters: SiLA's have no defaults, and all must be given. Raises
-        DeviceError (``none``)."""
+        """The arguments by names of parameters. SiLA's parameters have no defaults, so all must be given.
+        Raises DeviceError (``none``)."""
         meant = {alike(element.name): element.name for element in command.parameters}
         unknown = [name for name in given if alike(name) not in meant]
         values = {meant[alike(name)]: value for name, value in given.items() if alike(name) in meant}
@@ -279,8 +279,8 @@ class SilaNode(ForeignNode):
         return values
 
     async def _answer(self, spec: ActionSpec, command: SilaCommand, data: bytes) -> dict[str, Any]:
-        """The responses of an unobservable command; while they are awaited the server is asked whether it is
-        there, and at work. Raises SilaError, Lost, OutcomeUnknown."""
+        """The responses of an unobservable command. During the wait, the server is asked whether it answers
+        and is busy. Raises SilaError, Lost, OutcomeUnknown."""
 
         async def at_work() -> bool:
             if not self.tells_busy:
@@ -296,7 +296,7 @@ class SilaNode(ForeignNode):
         )
 
     async def _outcome(self, spec: ActionSpec, command: SilaCommand, execution: str) -> Any:
-        """The result of an execution, and what it told on its way, if that is to be kept."""
+        """The result of an execution, with its intermediate responses if these should be stored."""
         if spec.name not in self.mapping.intermediate or not command.intermediate:
             return result_with_files(await self._end(command, execution))
         told: list[dict[str, Any]] = []
@@ -310,7 +310,7 @@ class SilaNode(ForeignNode):
         return with_files(result, {"intermediate": as_lines(told)})
 
     async def _listen(self, command: SilaCommand, execution: str, told: list[dict[str, Any]]) -> None:
-        """Keep what an execution tells; what it tells while the line is broken is lost."""
+        """Store the intermediate responses of an execution; those during a broken connection are lost."""
         while True:
             try:
                 first = True  # the first value after subscribing repeats the last one
@@ -357,13 +357,13 @@ class SilaNode(ForeignNode):
         return self.client.infos(command, execution, limit_s=WATCH_S)
 
     async def _until_at_rest(self) -> None:
-        """Wait while the device works; what it was sent last it may not have begun with yet. Raises
-        OutcomeUnknown if the server says nothing."""
+        """Wait while the device is busy; it may not have started the last command yet. Raises OutcomeUnknown
+        if the server does not answer."""
         await self._until(self.is_idle, SETTLED if self.mapping.state.busy else 1)
 
     async def _until(self, ready: Callable[[], Awaitable[bool]], times: int) -> None:
-        """Wait for an answer that says so, so many times in a row. Raises OutcomeUnknown if the server says
-        nothing."""
+        """Wait for this answer the given number of times in a row. Raises OutcomeUnknown if the server does
+        not answer."""
         silence, said = Silence(self.patience_s, self.where), 0
         while True:
             try:
@@ -377,8 +377,8 @@ class SilaNode(ForeignNode):
             await asyncio.sleep(self.poll_s)
 
     def _failure(self, what: str, error: SilaError, *, began: bool = False) -> DeviceError:
-        """A server's word that a command failed. It says nothing of what moved, unless it refused it or the
-        mapping knows the error."""
+        """The failure that a server reports for a command. Its effects are unknown, unless the server refused
+        the command or the mapping has the error."""
         bare = error.identifier.rpartition("/")[2]
         untouched = (error.kind in REFUSED and not began) or (
             error.kind == "defined" and bare in self.mapping.harmless
@@ -401,8 +401,8 @@ class SilaNode(ForeignNode):
 
 
 class MadsciSilaNode(SilaNode):
-    """As MADSci reaches its SiLA nodes, whose files say a URL and no more: without encryption unless a
-    certificate is named, and at port 50052 unless another is."""
+    """A SiLA node in the way of MADSci, whose files contain only a URL: without encryption unless a
+    certificate is named, and at port 50052 unless another port is named."""
 
     trusts_the_line = True
 

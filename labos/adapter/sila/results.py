@@ -1,4 +1,4 @@
-"""What a command leaves behind, as the result of an action."""
+"""Converts the responses of a command to the result of an action."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labos.node.files import Attachment
 
 
 def result_with_files(responses: dict[str, Any]) -> Any:
-    """A result: values by the names of the responses, with what stands for those that are files."""
+    """A result: values by the names of the responses, with references for files."""
     files = {name: Attachment(name, value) for name, value in responses.items() if isinstance(value, bytes)}
     plain = {name: value for name, value in responses.items() if name not in files}
     return with_files(plain or None, files) if files else plain or None

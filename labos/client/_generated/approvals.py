@@ -12,20 +12,21 @@ class GeneratedApprovals(Calls):
     """One method for each operation."""
 
     def _list_approvals(self, *, after: str = "", limit: int = 100) -> dict[str, Any]:
-        """What waits for an approval, and why. The oldest first, a page of them: ask again with ``after`` =
-        the last ``subject`` while there are ``more``. ``after``: only what waits behind this one; if it waits
-        no more, all. ``limit``: so many; 100 if left out. Returns ``approvals``, ``more``."""
+        """List the submissions that wait for an approval. A page of them, the oldest first. While there are
+        ``more``, ask for the next page with ``after`` = the last ``subject``. ``after``: only submissions
+        after this one; all of them if it no longer waits. ``limit``: the largest number in an answer; 100 if
+        left out. Returns ``approvals``, ``more``."""
         return self._get("/approvals", after=after, limit=limit)
 
     def approval_of(self, subject: str) -> dict[str, Any]:
-        """What waits for an approval, and how it differs from what was approved before. Returns ``proposal``,
-        ``differences``."""
+        """Show a submission that waits for an approval, and how it differs from the last approved one.
+        Returns ``proposal``, ``differences``."""
         return self._get(f"/approvals/{in_path(subject)}")
 
     def approval_forecast(self, subject: str) -> dict[str, Any]:
-        """What a submission that waits for an approval would bring. It is taken as approved now, as it is.
-        Nothing is approved by that. Of an experiment nothing can be forecast: its application decides as it
-        goes. Returns ``forecast``, ``consumables``. Raises Refused."""
+        """Forecast a submission that waits for an approval. The forecast assumes that the submission is
+        approved now, without changes. This does not approve it. An experiment cannot be forecast, because its
+        application decides while it runs. Returns ``forecast``, ``consumables``. Raises Refused."""
         return self._get(f"/approvals/{in_path(subject)}/forecast")
 
     def approve(
@@ -42,15 +43,17 @@ class GeneratedApprovals(Calls):
         consumables: Mapping[str, float] | None = None,
         alike: bool = False,
     ) -> str:
-        """Let a submission go on, as it is or with changes. Only what bears this digest can be approved: what
-        was changed since it was looked at is refused. An operator approves, who is not the user unless the
-        policy says so, and never a program. ``digest``: of the proposal that was looked at; its first 12
-        characters are enough. ``comment``: a word about it for the log. ``priority``: in place of what was
-        asked. ``deadline``: a time, or how long from now (``12h``); empty for none. ``runs``: so many runs at
-        most; 0 for no limit. ``lab_time_s``: so much module time at most; 0 for no limit. ``consumables``: so
-        much at most, by kind of consumable. ``alike``: of a run of an experiment: further runs of its
-        workflow in it, with other values, need none. Returns the digest. Raises Refused."""
-        found: str = self._post(
+        """Approve a submission, as it is or with changes. Only the submission with this digest can be
+        approved: the request is refused if the submission has changed since the operator looked at it. An
+        operator approves; the policy says whether it may be the submitting user. A program cannot approve.
+        ``digest``: the digest of the submission that the operator looked at; the first 12 characters are
+        enough. ``comment``: a reason or comment for the log. ``priority``: a priority that replaces the
+        requested one. ``deadline``: a time, or a duration from now (``12h``); empty for none. ``runs``: the
+        largest number of runs; 0 for no limit. ``lab_time_s``: the most module time, in lab seconds; 0 for no
+        limit. ``consumables``: the largest amounts, by kind of consumable. ``alike``: for a run of an
+        experiment: further runs of its workflow there need no approval. Returns the digest. Raises
+        Refused."""
+        return self._post(
             f"/approvals/{in_path(subject)}/approve",
             {
                 "by": by,
@@ -65,23 +68,21 @@ class GeneratedApprovals(Calls):
             },
             repeat=True,
         )["digest"]
-        return found
 
     def refuse(self, subject: str, by: str, *, comment: str = "") -> str:
-        """Do not let a submission go on. It is cancelled. A change of a campaign is not made, and the
-        campaign goes on as before. ``comment``: a word about it for the log. Returns the digest. Raises
+        """Refuse a submission. The submission is cancelled. If it is a change of a campaign, the campaign
+        continues unchanged. ``comment``: a reason or comment for the log. Returns the digest. Raises
         Refused."""
-        found: str = self._post(
+        return self._post(
             f"/approvals/{in_path(subject)}/refuse", {"by": by, "comment": comment}, repeat=True
         )["digest"]
-        return found
 
     def policy(self) -> dict[str, Any]:
-        """Which submissions wait for an approval, and how high a priority may be. Returns ``applied``,
+        """Show the policy: which submissions need an approval, and the highest priority. Returns ``applied``,
         ``policy``."""
         return self._get("/policy")
 
     def apply_policy(self, text: str, file: str, by: str) -> None:
-        """Let the policy be as a file says. What waits already goes on waiting. ``text``: the file. ``file``:
-        what errors call the file. Raises Refused, BadInput."""
+        """Apply a policy file. Submissions that wait already continue to wait. ``text``: the file. ``file``:
+        the name of the file in error messages. Raises Refused, BadInput."""
         self._post("/policy", {"text": text, "name": file, "by": by}, repeat=True)

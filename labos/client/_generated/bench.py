@@ -12,8 +12,8 @@ class GeneratedBench(Calls):
     """One method for each operation."""
 
     def resolve(self, intervention: str, choice: str, by: str, note: str = "", result: Any = None) -> None:
-        """Answer a question. ``choice``: the name of one of its choices. ``note``: a word about it.
-        ``result``: what a step that was done has measured; required if later steps read it. Raises
+        """Answer a question. ``choice``: the name of one of its answers. ``note``: a word about it.
+        ``result``: the measured result of the completed step; required if later steps read it. Raises
         Refused."""
         self._post(
             f"/interventions/{in_path(intervention)}",
@@ -21,37 +21,34 @@ class GeneratedBench(Calls):
         )
 
     def place(self, station: str, labware: str, by: str) -> str:
-        """Say that labware was put on an empty station. ``station``: the station. ``labware``: its type.
+        """Report that labware was put on an empty station. ``station``: the station. ``labware``: its type.
         Returns the labware. Raises NotFound, Refused."""
-        found: str = self._post("/stations/place", {"station": station, "labware": labware, "by": by})[
-            "labware"
-        ]
-        return found
+        return self._post("/stations/place", {"station": station, "labware": labware, "by": by})["labware"]
 
     def load(self, station: str, labware: str, by: str, *, count: int = 1, lot: str = "") -> list[str]:
-        """Say that labware was loaded. On top of a stack, or into free slots. What the station does not
-        accept or has no room for is refused. ``station``: the station. ``labware``: its type. ``count``: how
-        many pieces; 1 if not said. ``lot``: their lot, which each piece keeps as its variable ``lot``.
-        Returns the labware. Raises NotFound, Refused."""
-        found: list[str] = self._post(
+        """Report that labware was loaded. The labware is on top of a stack, or in free slots. It is refused
+        if the station does not accept it or has no room. ``station``: the station. ``labware``: its type.
+        ``count``: the number of pieces; 1 if left out. ``lot``: their lot, which each piece keeps as its
+        variable ``lot``. Returns the labware. Raises NotFound, Refused."""
+        return self._post(
             "/stations/load", {"station": station, "labware": labware, "by": by, "count": count, "lot": lot}
         )["labware"]
-        return found
 
     def unload(self, station: str, by: str, *, labware: str = "", count: int | None = None) -> dict[str, Any]:
-        """Say that labware was taken away. It has left the bench. What a run or an experiment that has not
-        ended owns is refused. ``station``: the station. ``labware``: one piece, by its id or barcode.
-        ``count``: or so many from the top; everything if neither is said. Returns ``labware``, ``nameless``.
-        Raises NotFound, Refused."""
+        """Report that labware was taken away. The labware has left the bench. It is refused for labware of a
+        run or an experiment that has not ended. ``station``: the station. ``labware``: one piece, by its id
+        or barcode. ``count``: or this number of pieces from the top; everything if neither is given. Returns
+        ``labware``, ``nameless``. Raises NotFound, Refused."""
         return self._post(
             "/stations/unload", {"station": station, "by": by, "labware": labware, "count": count}
         )
 
     def observe(self, station: str, what: str, by: str) -> dict[str, Any]:
-        """Say what stands at a station. What was uncertain is narrowed down; what contradicts the log is
-        asked. Refused while something is carried to or from there. ``station``: the station. ``what``:
-        ``empty``, a number, labware by its id or barcode, a labware type; left out: something. Returns
-        ``station``, ``found``, ``gone``, ``uncertain``, ``answered``, ``asked``. Raises NotFound, Refused."""
+        """Report what stands at a station. The report narrows down uncertain places. If it contradicts the
+        log, LabOS asks a question. It is refused while labware is being moved to or from the station.
+        ``station``: the station. ``what``: ``empty``, a number, labware by its id or barcode, or a labware
+        type; left out: something. Returns ``station``, ``found``, ``gone``, ``uncertain``, ``answered``,
+        ``asked``. Raises NotFound, Refused."""
         return self._post("/stations/observe", {"station": station, "what": what, "by": by})
 
     def declare(
@@ -62,20 +59,19 @@ class GeneratedBench(Calls):
         workcell: str = "",
         empty: bool = False,
     ) -> dict[str, list[str]]:
-        """Declare what stands at stations. Bottom to top; all of it is declared, or nothing. ``stations``:
-        types of labware by station. ``workcell``: whose stations ``empty`` means, if the lab has several.
-        ``empty``: stations that nobody has spoken of stand empty. Returns the declared. Raises NotFound,
-        Refused."""
-        found: dict[str, list[str]] = self._post(
+        """Declare what stands at stations. The labware is listed from bottom to top. Either all stations are
+        declared, or none. ``stations``: types of labware by station. ``workcell``: the workcell for
+        ``empty``, if the lab has several. ``empty``: all stations that were not reported are empty. Returns
+        the declared. Raises NotFound, Refused."""
+        return self._post(
             "/stations/declare", {"stations": stations or {}, "by": by, "workcell": workcell, "empty": empty}
         )["declared"]
-        return found
 
     def round(self) -> dict[str, Any]:
-        """What has to be said of the bench after the log lost its end. What is known of a log that has lost
-        its end, and what has to be said of the bench before anything starts; without such a log, there is
-        nothing to say. Returns ``intervention``, ``ended``, ``known``, ``evidence``, ``discovered``,
-        ``not_known``, ``stations``."""
+        """Show what has to be reported of the bench after the log lost its end. The evidence that the log has
+        lost its end, and the stations that have to be reported before anything starts. If the log is
+        complete, the answer is empty. Returns ``intervention``, ``ended``, ``known``, ``evidence``,
+        ``discovered``, ``not_known``, ``stations``."""
         return self._get("/round")
 
     def say(
@@ -86,12 +82,13 @@ class GeneratedBench(Calls):
         *,
         finish: bool = False,
     ) -> dict[str, Any]:
-        """Say on the round what stands where. Each station is taken or refused for itself. Labware by its id,
-        or by its type where the log does not know it, with its lid (``P7+P8``, ``plate96+lid96``); of a waste
-        the number counts. When nothing is left, the intervention is answered with ``checked``. ``stations``:
-        what stands at stations, bottom to top: ids of labware, or types where the log knows none.
-        ``as_recorded``: stations that are as recorded. ``finish``: ``true``: answer the question about the
-        round if nothing is left. Returns ``said``, ``refused``, ``left``, ``answered``, ``why_not``."""
+        """Report what stands at stations after the log lost its end. Each station is accepted or refused by
+        itself. Labware is named by its id, or by its type if the log does not have it, with its lid
+        (``P7+P8``, ``plate96+lid96``). For a waste station only the number matters. When no station is left,
+        the intervention is answered with ``checked``. ``stations``: the labware at each station, from bottom
+        to top: ids, or types if the log has no id. ``as_recorded``: stations that are as recorded.
+        ``finish``: ``true``: answer the intervention if no station is left. Returns ``said``, ``refused``,
+        ``left``, ``answered``, ``why_not``."""
         return self._post(
             "/round",
             {"by": by, "stations": stations or {}, "as_recorded": as_recorded, "finish": finish},
@@ -99,9 +96,9 @@ class GeneratedBench(Calls):
         )
 
     def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
-        """Say which barcode labware bears. Refused if other labware on the bench bears it. ``barcode``: what
-        its label says. ``replace``: take the place of another barcode: its label was changed. Raises
-        Refused."""
+        """Record the barcode of labware. It is refused if other labware on the bench has this barcode.
+        ``barcode``: the text of the barcode. ``replace``: replace another barcode, because the label was
+        changed. Raises Refused."""
         self._post(
             f"/labware/{in_path(labware)}/barcode",
             {"barcode": barcode, "by": by, "replace": replace},
@@ -109,9 +106,10 @@ class GeneratedBench(Calls):
         )
 
     def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:
-        """Hand labware over. Refused while a run uses it, while it is carried or worked on, and if it is not
-        ``by``'s. ``to``: ``user:NAME``, ``experiment:E3`` or ``shared``. ``force``: as an operator: it is
-        somebody else's. ``note``: a word about it; needed with ``force``. Raises Refused."""
+        """Give labware to another owner. It is refused while a run uses the labware, while it is being moved
+        or processed, and if it does not belong to ``by``. ``to``: ``user:NAME``, ``experiment:E3`` or
+        ``shared``. ``force``: for operators: the labware belongs to somebody else. ``note``: a reason or
+        comment; required with ``force``. Raises Refused."""
         self._post(
             f"/labware/{in_path(labware)}/owner",
             {"to": to, "by": by, "force": force, "note": note},
@@ -128,11 +126,11 @@ class GeneratedBench(Calls):
         station: str = "",
         replace: bool = False,
     ) -> dict[str, int]:
-        """Say which samples are in the wells of plates. A faulty sheet is refused as a whole, with the places
-        of all faults. ``text``: the sheet, CSV. ``name``: what errors call the sheet. ``labware``: the plate,
-        where the sheet does not say. ``station``: or where it stands. ``replace``: take the place of an
-        earlier sheet. Returns the plates. Raises NotFound, Refused, BadInput."""
-        found: dict[str, int] = self._post(
+        """Register the samples in the wells of plates. A sheet with faults is refused completely; the answer
+        lists the places of all faults. ``text``: the sheet, CSV. ``name``: the name of the sheet in error
+        messages. ``labware``: the plate, if the sheet does not name it. ``station``: or where it stands.
+        ``replace``: replace an earlier sheet. Returns the plates. Raises NotFound, Refused, BadInput."""
+        return self._post(
             "/samples",
             {
                 "text": text,
@@ -144,4 +142,3 @@ class GeneratedBench(Calls):
             },
             repeat=True,
         )["plates"]
-        return found

@@ -11,10 +11,9 @@ class GeneratedBookings(Calls):
     """One method for each operation."""
 
     def bookings(self, target: str = "") -> list[dict[str, Any]]:
-        """Which bookings there are. Those that are not over, in the order of their next times. ``target``:
-        only those of this module (its workcell's among them) or of this workcell. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get("/bookings", target=target)["bookings"]
-        return found
+        """List the bookings. The bookings that have not ended, in the order of their next times. ``target``:
+        only those of this workcell, or of this module (including those of its workcell). Raises NotFound."""
+        return self._get("/bookings", target=target)["bookings"]
 
     def book(
         self,
@@ -31,18 +30,18 @@ class GeneratedBookings(Calls):
         last_at: int = 0,
         force: bool = False,
     ) -> dict[str, Any]:
-        """Book a module or a workcell. Runs of others do not start what would still be there then. Where
-        somebody has booked already it is refused, unless an admin forces it; over maintenance it is refused
-        in any case. ``target``: a module or a workcell. ``begins_at``: when it begins (UTC nanoseconds).
-        ``ends_at``: when it ends (UTC nanoseconds). ``whom``: for whom: a group or a user; ``group:NAME`` or
-        ``user:ID`` where both are called so; left out: the user who asks. ``maintenance``: for maintenance:
-        nobody's runs. ``why``: what for. ``zone``: the time zone by whose clock it is shown and repeated, as
-        ``Europe/Zurich``. ``rule``: how often it comes again, as in iCalendar: ``FREQ=WEEKLY;BYDAY=MO,TH``;
-        empty: once. ``last_at``: the latest begin of one that is repeated (UTC nanoseconds); 0: without end.
-        ``force``: also where others have booked; it needs an admin. Returns ``id``, ``target``,
-        ``begins_at``, ``ends_at``, ``user``, ``group``, ``maintenance``, ``why``, ``zone``, ``rule``,
-        ``last_at``, ``by``, ``now``, ``next_begins_at``, ``next_ends_at``, ``skipped_at``, ``over``. Raises
-        NotFound, Refused."""
+        """Book a module or a workcell. Runs of other users start nothing that would still be there at that
+        time. If somebody else has a booking at that time, the request is refused, unless an admin forces it.
+        A booking for maintenance cannot be overridden. ``target``: a module or a workcell. ``begins_at``:
+        when it begins (UTC nanoseconds). ``ends_at``: when it ends (UTC nanoseconds). ``whom``: the group or
+        user for whom it is booked; ``group:NAME`` or ``user:ID`` if both have this name; left out: the user
+        who asks. ``maintenance``: a booking for maintenance, during which no run uses it. ``why``: what for.
+        ``zone``: the time zone in which the booking is shown and repeated, such as ``Europe/Zurich``.
+        ``rule``: how it repeats, as in iCalendar: ``FREQ=WEEKLY;BYDAY=MO,TH``; empty: once. ``last_at``: the
+        latest beginning of a repeated booking (UTC nanoseconds); 0: without end. ``force``: override bookings
+        of others; only for admins. Returns ``id``, ``target``, ``begins_at``, ``ends_at``, ``user``,
+        ``group``, ``maintenance``, ``why``, ``zone``, ``rule``, ``last_at``, ``by``, ``now``,
+        ``next_begins_at``, ``next_ends_at``, ``skipped_at``, ``over``. Raises NotFound, Refused."""
         return self._post(
             "/bookings",
             {
@@ -82,14 +81,15 @@ class GeneratedBookings(Calls):
         last_at: int | None = None,
         force: bool = False,
     ) -> dict[str, Any]:
-        """Change when or for whom a booking is. What is left out stays. A new begin alone moves the end
-        along. ``begins_at``: when it begins (UTC nanoseconds); without an end, that moves along. ``ends_at``:
-        when it ends (UTC nanoseconds). ``whom``: for whom: a group or a user; ``group:NAME`` or ``user:ID``
-        where both are called so. ``maintenance``: for maintenance: nobody's runs. ``why``: what for.
-        ``zone``: the time zone by whose clock it is shown and repeated, as ``Europe/Zurich``. ``rule``: how
-        often it comes again, as in iCalendar: ``FREQ=WEEKLY;BYDAY=MO,TH``; empty: once. ``last_at``: the
-        latest begin of one that is repeated (UTC nanoseconds); 0: without end. ``force``: also where others
-        have booked; it needs an admin. Returns ``id``, ``target``, ``begins_at``, ``ends_at``, ``user``,
+        """Change the time or the owner of a booking. Fields that are left out do not change. If only the
+        beginning is given, the end moves by the same time. ``begins_at``: when it begins (UTC nanoseconds);
+        if no end is given, the end moves by the same time. ``ends_at``: when it ends (UTC nanoseconds).
+        ``whom``: the group or user for whom it is booked; ``group:NAME`` or ``user:ID`` if both have this
+        name. ``maintenance``: a booking for maintenance, during which no run uses it. ``why``: what for.
+        ``zone``: the time zone in which the booking is shown and repeated, such as ``Europe/Zurich``.
+        ``rule``: how it repeats, as in iCalendar: ``FREQ=WEEKLY;BYDAY=MO,TH``; empty: once. ``last_at``: the
+        latest beginning of a repeated booking (UTC nanoseconds); 0: without end. ``force``: override bookings
+        of others; only for admins. Returns ``id``, ``target``, ``begins_at``, ``ends_at``, ``user``,
         ``group``, ``maintenance``, ``why``, ``zone``, ``rule``, ``last_at``, ``by``, ``now``,
         ``next_begins_at``, ``next_ends_at``, ``skipped_at``, ``over``. Raises Refused."""
         return self._post(
@@ -110,8 +110,8 @@ class GeneratedBookings(Calls):
         )
 
     def cancel_booking(self, booking: str, by: str, *, begins_at: int = 0, why: str = "") -> None:
-        """Give a booking back, or one time of it. The time is everybody's again, also while it lasts.
-        ``begins_at``: only the time that begins then (UTC nanoseconds), of a booking that is repeated.
+        """Cancel a booking, or one time of it. Everybody may then use that time, also if it has begun.
+        ``begins_at``: for a repeated booking: cancel only the time that begins then (UTC nanoseconds).
         ``why``: the reason. Raises Refused."""
         self._post(
             f"/bookings/{in_path(booking)}/cancel",
@@ -120,14 +120,14 @@ class GeneratedBookings(Calls):
         )
 
     def calendar(self, since: int = 0, until: int = 0, target: str = "") -> dict[str, Any]:
-        """When what is booked. Each time of each booking, repeated ones too. ``since``: from then on (UTC
-        nanoseconds); 0: from now on. ``until``: up to then (UTC nanoseconds); 0: a week. ``target``: only
-        those of this module (its workcell's among them) or of this workcell. Returns ``since``, ``until``,
-        ``times``. Raises NotFound."""
+        """List the booked times. Each time of each booking, also of repeated ones. ``since``: the beginning
+        of the period (UTC nanoseconds); 0: now. ``until``: the end of the period (UTC nanoseconds); 0: a
+        week. ``target``: only those of this workcell, or of this module (including those of its workcell).
+        Returns ``since``, ``until``, ``times``. Raises NotFound."""
         return self._get("/calendar", since=since, until=until, target=target)
 
     def calendar_file(self, target: str = "") -> bytes:
-        """The calendar for calendar programs. All bookings as iCalendar (RFC 5545). Calendar programs
-        subscribe to it with a token of scope ``viewer`` in the address. ``target``: only those of this module
-        (its workcell's among them) or of this workcell. Raises NotFound."""
+        """The calendar for calendar programs. All bookings as iCalendar (RFC 5545). A calendar program
+        subscribes to it with a token of scope ``viewer`` in the address. ``target``: only those of this
+        workcell, or of this module (including those of its workcell). Raises NotFound."""
         return self._fetch("/calendar.ics", target=target)

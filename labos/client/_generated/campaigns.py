@@ -12,9 +12,8 @@ class GeneratedCampaigns(Calls):
     """One method for each operation."""
 
     def campaigns(self) -> list[dict[str, Any]]:
-        """Campaigns that have not been completed."""
-        found: list[dict[str, Any]] = self._get("/campaigns")["campaigns"]
-        return found
+        """List the campaigns that have not been completed."""
+        return self._get("/campaigns")["campaigns"]
 
     def _submit_campaign_file(
         self,
@@ -28,13 +27,14 @@ class GeneratedCampaigns(Calls):
         propose: bool = False,
         request: str = "",
     ) -> dict[str, Any]:
-        """Check a campaign and submit it. It is checked row by row; if a row cannot be carried out, nothing
-        is submitted, and ``details`` of the problem names each fault with its row. ``text``: the campaign
-        file. ``workflow``: the workflow, with the files that it names. ``user``: who asks; not read in a lab
-        that has users: there it is the user who has signed in. ``name``: what errors call the file.
-        ``files``: the table that it names, in base64, by the name that it has for it. ``dry_run``: only check
-        it. ``propose``: it waits for an approval, whatever the policy says. Returns ``campaign``,
-        ``estimate``, ``approval``. Raises NotFound, Refused, BadInput."""
+        """Check a campaign and submit it. The campaign is checked row by row. If a row cannot be carried out,
+        nothing is submitted, and ``details`` of the problem lists each fault with its row. ``text``: the
+        campaign file. ``workflow``: the workflow, with the files that it names. ``user``: the user who asks;
+        ignored in a lab that has users, where it is the user who has signed in. ``name``: the name of the
+        file in error messages. ``files``: the table file of the campaign, in base64, by the name that the
+        campaign file uses. ``dry_run``: only check it. ``propose``: wait for an approval, also if the policy
+        does not require one. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused,
+        BadInput."""
         return self._post(
             "/campaigns",
             {
@@ -51,24 +51,24 @@ class GeneratedCampaigns(Calls):
         )
 
     def campaign(self, campaign: str) -> dict[str, Any]:
-        """A campaign that has not been completed: how far it is, and its terms. Returns ``id``, ``name``,
-        ``user``, ``workflow``, ``workcell``, ``status``, ``why``, ``rows``, ``queued``, ``active``,
+        """Show the progress and the terms of a campaign that has not been completed. Returns ``id``,
+        ``name``, ``user``, ``workflow``, ``workcell``, ``status``, ``why``, ``rows``, ``queued``, ``active``,
         ``completed``, ``failed``, ``cancelled``, ``refused``, ``left``, ``lab_time_s``, ``used``, ``terms``,
         ``visibility``, ``cloned_from``."""
         return self._get(f"/campaigns/{in_path(campaign)}")
 
     def pause_campaign(self, campaign: str, by: str, *, why: str = "") -> None:
-        """Submit no further row of a campaign until it is resumed. Its runs that wait are paused, those under
-        way go on. ``why``: a word about it for the log. Raises Refused."""
+        """Pause a campaign: no further row is submitted. Its waiting runs are paused; runs that have started
+        continue. ``why``: a reason or comment for the log. Raises Refused."""
         self._post(f"/campaigns/{in_path(campaign)}/pause", {"by": by, "why": why}, repeat=True)
 
     def resume_campaign(self, campaign: str, by: str) -> None:
-        """Go on with a campaign that is paused. Raises Refused."""
+        """Resume a paused campaign. Raises Refused."""
         self._post(f"/campaigns/{in_path(campaign)}/resume", {"by": by}, repeat=True)
 
     def cancel_campaign(self, campaign: str, by: str, *, why: str = "", stay: bool = False) -> None:
-        """Cancel a campaign. No further row is submitted, and its runs are cancelled. ``why``: a word about
-        it for the log. ``stay``: the labware of its runs stays where it is. Raises Refused."""
+        """Cancel a campaign. No further row is submitted, and its runs are cancelled. ``why``: a reason or
+        comment for the log. ``stay``: labware of its runs stays where it is. Raises Refused."""
         self._post(
             f"/campaigns/{in_path(campaign)}/cancel", {"by": by, "why": why, "stay": stay}, repeat=True
         )
@@ -87,14 +87,14 @@ class GeneratedCampaigns(Calls):
         until: str | None = None,
         stop_after: int | None = None,
     ) -> dict[str, Any]:
-        """Let a campaign go on under other terms. What is left out stays as it is. A change by which it may
-        do more may wait for an approval; until then it goes on under the terms that are answered.
-        ``priority``: of rows that are submitted from now on. ``deadline``: a time, or how long from now
-        (``12h``); empty for none. ``runs``: so many runs at most; 0 for no limit. ``lab_time_s``: so much
-        module time at most; 0 for no limit. ``consumables``: so much at most, by kind of consumable.
-        ``tags``: its tags, in place of those it has. ``until``: the stop rule; empty for none.
-        ``stop_after``: so many rows may fail; 0 for however many. Returns ``campaign``, ``terms``,
-        ``approval``. Raises Refused."""
+        """Change the terms of a campaign. Fields that are left out do not change. A change that allows the
+        campaign more may need an approval; until then, the terms in the answer are valid. ``priority``: the
+        priority of rows that are submitted from now on. ``deadline``: a time, or a duration from now
+        (``12h``); empty for none. ``runs``: the largest number of runs; 0 for no limit. ``lab_time_s``: the
+        most module time, in lab seconds; 0 for no limit. ``consumables``: the largest amounts, by kind of
+        consumable. ``tags``: its tags; they replace the present ones. ``until``: the stop rule; empty for
+        none. ``stop_after``: the number of failed runs at which the campaign stops; 0 for no limit. Returns
+        ``campaign``, ``terms``, ``approval``. Raises Refused."""
         return self._post(
             f"/campaigns/{in_path(campaign)}/amend",
             {
@@ -130,17 +130,17 @@ class GeneratedCampaigns(Calls):
         propose: bool = False,
         request: str = "",
     ) -> dict[str, Any]:
-        """Submit a campaign once more. It has the same rows and the same workflow, and is checked like a new
-        one. It is the user who asks who gets it. A campaign that has ended can be cloned, too. What is left
-        out is as in the campaign that is cloned, but for its deadline: the clone has none. ``priority``: of
-        rows that are submitted from now on. ``deadline``: a time, or how long from now (``12h``); empty for
-        none. ``runs``: so many runs at most; 0 for no limit. ``lab_time_s``: so much module time at most; 0
-        for no limit. ``consumables``: so much at most, by kind of consumable. ``tags``: its tags, in place of
-        those it has. ``until``: the stop rule; empty for none. ``stop_after``: so many rows may fail; 0 for
-        however many. ``name``: of the new campaign; that of the first one if empty. ``visibility``: who sees
-        it: lab, group or private. ``dry_run``: only check it. ``propose``: it waits for an approval, whatever
-        the policy says. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused,
-        BadInput."""
+        """Submit a copy of a campaign. The copy has the same rows and the same workflow, and is checked like
+        a new campaign. It belongs to the user who asks. A campaign that has ended can be copied too. Fields
+        that are left out are as in the original, except the deadline: the copy has none. ``priority``: the
+        priority of rows that are submitted from now on. ``deadline``: a time, or a duration from now
+        (``12h``); empty for none. ``runs``: the largest number of runs; 0 for no limit. ``lab_time_s``: the
+        most module time, in lab seconds; 0 for no limit. ``consumables``: the largest amounts, by kind of
+        consumable. ``tags``: its tags; they replace the present ones. ``until``: the stop rule; empty for
+        none. ``stop_after``: the number of failed runs at which the campaign stops; 0 for no limit. ``name``:
+        the name of the new campaign; empty: the name of the original. ``visibility``: who sees it: lab, group
+        or private. ``dry_run``: only check it. ``propose``: wait for an approval, also if the policy does not
+        require one. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused, BadInput."""
         return self._post(
             f"/campaigns/{in_path(campaign)}/clone",
             {
@@ -163,16 +163,15 @@ class GeneratedCampaigns(Calls):
         )
 
     def archive_campaign(self, campaign: str, by: str, *, undo: bool = False) -> None:
-        """Leave a campaign that has ended out of lists. It is left out of lists; nothing of it is deleted.
-        ``undo``: let it stand in lists again. Raises NotFound, Refused."""
+        """Hide a campaign that has ended from lists. Nothing is deleted. ``undo``: show it in lists again.
+        Raises NotFound, Refused."""
         self._post(f"/campaigns/{in_path(campaign)}/archive", {"by": by, "undo": undo}, repeat=True)
 
     def shares(self) -> list[dict[str, Any]]:
-        """Who is to have which part of the lab, and who has had which. Returns the accounts."""
-        found: list[dict[str, Any]] = self._get("/shares")["accounts"]
-        return found
+        """Show each user's share of the lab, and the use so far. Returns the accounts."""
+        return self._get("/shares")["accounts"]
 
     def apply_shares(self, text: str, file: str, by: str) -> None:
-        """Let weights and quotas be as a shares file says. ``text``: the file. ``file``: what errors call the
-        file. Raises Refused, BadInput."""
+        """Apply a shares file with weights and quotas. ``text``: the file. ``file``: the name of the file in
+        error messages. Raises Refused, BadInput."""
         self._post("/shares", {"text": text, "name": file, "by": by}, repeat=True)

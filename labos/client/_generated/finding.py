@@ -29,20 +29,21 @@ class GeneratedFinding(Calls):
         offset: int = 0,
         facets: bool = False,
     ) -> dict[str, Any]:
-        """What can be found by words. Experiments, runs, samples, images, files, results and publications, by
-        words and filters: first what bears the words as its name, then what is newest. A process of its own
-        keeps the search index and answers from it; ``behind`` says how many of the last events it does not
-        know yet. ``words``: words that must all be there; ``colo*`` stands for all that begin so; none:
-        everything. ``kind``: experiment, run, sample, image, file, result or publication; may be repeated.
-        ``user``: whose it is, by their id; may be repeated. ``workcell``: where it was made; may be repeated.
-        ``workflow``: a workflow's or application's name; may be repeated. ``experiment``: the experiment that
-        it belongs to; may be repeated. ``run``: the run that it belongs to; may be repeated. ``status``: the
-        status of runs and experiments; may be repeated. ``keyword``: a keyword of a publication, or what a
-        result measured; may be repeated. ``since``: only what is of this time or later (UTC nanoseconds); 0:
-        everything. ``until``: only what is from before this time (UTC nanoseconds); 0: everything. ``limit``:
-        so many are told; 20 if left out. ``offset``: so many are passed over. ``facets``: whether to count
-        how many there are of each user, workcell and so on. Returns ``entries``, ``total``, ``facets``,
-        ``position``, ``behind``. Raises Refused."""
+        """Search experiments, runs, samples, files and results by words. Finds experiments, runs, samples,
+        images, files, results and publications by words and filters. Entries whose name holds the words come
+        first, then the newest. A separate process keeps the search index; ``behind`` is the number of recent
+        events that are not in the index yet. ``words``: words that an entry must all contain (``colo*``:
+        words with this beginning); empty: everything. ``kind``: experiment, run, sample, image, file, result
+        or publication; may be repeated. ``user``: the owner, by id; may be repeated. ``workcell``: the
+        workcell; may be repeated. ``workflow``: a workflow's or application's name; may be repeated.
+        ``experiment``: the experiment that it belongs to; may be repeated. ``run``: the run that it belongs
+        to; may be repeated. ``status``: the status of runs and experiments; may be repeated. ``keyword``: a
+        keyword of a publication, or the quantity of a result; may be repeated. ``since``: only entries from
+        this time or later (UTC nanoseconds); 0: everything. ``until``: only entries from before this time
+        (UTC nanoseconds); 0: everything. ``limit``: the largest number of entries in the answer; 20 if left
+        out. ``offset``: the number of entries to skip. ``facets``: whether to count how many there are of
+        each user, workcell and so on. Returns ``entries``, ``total``, ``facets``, ``position``, ``behind``.
+        Raises Refused."""
         return self._get(
             "/find",
             words=words,

@@ -12,10 +12,10 @@ class GeneratedForecasts(Calls):
     """One method for each operation."""
 
     def forecast(self) -> dict[str, Any]:
-        """When runs start and end, and when a person is needed. The lab is carried on in virtual time, with
-        the durations that its log has taught: nothing fails, and nobody fills anything up. Ranges are as wide
-        as earlier forecasts were off. The first 200 runs that wait are looked at. Returns ``forecast``,
-        ``drifts``. Raises Refused."""
+        """Forecast when runs start and end, and when a person is needed. LabOS simulates the lab in virtual
+        time with durations from its log. The simulation assumes that nothing fails and nobody refills a
+        resource. The ranges are as wide as the errors of earlier forecasts. It covers the first 200 waiting
+        runs. Returns ``forecast``, ``drifts``. Raises Refused."""
         return self._get("/forecast")
 
     def _forecast_run(
@@ -31,14 +31,15 @@ class GeneratedForecasts(Calls):
         propose: bool = False,
         due: str = "",
     ) -> dict[str, Any]:
-        """When a run would start and end, without submitting it. Nothing is submitted, nothing is kept. It is
-        taken as approved. ``workflow``: the workflow, with the files that it names. ``user``: who asks; not
-        read in a lab that has users: there it is the user who has signed in. ``payload``: values for the
-        workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
-        ``experiment``: the experiment it belongs to; it must be the user's. ``place``: labware that was put
-        on the bench for it; recorded with the run, or not at all. ``propose``: it waits for an approval,
-        whatever the policy says. ``due``: when it should be over: a time, or how long from now (``12h``);
-        empty: never. Returns ``forecast``, ``warnings``. Raises NotFound, Refused, BadInput."""
+        """Forecast when a run would start and end, without submitting it. Nothing is submitted or stored. The
+        run counts as approved. ``workflow``: the workflow, with the files that it names. ``user``: the user
+        who asks; ignored in a lab that has users, where it is the user who has signed in. ``payload``: values
+        for the workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
+        ``experiment``: the experiment to which the run belongs; it must belong to the same user. ``place``:
+        labware that was put on the bench for the run; recorded with the run, or not at all. ``propose``: wait
+        for an approval, also if the policy does not require one. ``due``: the time by which the run should
+        end: a time, or a duration from now (``12h``); empty: none. Returns ``forecast``, ``warnings``. Raises
+        NotFound, Refused, BadInput."""
         return self._post(
             "/runs/forecast",
             {
@@ -67,13 +68,13 @@ class GeneratedForecasts(Calls):
         dry_run: bool = False,
         propose: bool = False,
     ) -> dict[str, Any]:
-        """What a campaign would need and bring, without submitting it. It is checked row by row; nothing is
-        submitted, nothing is kept. It is taken as approved. ``text``: the campaign file. ``workflow``: the
-        workflow, with the files that it names. ``user``: who asks; not read in a lab that has users: there it
-        is the user who has signed in. ``name``: what errors call the file. ``files``: the table that it
-        names, in base64, by the name that it has for it. ``dry_run``: only check it. ``propose``: it waits
-        for an approval, whatever the policy says. Returns ``estimate``, ``forecast``. Raises NotFound,
-        Refused, BadInput."""
+        """Forecast a campaign and its needs, without submitting it. The campaign is checked row by row.
+        Nothing is submitted or stored. It counts as approved. ``text``: the campaign file. ``workflow``: the
+        workflow, with the files that it names. ``user``: the user who asks; ignored in a lab that has users,
+        where it is the user who has signed in. ``name``: the name of the file in error messages. ``files``:
+        the table file of the campaign, in base64, by the name that the campaign file uses. ``dry_run``: only
+        check it. ``propose``: wait for an approval, also if the policy does not require one. Returns
+        ``estimate``, ``forecast``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/campaigns/forecast",
             {

@@ -12,9 +12,9 @@ class GeneratedModules(Calls):
     """One method for each operation."""
 
     def take_out(self, module: str, why: str, by: str, until_ns: int = 0) -> None:
-        """Take a module out of service. What runs there ends, nothing more starts. ``why``: the reason.
-        ``until_ns``: when it is back by itself (UTC nanoseconds); 0: when somebody puts it back. Raises
-        Refused."""
+        """Take a module out of service. Actions under way continue to their end; nothing more starts there.
+        ``why``: the reason. ``until_ns``: the time at which it is in service again (UTC nanoseconds); 0: when
+        somebody puts it back. Raises Refused."""
         self._post(f"/modules/{in_path(module, 2)}/out-of-service", {"why": why, "by": by, "until": until_ns})
 
     def put_back(self, module: str, by: str = "somebody") -> None:
@@ -22,13 +22,10 @@ class GeneratedModules(Calls):
         self._post(f"/modules/{in_path(module, 2)}/in-service", {"by": by}, repeat=True)
 
     def trace(self, module: str, by: str = "somebody", *, on: bool = True) -> str:
-        """Begin or end the transcript of a device's wires. The module's running node writes down every byte
-        on its device's wires, or no more ([links](../links.md)). ``on``: left out or true: from now on, in a
-        new file; false: no more. Returns the file. Raises Refused."""
-        found: str = self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)[
-            "file"
-        ]
-        return found
+        """Start or stop the transcript of a device's links. The module's node records every byte on the links
+        to its device, or stops doing so ([links](../links.md)). ``on``: true or left out: start a transcript
+        in a new file; false: stop it. Returns the file. Raises Refused."""
+        return self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)["file"]
 
     def replenish(
         self,
@@ -42,12 +39,12 @@ class GeneratedModules(Calls):
         expires: str = "",
         instead: bool = False,
     ) -> float:
-        """Say that more of a resource was put in. More than there is room for is refused. ``resource``: which
-        resource of the module. ``amount``: in the resource's unit; as much as there is room for if not said.
-        ``unit``: of the amount, as ``mL``; the resource's own if left out. ``lot``: the lot of the new pack.
-        ``expires``: the date until which it is good, as ``2027-05-31``. ``instead``: what was left of the old
-        packs was taken out; ``false`` if left out. Returns the amount. Raises Refused."""
-        found: float = self._post(
+        """Report that a resource was refilled. An amount larger than the free room is refused. ``resource``:
+        which resource of the module. ``amount``: in the unit of the resource; if left out, as much as there
+        is room for. ``unit``: the unit of the amount, such as ``mL``; the unit of the resource if left out.
+        ``lot``: the lot of the new pack. ``expires``: the expiry date, such as ``2027-05-31``. ``instead``:
+        the rest of the old packs was taken out; ``false`` if left out. Returns the amount. Raises Refused."""
+        return self._post(
             f"/modules/{in_path(module, 2)}/replenish",
             {
                 "resource": resource,
@@ -59,13 +56,11 @@ class GeneratedModules(Calls):
                 "instead": instead,
             },
         )["amount"]
-        return found
 
     def locations(self, module: str) -> dict[str, dict[str, Any]]:
-        """Where a manipulator finds stations. By station; version 0 is the workcell file's. Labware types
-        with poses of their own stand below ``types``."""
-        found: dict[str, dict[str, Any]] = self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
-        return found
+        """Show the poses of a manipulator by station. Version 0 is the pose of the workcell file. Poses for
+        particular labware types are under ``types``."""
+        return self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
 
     def teach(
         self,
@@ -77,16 +72,15 @@ class GeneratedModules(Calls):
         *,
         labware_type: str = "",
     ) -> int:
-        """Teach a manipulator a station. Its node is started again with the new pose. ``station``: the
-        station. ``pose``: numbers, as many as before. ``why``: a word for the log. ``labware_type``: the pose
-        is for labware of this type only; the station needs one of its own first. Returns the version. Raises
-        Refused."""
-        found: int = self._post(
+        """Teach a manipulator the pose for a station. The node restarts with the new pose. ``station``: the
+        station. ``pose``: the numbers of the pose, as many as in the present pose. ``why``: a word for the
+        log. ``labware_type``: the pose is only for labware of this type; the station needs a pose for all
+        types first. Returns the version. Raises Refused."""
+        return self._post(
             f"/modules/{in_path(module, 2)}/locations",
             {"station": station, "pose": pose, "by": by, "why": why, "labware_type": labware_type},
             repeat=True,
         )["version"]
-        return found
 
     def calibrate(
         self,
@@ -99,12 +93,12 @@ class GeneratedModules(Calls):
         until: str = "",
         why: str = "",
     ) -> dict[str, Any]:
-        """Record a calibration of a module. A later one of the same ``what`` takes its place, and corrects
-        it. No run waits for a calibration, and none stops because one has expired. The report is had again at
-        ``/files/{sha256}``. ``what``: what of the module was calibrated, as ``volume``; empty for all of it.
+        """Record a calibration of a module. A later calibration of the same ``what`` replaces it. No run
+        waits for a calibration, and none stops because a calibration has expired. ``/files/{sha256}`` returns
+        the report. ``what``: the calibrated part or quantity, such as ``volume``; empty for the whole module.
         ``certificate``: the certificate's number. ``report``: the report, in base64; kept with the lab's
-        files. ``until``: the last day on which it is valid, as ``2027-01-01`` (UTC). ``why``: a word for the
-        log. Returns ``module``, ``what``, ``certificate``, ``file``, ``until``. Raises Refused."""
+        files. ``until``: the last day on which it is valid, such as ``2027-01-01`` (UTC). ``why``: a word for
+        the log. Returns ``module``, ``what``, ``certificate``, ``file``, ``until``. Raises Refused."""
         return self._post(
             f"/modules/{in_path(module, 2)}/calibrations",
             {
@@ -128,14 +122,14 @@ class GeneratedModules(Calls):
         labware: Mapping[str, bytes] | None = None,
         files: Mapping[str, bytes] | None = None,
     ) -> dict[str, Any]:
-        """Change a workcell to what its file says. Answers what differs (``modules``, ``stations``,
-        ``poses``, ``labware``), by module the fields that change (``details``), the ``blockers``, the
-        warnings of its files (``findings``), and whether it was ``applied``. Nothing is read from the lab's
-        disk because of it. A module that names files, programs or secrets of its node's computer
-        ([workcell](workcell.md#files-programs-and-secrets)) is refused unless the lab has it like that.
-        ``text``: the file. ``name``: what errors shall call the file. ``dry_run``: only say what would
-        change. ``labware``: the labware files that it names, in base64, by the names that it has for them.
-        ``files``: the other files that it names: tables of drivers (``plc: hatch.yaml``). Returns
+        """Apply a workcell file. The answer has the differences (``modules``, ``stations``, ``poses``,
+        ``labware``), the changed fields of each module (``details``), the ``blockers``, the warnings about
+        its files (``findings``), and whether it was ``applied``. The request reads no file from the lab's
+        disk. A module that names files, programs or secrets of its node's computer
+        ([workcell](workcell.md#files-programs-and-secrets)) is refused unless the lab has the same module
+        already. ``text``: the file. ``name``: the name of the file in error messages. ``dry_run``: only
+        answer what would change. ``labware``: the labware files that it names, in base64, by the names that
+        it uses. ``files``: the other files that it names: tables of drivers (``plc: hatch.yaml``). Returns
         ``workcell``, ``applied``, ``modules``, ``stations``, ``poses``, ``labware``, ``blockers``,
         ``details``, ``findings``, ``transfers``. Raises Refused, BadInput."""
         return self._post(
@@ -152,17 +146,18 @@ class GeneratedModules(Calls):
         )
 
     def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
-        """Ask to reach into a workcell. Nothing more starts there. ``lab.access`` in the state says when it
-        is ``granted``, and of which modules nobody knows whether they are at rest (``perhaps_moving``).
-        ``why``: what for. ``park``: false: arms stay where they are. Returns the parking. Raises Refused."""
-        found: list[str] = self._post(
+        """Ask for access to a workcell. Nothing more starts there. ``lab.access`` in the state shows when
+        access is ``granted``, and which modules may still be moving because the outcome of their action is
+        unknown (``perhaps_moving``). ``why``: what for. ``park``: false: arms stay where they are. Returns
+        the parking. Raises Refused."""
+        return self._post(
             f"/workcells/{in_path(workcell)}/access", {"by": by, "why": why, "park": park}, repeat=True
         )["parking"]
-        return found
 
     def _end_workcell_access(
         self, workcell: str, by: str, *, note: str = "", changed: Sequence[Mapping[str, Any]] = ()
     ) -> None:
-        """Say that everybody is out of a workcell. Everybody is out; the workcell goes on. ``note``: a word
-        for the log. ``changed``: what stands at which station now. Raises Refused."""
+        """End the access to a workcell. Nobody reaches into the workcell any more, and it continues.
+        ``note``: a word for the log. ``changed``: the stations that were changed, and what stands there now.
+        Raises Refused."""
         self._post(f"/workcells/{in_path(workcell)}/access/end", {"by": by, "note": note, "changed": changed})

@@ -12,30 +12,29 @@ class GeneratedPlanning(Calls):
     """One method for each operation."""
 
     def actions(self, module: str) -> dict[str, Any]:
-        """What a module can do. Its actions, with the arguments that a step of a workflow gives them. Returns
-        ``module``, ``driver``, ``description``, ``actions``."""
+        """List the actions of a module. The actions and their arguments, as a step of a workflow uses them.
+        Returns ``module``, ``driver``, ``description``, ``actions``."""
         return self._get(f"/modules/{in_path(module, 2)}/actions")
 
     def suggested_order(self, workcell: str) -> dict[str, Any]:
-        """In which order a planner suggests that the next steps of a workcell start. Of steps that have
-        started, or whose run has ended, nothing is said. Returns ``workcell``, ``by``, ``until``, ``steps``.
+        """Show the order that a planner suggests for the next steps of a workcell. Steps that have started,
+        or whose run has ended, are not in the answer. Returns ``workcell``, ``by``, ``until``, ``steps``.
         Raises NotFound."""
         return self._get(f"/workcells/{in_path(workcell)}/order")
 
     def suggest_order(
         self, workcell: str, steps: Sequence[Mapping[str, Any]], until: int, position: int = 0, *, by: str
     ) -> int:
-        """Suggest in which order the next steps of a workcell start. It replaces what was suggested before.
-        Steps of runs that have ended are left out. What is suggested never makes a step start that could not
-        start without it. ``steps``: in any order; none: no advice any more. ``until``: until when it counts
-        (UTC ns). ``position``: the log's position that it was worked out from. Returns the steps. Raises
+        """Suggest an order for the next steps of a workcell. It replaces the previous suggestion. Steps of
+        ended runs are ignored. A suggestion never starts a step that could not start without it. ``steps``:
+        the steps, in any order; none: withdraw the suggestion. ``until``: the time until which it is valid
+        (UTC ns). ``position``: the position of the log from which it was computed. Returns the steps. Raises
         NotFound, Refused."""
-        found: int = self._post(
+        return self._post(
             f"/workcells/{in_path(workcell)}/order",
             {"steps": steps, "until": until, "position": position, "by": by},
             repeat=True,
         )["steps"]
-        return found
 
     def _check_run(
         self,
@@ -50,15 +49,15 @@ class GeneratedPlanning(Calls):
         propose: bool = False,
         due: str = "",
     ) -> dict[str, Any]:
-        """What a run of a workflow would be, without submitting it. Nothing is submitted, nothing is kept.
-        ``workflow``: the workflow, with the files that it names. ``user``: who asks; not read in a lab that
-        has users: there it is the user who has signed in. ``payload``: values for the workflow. ``workcell``:
-        needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the experiment it
-        belongs to; it must be the user's. ``place``: labware that was put on the bench for it; recorded with
-        the run, or not at all. ``propose``: it waits for an approval, whatever the policy says. ``due``: when
-        it should be over: a time, or how long from now (``12h``); empty: never. Returns ``workflow``,
-        ``workcell``, ``steps``, ``demand``, ``approval``, ``refusal``, ``warnings``. Raises NotFound,
-        Refused, BadInput."""
+        """Check a run of a workflow without submitting it. Nothing is submitted or stored. ``workflow``: the
+        workflow, with the files that it names. ``user``: the user who asks; ignored in a lab that has users,
+        where it is the user who has signed in. ``payload``: values for the workflow. ``workcell``: needed if
+        the lab has several. ``priority``: higher goes first; 0. ``experiment``: the experiment to which the
+        run belongs; it must belong to the same user. ``place``: labware that was put on the bench for the
+        run; recorded with the run, or not at all. ``propose``: wait for an approval, also if the policy does
+        not require one. ``due``: the time by which the run should end: a time, or a duration from now
+        (``12h``); empty: none. Returns ``workflow``, ``workcell``, ``steps``, ``demand``, ``approval``,
+        ``refusal``, ``warnings``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/runs/check",
             {

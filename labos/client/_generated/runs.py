@@ -12,13 +12,13 @@ class GeneratedRuns(Calls):
     """One method for each operation."""
 
     def runs(self, after: int = 0, *, limit: int = 100, ended: int = 0, before: int = 0) -> dict[str, Any]:
-        """Runs that are alive, and the last that have ended. Runs that are alive in the order of their
-        submission, a page of them: ask again with ``after`` = ``position`` while there are ``more``. With
-        ``ended``, first those that ended last; earlier ones with ``before`` = ``ended_position``. ``after``:
-        only runs that are alive and were submitted behind this position. ``limit``: so many runs that are
-        alive; 100 if left out. ``ended``: adds the last so many that have ended. ``before``: of those that
-        have ended, only what ended before this position. Returns ``runs``, ``position``, ``more``,
-        ``ended_position``."""
+        """List the runs that have not ended, and the last ended ones. A page of the runs that have not ended,
+        in the order of their submission. While there are ``more``, ask for the next page with ``after`` =
+        ``position``. With ``ended``, also runs that have ended, the latest first; for earlier ones ask with
+        ``before`` = ``ended_position``. ``after``: only runs that have not ended and were submitted after
+        this position. ``limit``: the largest number of runs that have not ended; 100 if left out. ``ended``:
+        also answer this number of ended runs. ``before``: only ended runs that ended before this position.
+        Returns ``runs``, ``position``, ``more``, ``ended_position``."""
         return self._get("/runs", after=after, limit=limit, ended=ended, before=before)
 
     def _submit_run(
@@ -35,13 +35,14 @@ class GeneratedRuns(Calls):
         due: str = "",
         request: str = "",
     ) -> dict[str, Any]:
-        """Queue a run of a workflow. ``workflow``: the workflow, with the files that it names. ``user``: who
-        asks; not read in a lab that has users: there it is the user who has signed in. ``payload``: values
-        for the workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
-        ``experiment``: the experiment it belongs to; it must be the user's. ``place``: labware that was put
-        on the bench for it; recorded with the run, or not at all. ``propose``: it waits for an approval,
-        whatever the policy says. ``due``: when it should be over: a time, or how long from now (``12h``);
-        empty: never. Returns ``run``, ``warnings``, ``approval``. Raises NotFound, Refused, BadInput."""
+        """Queue a run of a workflow. ``workflow``: the workflow, with the files that it names. ``user``: the
+        user who asks; ignored in a lab that has users, where it is the user who has signed in. ``payload``:
+        values for the workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first;
+        0. ``experiment``: the experiment to which the run belongs; it must belong to the same user.
+        ``place``: labware that was put on the bench for the run; recorded with the run, or not at all.
+        ``propose``: wait for an approval, also if the policy does not require one. ``due``: the time by which
+        the run should end: a time, or a duration from now (``12h``); empty: none. Returns ``run``,
+        ``warnings``, ``approval``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/runs",
             {
@@ -78,7 +79,7 @@ class GeneratedRuns(Calls):
         """Queue a run of a workflow for each payload, all of them or none. The runs are queued in one step:
         all of them, or none. So the first one starts when the lab knows the last one. ``workflow``: the
         workflow, with the files that it names. ``payloads``: values for the workflow, of one run each.
-        ``user``: who asks; not read in a lab that has users: there it is the user who has signed in.
+        ``user``: the user who asks; ignored in a lab that has users, where it is the user who has signed in.
         ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the
         experiment to which they belong; it must be the user's. ``place``: labware that was put on the bench
         for them; recorded once with the runs, or not at all. ``propose``: they wait for an approval, whatever
@@ -107,24 +108,24 @@ class GeneratedRuns(Calls):
         )
 
     def _get_run(self, run: str, *, wait: float = 0.0) -> dict[str, Any]:
-        """A run with its steps, or its end. ``wait``: seconds to wait for its end. Returns ``id``,
+        """Show a run with its steps, or its end. ``wait``: seconds to wait for its end. Returns ``id``,
         ``workflow``, ``workcell``, ``user``, ``experiment``, ``submitted_at``, ``steps``, ``status``,
         ``started_at``, ``ended_at``, ``why``, ``paused``, ``closing``, ``campaign``, ``busy``, ``due_at``."""
         return self._get(f"/runs/{in_path(run)}", wait=wait)
 
     def cancel(self, run: str, by: str = "somebody", *, stay: bool = False, why: str = "") -> None:
-        """Cancel a run. It ends when what is in flight has ended. Its labware goes the way out that its
-        workflow has under ``on_cancel`` (the run is ``leaving`` meanwhile), else it stays where it is.
-        ``stay``: labware stays where it is, even if there is a way out. ``why``: a word about it for the log.
-        Raises Refused."""
+        """Cancel a run. The run ends as soon as its actions under way have ended. If its workflow has steps
+        under ``on_cancel``, they then clear its labware away (the status is ``leaving`` during that time);
+        otherwise the labware stays where it is. ``stay``: labware stays where it is, even if the workflow has
+        steps under ``on_cancel``. ``why``: a reason or comment for the log. Raises Refused."""
         self._post(f"/runs/{in_path(run)}/cancel", {"by": by, "stay": stay, "why": why}, repeat=True)
 
     def pause(self, run: str, by: str = "somebody", *, why: str = "") -> None:
-        """Start no more steps of a run. ``why``: a word about it for the log. Raises Refused."""
+        """Pause a run: no further step starts. ``why``: a reason or comment for the log. Raises Refused."""
         self._post(f"/runs/{in_path(run)}/pause", {"by": by, "why": why}, repeat=True)
 
     def resume(self, run: str, by: str = "somebody") -> None:
-        """Go on with a run that is paused. Raises Refused."""
+        """Resume a paused run. Raises Refused."""
         self._post(f"/runs/{in_path(run)}/resume", {"by": by}, repeat=True)
 
     def _start_experiment(
@@ -140,15 +141,15 @@ class GeneratedRuns(Calls):
         propose: bool = False,
         request: str = "",
     ) -> dict[str, Any]:
-        """Begin an experiment. An application begins. It must be heard of every 30 s from now on (a note, or
-        a heartbeat), else a person is asked. A run of it that would leave labware elsewhere than at its
-        ``parking`` stations, in storage or in a waste is refused. ``name``: its name. ``user``: who asks; not
-        read in a lab that has users: there it is the user who has signed in. ``closing``: a workflow as for a
-        run, that clears away what the experiment leaves parked. ``parking``: stations where it may leave
-        labware between its runs; left out: anywhere. ``payload``: values for the closing workflow.
-        ``workcell``: needed if the lab has several. ``priority``: of its runs; 0. ``propose``: it waits for
-        an approval, whatever the policy says. Returns ``experiment``, ``approval``. Raises NotFound, Refused,
-        BadInput."""
+        """Start an experiment. An application starts. From now on it has to send a note or a heartbeat at
+        least every 30 s; otherwise LabOS asks a person. A run of the experiment is refused if it would leave
+        labware anywhere except at the ``parking`` stations, in storage or in a waste station. ``name``: its
+        name. ``user``: the user who asks; ignored in a lab that has users, where it is the user who has
+        signed in. ``closing``: the workflow that clears away the labware which the experiment leaves parked.
+        ``parking``: stations where the experiment may leave labware between its runs; left out: anywhere.
+        ``payload``: values for the closing workflow. ``workcell``: needed if the lab has several.
+        ``priority``: of its runs; 0. ``propose``: wait for an approval, also if the policy does not require
+        one. Returns ``experiment``, ``approval``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/experiments",
             {
@@ -165,14 +166,14 @@ class GeneratedRuns(Calls):
         )
 
     def resume_experiment(self, experiment: str, name: str, user: str = "") -> None:
-        """Go on with an experiment. The application was started again and goes on with its experiment. The
-        question whether a silent one is to be closed answers itself. ``name``: the experiment's name, as it
-        was started. Raises Refused."""
+        """Resume an experiment. The application was started again and continues its experiment. A question
+        whether the experiment should be closed, because its application was silent, is withdrawn. ``name``:
+        the experiment's name, as it was started. Raises Refused."""
         self._post(f"/experiments/{in_path(experiment)}/resume", {"name": name}, user=user, repeat=True)
 
     def end_experiment(self, experiment: str, why: str = "ended", user: str = "") -> None:
-        """End an experiment. The application is over. Twice is once. ``why``: a word about it. Raises
-        Refused."""
+        """End an experiment. The application has ended. A repeated request has no further effect. ``why``: a
+        word about it. Raises Refused."""
         self._post(f"/experiments/{in_path(experiment)}/end", {"why": why}, user=user, repeat=True)
 
     def note(
@@ -185,9 +186,10 @@ class GeneratedRuns(Calls):
         *,
         key: str = "",
     ) -> None:
-        """Log something of the application's own. ``kind``: ``loop_started``, ``loop_ended``, ``decision``,
+        """Log a note of the application. ``kind``: ``loop_started``, ``loop_ended``, ``decision``,
         ``compute`` and the like, as events.md says. ``name``: its name. ``facts``: a table of anything.
-        ``key``: which call of the application it is; the same one twice is noted once. Raises Refused."""
+        ``key``: identifies the call in the application; a second note with the same key is ignored. Raises
+        Refused."""
         self._post(
             f"/experiments/{in_path(experiment)}/notes",
             {"kind": kind, "name": name, "facts": facts or {}, "key": key},
@@ -195,14 +197,13 @@ class GeneratedRuns(Calls):
         )
 
     def keep_file(self, experiment: str, content: bytes, user: str = "") -> str:
-        """Keep a file of an experiment. Keep a file of an experiment that has not ended, such as the result
-        of a computation. It is had again at ``/files/{sha256}``. Twice is once. ``content``: the file, in
-        base64. Returns the sha256. Raises NotFound."""
-        found: str = self._post(
+        """Store a file of an experiment. Stores a file of an experiment that has not ended, such as the
+        result of a computation. ``/files/{sha256}`` returns it. A repeated request has no further effect.
+        ``content``: the file, in base64. Returns the sha256. Raises NotFound."""
+        return self._post(
             f"/experiments/{in_path(experiment)}/files", {"content": content}, user=user, repeat=True
         )["sha256"]
-        return found
 
     def heartbeat(self, experiment: str, user: str = "") -> None:
-        """Say that the application lives. The application lives."""
+        """Report that the application is running. The application is running."""
         self._post(f"/experiments/{in_path(experiment)}/heartbeat", {}, user=user, repeat=True)

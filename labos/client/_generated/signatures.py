@@ -11,9 +11,9 @@ class GeneratedSignatures(Calls):
     """One method for each operation."""
 
     def sign_run(self, run: str, meaning: str, password: str, *, why: str = "") -> dict[str, Any]:
-        """Sign the record of a run that has ended. The signature is an event, and binds to all records of the
-        run. Who signs shows the password again, whatever they signed in with. ``meaning``: ``authored``,
-        ``responsible``, ``reviewed``, ``approved`` or ``rejected``. ``password``: the password, once more.
+        """Sign the record of a run that has ended. The signature is an event and covers all records of the
+        run. The user has to give the password again, however they signed in. ``meaning``: ``authored``,
+        ``responsible``, ``reviewed``, ``approved`` or ``rejected``. ``password``: the user's password.
         ``why``: a comment, for the log. Returns ``subject``, ``kind``, ``run``, ``by``, ``meaning``, ``why``,
         ``method``, ``at``, ``time``, ``position``, ``runs``, ``records``, ``digest``, ``holds``. Raises
         NotFound, Refused."""
@@ -24,19 +24,18 @@ class GeneratedSignatures(Calls):
         )
 
     def signatures(self, run: str) -> list[dict[str, Any]]:
-        """Who has signed the record of a run. In the order of the log. ``holds``: the record of the run is
-        the one that was signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
-        return found
+        """List the signatures for the record of a run. They are in the order of the log. ``holds``: the
+        record is still the one that was signed. Raises NotFound."""
+        return self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
 
     def sign_experiment(
         self, experiment: str, meaning: str, password: str, *, why: str = ""
     ) -> dict[str, Any]:
-        """Sign the record of an experiment that has ended. As for a run. The signature binds to all records
-        of the experiment and of all its runs. ``meaning``: ``authored``, ``responsible``, ``reviewed``,
-        ``approved`` or ``rejected``. ``password``: the password, once more. ``why``: a comment, for the log.
-        Returns ``subject``, ``kind``, ``run``, ``by``, ``meaning``, ``why``, ``method``, ``at``, ``time``,
-        ``position``, ``runs``, ``records``, ``digest``, ``holds``. Raises NotFound, Refused."""
+        """Sign the record of an experiment that has ended. It works as for a run. The signature covers all
+        records of the experiment and of all its runs. ``meaning``: ``authored``, ``responsible``,
+        ``reviewed``, ``approved`` or ``rejected``. ``password``: the user's password. ``why``: a comment, for
+        the log. Returns ``subject``, ``kind``, ``run``, ``by``, ``meaning``, ``why``, ``method``, ``at``,
+        ``time``, ``position``, ``runs``, ``records``, ``digest``, ``holds``. Raises NotFound, Refused."""
         return self._post(
             f"/experiments/{in_path(experiment)}/signatures",
             {"meaning": meaning, "password": password, "why": why},
@@ -44,17 +43,14 @@ class GeneratedSignatures(Calls):
         )
 
     def experiment_signatures(self, experiment: str) -> list[dict[str, Any]]:
-        """Who has signed the record of an experiment. In the order of the log. ``holds``: the records are
-        those that were signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/experiments/{in_path(experiment)}/signatures")[
-            "signatures"
-        ]
-        return found
+        """List the signatures for the record of an experiment. They are in the order of the log. ``holds``:
+        the records are still those that were signed. Raises NotFound."""
+        return self._get(f"/experiments/{in_path(experiment)}/signatures")["signatures"]
 
     def sign_campaign(self, campaign: str, meaning: str, password: str, *, why: str = "") -> dict[str, Any]:
-        """Sign the record of a campaign that has ended. As for a run. The signature binds to all records of
-        the campaign and of all its runs. ``meaning``: ``authored``, ``responsible``, ``reviewed``,
-        ``approved`` or ``rejected``. ``password``: the password, once more. ``why``: a comment, for the log.
+        """Sign the record of a campaign that has ended. It works as for a run. The signature covers all
+        records of the campaign and of all its runs. ``meaning``: ``authored``, ``responsible``, ``reviewed``,
+        ``approved`` or ``rejected``. ``password``: the user's password. ``why``: a comment, for the log.
         Returns ``subject``, ``kind``, ``run``, ``by``, ``meaning``, ``why``, ``method``, ``at``, ``time``,
         ``position``, ``runs``, ``records``, ``digest``, ``holds``. Raises NotFound, Refused."""
         return self._post(
@@ -64,7 +60,6 @@ class GeneratedSignatures(Calls):
         )
 
     def campaign_signatures(self, campaign: str) -> list[dict[str, Any]]:
-        """Who has signed the record of a campaign. In the order of the log. ``holds``: the records are those
-        that were signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/campaigns/{in_path(campaign)}/signatures")["signatures"]
-        return found
+        """List the signatures for the record of a campaign. They are in the order of the log. ``holds``: the
+        records are still those that were signed. Raises NotFound."""
+        return self._get(f"/campaigns/{in_path(campaign)}/signatures")["signatures"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from itertools import chain
 from typing import Any
 
@@ -126,6 +126,14 @@ class DoubtAction(Report, frozen=True):
 
 @decides(StartStep)
 def start_step(state: LabState, command: StartStep) -> Decision:
+    return request_action(state, command)
+
+
+def request_action(
+    state: LabState, command: StartStep, others: Collection[RunId] = (), together: tuple[ActionId, ...] = ()
+) -> Decision:
+    """The events of a start. With ``together``, its device carries it out in one go with other actions, for
+    the runs ``others``."""
     run = state.runs.get(command.run)
     if run is None:
         return Rejection("no_run", f"There is no run {command.run} that has not ended.")
@@ -134,7 +142,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         if command.plan not in run.choices:
             return Rejection("unbound", f"{run.id} has several plans, and nobody says which one it follows.")
         run = msgspec.structs.replace(run, plan=command.plan)
-    found = examine(state, run, command.step, command.now)
+    found = examine(state, run, command.step, command.now, others)
     if isinstance(found, Wait):
         return Rejection(
             found.code, f"Step {command.step} of {run.id} cannot start: {' '.join(found.names)}."
@@ -174,6 +182,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
             effects=effects,
             exclusive=step.exclusive,
             files=files,
+            together=together,
         )
     )
     if step.by_person:
@@ -426,6 +435,7 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
             effects=action.effects,
             exclusive=action.exclusive,
             files=action.files,
+            together=action.together,
         )
     ]
 

@@ -41,8 +41,8 @@ def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) 
 
 
 def ask_second_person(state: LabState, event: RunSubmitted | ApprovalGiven) -> Iterator[Event]:
-    """A run with dangerous steps, on modules where these take a second person, waits for an approval, unless
-    it waits for another one anyway."""
+    """A run with dangerous steps on modules that require a second person waits for an approval, unless it
+    already waits for one."""
     name = event.run if isinstance(event, RunSubmitted) else RunId(event.subject)
     run = state.runs.queued.get(name)
     if run is None or not run.unapproved or run.held:

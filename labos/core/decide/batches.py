@@ -3,18 +3,17 @@ or none is."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import chain
 
 import msgspec
 
 from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides
-from labos.core.decide.composites import load_stations
+from labos.core.decide.composites import carry_out_all, load_stations
 from labos.core.decide.runs import QUOTA, QUOTA_REMEDY, SubmitRun, submit_run
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import ExperimentId
 from labos.core.quotas import explain_full_queue
-from labos.core.registry import Event
 from labos.core.state import LabState
 
 MOST_RUNS = 50
@@ -61,7 +60,7 @@ def submit_runs(state: LabState, command: SubmitRuns) -> Decision:
         if full:
             return name_run(command, number, Rejection(QUOTA, full, QUOTA_REMEDY))
         ahead[user] = ahead.get(user, 0) + 1
-    return chain(loads, _submit_each(state, list(new.values())))
+    return chain(loads, carry_out_all(state, new.values(), submit_run))
 
 
 def list_new(state: LabState, command: SubmitRuns) -> dict[int, SubmitRun]:
@@ -85,11 +84,3 @@ def name_run(command: SubmitRuns, number: int, why: Rejection) -> Rejection:
 def _find_user(state: LabState, run: SubmitRun) -> str:
     experiment = state.experiments.open.get(ExperimentId(run.experiment))
     return experiment.user if experiment is not None else run.user
-
-
-def _submit_each(state: LabState, runs: list[SubmitRun]) -> Iterator[Event]:
-    for run in runs:
-        decision = submit_run(state, run)
-        if isinstance(decision, Rejection):
-            raise RuntimeError(f"A run of a request is in the way of another: {decision.message}")
-        yield from decision

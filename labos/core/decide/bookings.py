@@ -28,6 +28,7 @@ from labos.core.recurrence import DAY_NS, LATEST, fault_of_rule, in_zone, zone_o
 from labos.core.registry import Event
 from labos.core.roles import role_in
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import BookedPlace, in_batches, name_some
 from labos.core.users import person_of, rank
 from labos.core.words import Words
@@ -202,20 +203,14 @@ def _event(
     over: tuple[str, ...],
 ) -> Event:
     terms = command.terms
-    return kind(
-        name,
-        target,
-        terms.begins,
-        terms.ends,
-        command.by,
-        terms.user,
-        terms.group,
-        terms.maintenance,
-        terms.why or "",
-        terms.zone,
-        terms.rule,
-        terms.last,
-        over,
+    return make_from(
+        kind,
+        terms,
+        booking=name,
+        target=target,
+        by=command.by,
+        why=terms.why or "",
+        over=over,
     )
 
 
@@ -348,20 +343,14 @@ def _first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> Bookin
 
 
 def _as_booking(name: str, target: str, terms: NewTerms) -> Booking:
-    return Booking(
-        name,
-        target,
-        terms.begins,
-        terms.ends,
-        "",
-        terms.user,
-        terms.group,
-        terms.maintenance,
-        "",
-        terms.zone,
-        terms.rule,
-        terms.last,
-        0,
+    return make_from(
+        Booking,
+        terms,
+        id=name,
+        target=target,
+        by="",
+        why="",
+        made=0,
     )
 
 
@@ -369,12 +358,13 @@ def _as_booking(name: str, target: str, terms: NewTerms) -> Booking:
 
 
 def tell_who_stands_there(state: LabState, event: BookingNeared) -> Iterator[Event]:
-    """What others have left standing where somebody has booked is for a person to see to, ahead of time."""
+    """Before a booking begins, a person is asked to remove the labware of other users from the booked
+    place."""
     yield from _ask(state, state.bookings.open[event.booking], event.begins)
 
 
 def tell_who_overruns(state: LabState, event: BookingBegan) -> Iterator[Event]:
-    """What is still under way when a booking begins goes on to its end; a person is told."""
+    """Actions that are under way when a booking begins continue to their end, and a person is notified."""
     booking = state.bookings.open[event.booking]
     for module in modules_of(state, booking.target):
         for action in [state.actions.open[name] for name in state.modules.by_name[module].in_flight]:
@@ -450,13 +440,13 @@ def _subject(booking: str) -> str:
 def withdraw_booking_questions(
     state: LabState, event: BookingChanged | BookingCancelled | BookingSkipped | BookingEnded
 ) -> Iterator[Event]:
-    """With a booking, the questions about it are over."""
+    """The questions about a booking are withdrawn when it changes or ends."""
     for question in state.interventions.all_about(_subject(event.booking)):
         yield InterventionResolved(question.id, "withdrawn", "labos", "the booking is over, or another one")
 
 
 def withdraw_what_was_cleared(state: LabState, event: Event) -> Iterator[Event]:
-    """What stood in the way of a booking has left, or what overran has ended."""
+    """The question about a booked place is withdrawn when the labware has left, or the action has ended."""
     if not state.bookings.open:
         return
     for question in state.interventions.open_about(BookedPlace):

@@ -8,6 +8,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.ids import ModuleName, local
 from labos.core.modules import ModuleCalibrated
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 
@@ -38,5 +39,4 @@ def calibrate_module(state: LabState, command: CalibrateModule) -> Decision:
             f"{local(command.module)} has calibrations of {len(known)} things, and can have no more.",
             f"Name one of them again: {', '.join(sorted(name for name in known if name)[:5])} …",
         )
-    told = (command.what, command.certificate, command.file, command.until, command.why)
-    return [ModuleCalibrated(command.module, command.by, *told)]
+    return [make_from(ModuleCalibrated, command)]

@@ -39,6 +39,7 @@ from labos.core.resources import uses_up
 from labos.core.roles import lacks_role_for
 from labos.core.runs import RunPaused, RunResumed, RunSubmitted
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.texts import LONGEST_REASON, cut
 from labos.core.users import UserDisabled
 from labos.core.viewer import Visibility
@@ -145,23 +146,7 @@ def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
     if command.workcell not in state.lab.workcells:
         return Rejection("no_workcell", f"This lab has no workcell {command.workcell!r}.")
     name = CampaignId(f"C{state.campaigns.named + 1}")
-    return [
-        CampaignSubmitted(
-            campaign=name,
-            name=command.name,
-            user=command.user,
-            workflow=command.workflow,
-            workcell=command.workcell,
-            rows=command.rows,
-            table=command.table,
-            definition=command.definition,
-            terms=command.terms,
-            request=command.request,
-            visibility=command.visibility,
-            cloned_from=command.cloned_from,
-            due=command.due,
-        )
-    ]
+    return [make_from(CampaignSubmitted, command, campaign=name)]
 
 
 @decides(SubmitRow)
@@ -178,14 +163,11 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
         return Rejection(NO_ROOM, f"{campaign.id} may go on when its runs have used less than planned.")
     if beyond:
         return [CampaignStopped(campaign.id, beyond)]
-    run = SubmitRun(
-        plan=command.plan,
+    run = make_from(
+        SubmitRun,
+        command,
         user=campaign.user,
-        payload=command.payload,
         priority=campaign.terms.priority,
-        pins=command.pins,
-        others=command.others,
-        due_at=command.due_at,
         apart=campaign.id if campaign.id in state.campaigns.restricted else NOBODYS,
     )
     answer = submit_run(state, run)
@@ -397,26 +379,18 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 
 
 def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
-    """A campaign that must not go on is stopped, and one with nothing left to do is completed."""
+    """A campaign that may not continue is stopped, and a campaign without remaining work is completed."""
     for name in list(state.campaigns.due):
         campaign = state.campaigns.open[name]
         if why := explain_stop(campaign):
             yield CampaignStopped(name, why, campaign.met_by)
             yield from _cancel_runs(state, _find_queued(campaign), f"{name} was stopped")
         elif is_over(campaign):
-            yield CampaignCompleted(
-                campaign=name,
-                completed=campaign.completed,
-                failed=campaign.failed,
-                cancelled=campaign.cancelled,
-                refused=campaign.refused,
-                left=campaign.left,
-                why=campaign.why,
-            )
+            yield make_from(CampaignCompleted, campaign, campaign=name)
 
 
 def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
-    """The campaigns of a user who may not act any more submit no further row until somebody resumes them."""
+    """The campaigns of a disabled user are paused until somebody resumes them."""
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
         answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
         yield from () if isinstance(answer, Rejection) else answer

@@ -89,7 +89,7 @@ def load_stations(state: LabState, loads: Sequence[LoadStation]) -> Iterator[Eve
                 "Put it there one after the other: labos load STATION --type TYPE",
             )
         filled |= places
-    return _carry_out(state, loads, load_station)
+    return carry_out_all(state, loads, load_station)
 
 
 @decides(DeclareStations)
@@ -103,10 +103,10 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
         fit = decision if isinstance(decision, Rejection) else check_recordable(decision)
         if isinstance(fit, Rejection):
             return fit
-    return _carry_out(state, command.stations, declare_station)
+    return carry_out_all(state, command.stations, declare_station)
 
 
-def _carry_out(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
+def carry_out_all(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
     """The events of parts that are known to be possible."""
     for part in parts:
         decision = decider(state, part)

@@ -22,6 +22,7 @@ from labos.core.runs import (
     RunCancelled,
     RunCancelling,
     RunCompleted,
+    RunEnd,
     RunFailed,
     RunState,
     RunStatus,
@@ -42,7 +43,7 @@ def under_way(run: RunState) -> bool:
 
 
 def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> Iterator[Event]:
-    """The last step of a recovery is done: the step that failed is skipped, or its run ends as failed."""
+    """When the last step of a recovery is done, the failed step is skipped, or its run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status != DONE:
         return
@@ -61,8 +62,8 @@ def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> 
 
 
 def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | StepSkipped) -> Iterator[Event]:
-    """Steps whose turn has come and whose condition does not hold are left out; a condition that cannot be
-    decided ends the run as failed."""
+    """Steps that are next and whose condition is false are skipped; if a condition cannot be evaluated, the
+    run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status not in SETTLED:
         return
@@ -86,8 +87,8 @@ def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | Step
 def end_run(
     state: LabState, event: ActionSucceeded | ActionReconciled | ActionRejected | StepSkipped
 ) -> Iterator[Event]:
-    """A run ends when all its steps are done or left out, or when it is being cancelled and nothing of it is
-    in flight."""
+    """A run ends when all its steps are done or skipped, or when it is being cancelled and none of its
+    actions is under way."""
     run = state.runs.active.get(event.run)
     if run is None or run.steps[event.step].status == FAILED:
         return
@@ -131,9 +132,7 @@ def give_up(state: LabState, run: RunState, why: str, kind: str = "experiment") 
         yield from record_end(state, run, RunFailed(run.id, why, kind), f"failed: {why}")
 
 
-def record_end(
-    state: LabState, run: RunState, end: RunCompleted | RunFailed | RunCancelled, what: str
-) -> Iterator[Event]:
+def record_end(state: LabState, run: RunState, end: RunEnd, what: str) -> Iterator[Event]:
     """The events that end a run: its labware goes to its experiment or user; what it leaves in
     the way is shown to a person."""
     heir = user_owner(run.user)

@@ -33,6 +33,7 @@ from labos.core.registry import Event
 from labos.core.rules import CLOSING_S, closes_late_at
 from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import ClosingWaits, LostExperiment
 from labos.core.words import Words
 
@@ -124,14 +125,12 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
         closing = plan_digest(command.closing)
         events += record_plan(state, command.closing, closing, name)
     events.append(
-        ExperimentStarted(
-            name,
-            command.name,
-            command.user,
-            closing,
-            command.priority,
-            command.request,
-            tuple(dict.fromkeys(command.parking)),
+        make_from(
+            ExperimentStarted,
+            command,
+            experiment=name,
+            closing=closing,
+            parking=tuple(dict.fromkeys(command.parking)),
         )
     )
     return events
@@ -278,8 +277,8 @@ def _end(state: LabState, experiment: Experiment, why: str = "") -> list[Event]:
 
 
 def end_experiments(state: LabState, event: Event) -> Iterator[Event]:
-    """An experiment that was cancelled closes when its last run has ended; one that is closing is over when
-    its closing workflow has ended."""
+    """A cancelled experiment closes when its last run has ended; a closing experiment ends when its closing
+    workflow has ended."""
     for name in list(state.experiments.ending):
         experiment = state.experiments.open[name]
         if not experiment.runs and experiment.status == ExperimentStatus.CLOSING:
@@ -291,7 +290,7 @@ def end_experiments(state: LabState, event: Event) -> Iterator[Event]:
 def withdraw_experiment_question(
     state: LabState, event: ExperimentClosing | ExperimentEnded | ExperimentResumed
 ) -> Iterator[Event]:
-    """The question about an application that was silent answers itself when it comes back."""
+    """The question about a silent application is withdrawn when the application comes back."""
     came_back = isinstance(event, ExperimentResumed)
     why = f"the application {'was started again' if came_back else 'came back and ended'}"
     for question in state.interventions.all_about(event.experiment):

@@ -23,6 +23,7 @@ from labos.core.modules import (
 from labos.core.registry import Event
 from labos.core.rules import find_give_up_time, lab_ns
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.texts import cut
 from labos.core.words import Words
 
@@ -145,17 +146,10 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
             f"the workcell wants {module.spec.driver!r}.",
             "Start the right driver, or correct the workcell file.",
         )
-    joined = NodeJoined(
-        command.module,
-        command.journal,
-        command.instance,
-        command.driver,
-        command.version,
-        command.about,
-        command.status,
-        command.simulated,
-    )
-    return [joined, *record_journal(state, command.module, command.discovered, command.beyond)]
+    return [
+        make_from(NodeJoined, command),
+        *record_journal(state, command.module, command.discovered, command.beyond),
+    ]
 
 
 @decides(LoseNode)

@@ -33,6 +33,7 @@ from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.open_experiments import Experiment
 from labos.core.registry import Event
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import Approval
 from labos.core.users import ON_BEHALF, person_of
 from labos.core.words import Words
@@ -105,15 +106,13 @@ def approve(state: LabState, proposal: Proposal, command: ApproveProposal) -> De
 
 
 def _let_go_on(state: LabState, proposal: Proposal, command: ApproveProposal) -> Iterator[Event]:
-    yield ApprovalGiven(
+    yield make_from(
+        ApprovalGiven,
+        command,
         subject=proposal.subject,
         kind=proposal.kind,
         digest=proposal.digest,
-        by=command.by,
         comment=command.why,
-        priority=command.priority,
-        terms=command.terms,
-        alike=command.alike,
     )
     if proposal.kind == "amendment" and proposal.terms is not None:
         yield CampaignAmended(CampaignId(proposal.subject), command.terms or proposal.terms)
@@ -237,7 +236,7 @@ def _resolve_question(
 
 
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
-    """An operator is asked, and an earlier question about the same is withdrawn."""
+    """An operator is asked, and an earlier question about the same subject is withdrawn."""
     for question in _questions(state, event.subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it was changed, and is asked anew")
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
@@ -261,7 +260,7 @@ def withdraw_approval_question(
     | ExperimentClosing
     | ExperimentEnded,
 ) -> Iterator[Event]:
-    """Nobody is asked any more about what has ended."""
+    """The question about an approval is withdrawn when its subject has ended."""
     subject = event.campaign if hasattr(event, "campaign") else event.experiment
     for question in _questions(state, subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it has ended")

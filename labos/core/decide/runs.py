@@ -45,6 +45,7 @@ from labos.core.runs import (
 )
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
+from labos.core.structs import make_from
 from labos.core.topics import LateStep
 from labos.core.words import Words
 
@@ -124,16 +125,13 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: Campaign
         for s in plan.steps
     ]
     events: list[Event] = [
-        PlanRecorded(
+        make_from(
+            PlanRecorded,
+            plan,
             by=by,
             plan=name,
             shape=digest(canonical([parts, plan.holds])),
-            workflow=plan.workflow,
-            workcell=plan.workcell,
             steps=len(plan.steps),
-            feeds=plan.feeds,
-            files=plan.files,
-            holds=plan.holds,
             campaign=apart,
         )
     ]
@@ -244,20 +242,16 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         return anchors
     events: list[Event] = [
         *(e for one, plan in plans.items() for e in record_plan(state, plan, one, run, command.apart)),
-        RunSubmitted(
+        make_from(
+            RunSubmitted,
+            command,
             run=run,
             plan=name,
             workflow=command.plan.workflow,
             user=user,
-            experiment=command.experiment,
-            priority=command.priority,
-            payload=command.payload,
-            pins=command.pins,
-            request=command.request,
             anchors=anchors,
             planned_by=state.runs.find_plan_stream(name),
             choices=tuple(plans) if len(plans) > 1 else (),
-            due_at=command.due_at,
         ),
     ]
     return events

@@ -297,17 +297,21 @@ def _refuse_without_round(state: LabState) -> Rejection | None:
     )
 
 
+def _refuse_in_motion(module: str) -> Rejection:
+    return Rejection(
+        "in_motion",
+        f"{module} is at work with something that this log does not know.",
+        f"Wait until it stands still, or stop it: labos estop {module}",
+    )
+
+
 def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
     """Why a word about a station would be old soon: something moves there, or it is asked how a motion that
     the log knows has ended. That is answered first; what is said afterwards counts."""
     name, bench = command.station, state.bench
     busy = find_strange_motion(state, workcell_of(name))
     if busy:
-        return Rejection(
-            "in_motion",
-            f"{busy} is at work with something that this log does not know.",
-            f"Wait until it stands still, or stop it: labos estop {busy}",
-        )
+        return _refuse_in_motion(busy)
     words = {LabwareId(word) for item in command.contents for word in parts(item)}
     meant = words | {*bench.stations[name].labware}
     for action in state.actions.open.values():
@@ -359,11 +363,7 @@ def finish_round(state: LabState, by: str, note: str) -> Decision:
         )
     busy = find_strange_motion(state, "")
     if busy:
-        return Rejection(
-            "in_motion",
-            f"{busy} is at work with something that this log does not know.",
-            f"Wait until it stands still, or stop it: labos estop {busy}",
-        )
+        return _refuse_in_motion(busy)
     lost = [item for item in state.bench.labware.values() if item.maybe]
     held = next((item for item in lost if item.moving), None)
     if held is not None:

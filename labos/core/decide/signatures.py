@@ -6,6 +6,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.ids import RunId
 from labos.core.signatures import Kind, Meaning, RecordsSigned, RunSigned
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import ON_BEHALF
 from labos.core.words import Words
 
@@ -43,17 +44,7 @@ def sign_run(state: LabState, command: SignRun) -> Decision:
         return refused
     if state.runs.get(command.run) is not None:
         return _not_ended("run", command.run, "runs")
-    return [
-        RunSigned(
-            command.run,
-            command.by,
-            command.meaning,
-            command.records,
-            command.digest,
-            command.method,
-            command.why,
-        )
-    ]
+    return [make_from(RunSigned, command)]
 
 
 @decides(SignRecords)
@@ -63,19 +54,7 @@ def sign_records(state: LabState, command: SignRecords) -> Decision:
     if command.subject in (*state.experiments.open, *state.campaigns.open):
         where = "experiments" if command.kind == "experiment" else "campaign show"
         return _not_ended(command.kind, command.subject, where)
-    return [
-        RecordsSigned(
-            command.subject,
-            command.kind,
-            command.by,
-            command.meaning,
-            command.runs,
-            command.records,
-            command.digest,
-            command.method,
-            command.why,
-        )
-    ]
+    return [make_from(RecordsSigned, command)]
 
 
 def _no_signer(state: LabState, by: str) -> Rejection | None:

@@ -76,7 +76,7 @@ def doubt(
 
 
 def check_result(state: LabState, event: ActionSucceeded) -> Iterator[Event]:
-    """A result that is not as the workflow expects is an error of the experiment."""
+    """A result that does not fulfil the workflow's `expect` is an experiment error."""
     run = state.runs.active.get(event.run)
     plan = state.runs.plan_of(run) if run is not None else None
     expected = plan.steps[event.step].expect if plan is not None else None
@@ -92,8 +92,8 @@ def check_result(state: LabState, event: ActionSucceeded) -> Iterator[Event]:
 
 
 def retry_step(state: LabState, event: ActionFailed) -> Iterator[Event]:
-    """A step whose action failed waits for its turn again, if its plan gives it one more try and it can be
-    repeated after what was done."""
+    """A step whose action failed is tried again, if its plan has a retry left and the effects so far allow
+    it."""
     run = state.runs.active.get(event.run)
     if run is None or run.status == RunStatus.CANCELLING:
         return
@@ -107,8 +107,8 @@ def retry_step(state: LabState, event: ActionFailed) -> Iterator[Event]:
 
 
 def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepUnexpected) -> Iterator[Event]:
-    """A step that failed and is not tried again is dealt with as its plan says: a person is asked, its
-    recovery begins or it is skipped; else its run ends as failed."""
+    """A failed step without further retries is handled as its plan says: a person is asked, its recovery
+    starts, it is skipped, or its run ends as failed."""
     run = state.runs.active.get(event.run)
     if run is None or run.steps[event.step].status != FAILED:
         return
@@ -138,7 +138,7 @@ def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepU
 
 
 def fail_spoilt(state: LabState, event: ActionReconciled) -> Iterator[Event]:
-    """A run ends as failed if what an action had in hand was spoilt, or taken off the bench."""
+    """A run ends as failed if the labware of an action was spoilt or taken off the bench."""
     run = state.runs.active.get(event.run)
     if run is not None and run.steps[event.step].status == FAILED:
         name = state.runs.plan_of(run).steps[event.step].action

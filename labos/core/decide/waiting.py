@@ -43,7 +43,8 @@ def ask_about_waiting_device(state: LabState, action: Action) -> InterventionReq
 
 
 def withdraw_waiting(state: LabState, event: ActionEvent | NodeLeft | NodeStateChanged) -> Iterator[Event]:
-    """The question about a module that stands still answers itself when it goes on, or cannot any more."""
+    """The question about a waiting device is withdrawn when the device continues, or can no longer
+    continue."""
     if isinstance(event, NodeStateChanged) and event.status == "ERROR":
         return
     for question in state.interventions.all_about(event.module):
@@ -60,8 +61,8 @@ _GOES_ON: dict[type[Event], str] = {
 
 
 def withdraw_action_questions(state: LabState, event: ActionEvent) -> Iterator[Event]:
-    """The questions about an action answer themselves when its node speaks; if it was planned work, and has
-    ended, a simulated person has done it and says so by the node."""
+    """The questions about an action are withdrawn when its node reports the outcome; a question about planned
+    work is answered with the outcome, which a simulated person reports through the node."""
     for question in state.interventions.all_about(event.action):
         if isinstance(question.topic, PlannedWork) and isinstance(event, ActionSucceeded | ActionFailed):
             done = "done" if isinstance(event, ActionSucceeded) else "not_done"

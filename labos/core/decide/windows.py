@@ -11,17 +11,7 @@ from labos.core.interventions import (
 )
 from labos.core.model import Plan, Window
 from labos.core.registry import Event
-from labos.core.runs import (
-    Anchor,
-    EndTimes,
-    RunCancelled,
-    RunCompleted,
-    RunFailed,
-    RunPaused,
-    RunResumed,
-    RunStarted,
-    RunState,
-)
+from labos.core.runs import Anchor, EndTimes, RunEnd, RunPaused, RunResumed, RunStarted, RunState
 from labos.core.state import LabState
 from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, SecondPerson, Topic
 
@@ -110,15 +100,13 @@ def questions_of(state: LabState, run: RunId, *topics: type[Topic]) -> list[Inte
 
 
 def withdraw_late_questions(state: LabState, event: RunResumed) -> Iterator[Event]:
-    """A run that goes on is late by somebody's will: the questions about that have answered themselves."""
+    """When a person resumes a run, the questions about its late steps are withdrawn."""
     for name in questions_of(state, event.run, LateStep):
         yield InterventionResolved(name, "withdrawn", "labos", "the run was resumed")
 
 
-def withdraw_run_questions(
-    state: LabState, event: RunStarted | RunCompleted | RunFailed | RunCancelled
-) -> Iterator[Event]:
-    """The questions about a run that has begun or ended, or about its steps, have answered themselves."""
+def withdraw_run_questions(state: LabState, event: RunStarted | RunEnd) -> Iterator[Event]:
+    """When a run starts or ends, the questions about it and its steps are withdrawn."""
     why = "the run has begun" if isinstance(event, RunStarted) else "the run has ended"
     for name in questions_of(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson, Approval):
         yield InterventionResolved(name, "withdrawn", "labos", why)

@@ -184,3 +184,28 @@ class Occupied(Reason, frozen=True):
     WAKES = ("station", "module")
     place: str
     what: str
+
+
+BenchReason = (
+    ReachedInto
+    | Requires
+    | Unfit
+    | UsedUp
+    | Expired
+    | StackEmpty
+    | Buried
+    | Uncertain
+    | Lost
+    | InMotion
+    | InUse
+    | NotYours
+    | Undeclared
+    | NothingThere
+    | StillToCome
+    | NoAccess
+    | NotAccepted
+    | WrongWay
+    | NoGrip
+    | WasteFull
+    | Occupied
+)

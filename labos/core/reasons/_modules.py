@@ -141,9 +141,42 @@ class NoGap(Reason, frozen=True):
     bookings: str
 
 
+class InsideToo(Reason, frozen=True):
+    SENTENCE = "{labware} of {owner} is at {place} too, and {action!r} is done to all that is in there"
+    REMEDY = (
+        "It goes on when that has left, or is ready for the same. If no run moves it away, take it out and "
+        "say so: labos unload {place}"
+    )
+    WAKES = ("station", "module", "run")
+    labware: str
+    place: str
+    owner: str
+    action: str
+
+
 class HandFull(Reason, frozen=True):
     SENTENCE = "the hand of {module} holds {what}"
     REMEDY = "It goes on when a run puts that down."
     WAKES = ("station", "module")
     module: str
     what: str
+
+
+ModuleReason = (
+    NoModule
+    | Access
+    | OutOfService
+    | ModuleDown
+    | Unwatched
+    | ModuleBusy
+    | Unsettled
+    | Held
+    | Setpoint
+    | ZoneBusy
+    | ZoneBarred
+    | Booked
+    | BookedSoon
+    | NoGap
+    | InsideToo
+    | HandFull
+)

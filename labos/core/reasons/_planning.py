@@ -68,6 +68,19 @@ class SoonerLater(Reason, frozen=True):
     WAKES = ("cell", "near", "module")
 
 
+class ForOthers(Reason, frozen=True):
+    SENTENCE = (
+        "it waits for labware of other runs, so that {action!r} is done together: {taken} of {places} places "
+        "of {module} are taken; until {until} at the latest"
+    )
+    WAKES = ("near",)
+    action: str
+    module: str
+    taken: str
+    places: str
+    until: str
+
+
 class AfterSuggested(Reason, frozen=True):
     SENTENCE = "the planner suggests that {run} goes first, at {place}"
     WAKES = ("cell",)
@@ -121,3 +134,22 @@ class Unsafe(Reason, frozen=True):
 def _describe_owner(name: str) -> str:
     kind, _, which = name.rpartition(":")
     return f"experiment {which}" if kind == "experiment" else f"run {which}"
+
+
+PlanningReason = (
+    Reserved
+    | NotInTime
+    | WouldDelay
+    | FollowsLate
+    | ForOthers
+    | AfterElder
+    | AfterOrdered
+    | AfterSuggested
+    | ClockLater
+    | WouldBlock
+    | HoldsUp
+    | SoonerLater
+    | BetterHere
+    | NoWayOut
+    | Unsafe
+)

@@ -102,3 +102,21 @@ class Quota(Reason, frozen=True):
     URGENCY = PERSON
     whose: str
     limit: str
+
+
+RunReason = (
+    Paused
+    | Unapproved
+    | NotApproved
+    | Halted
+    | LogShorter
+    | Cancelling
+    | Gone
+    | NotPending
+    | After
+    | RetryLater
+    | Asked
+    | TooEarly
+    | Outcome
+    | Quota
+)

@@ -22,30 +22,30 @@ class OfToken(msgspec.Struct, frozen=True):
 
 
 class TokensQuery(msgspec.Struct, frozen=True):
-    user: Annotated[Name, msgspec.Meta(description="whose, if not the asking user's own; for admins")] = ""
+    user: Annotated[Name, msgspec.Meta(description="the owner; only admins may name another user")] = ""
 
 
 async def sign_in(call: Call, body: signing.SignIn) -> Response:
-    """A browser gets a session of 12 hours as a cookie that no script can read; a program asks for a `token`.
-    Six wrong tries within a minute are too many."""
+    """A browser gets a session of 12 hours, as a cookie that scripts cannot read. A program asks for a
+    `token`. After six wrong attempts within a minute, further attempts are refused."""
     return await signing.sign_in(call, body)
 
 
 async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Response:
-    """For a command line. The address is for a browser: on the same computer it comes back to a port there;
-    of a `device` it is any browser, in which the code is typed in. Ten minutes are given for it."""
+    """For a command line. The user opens the address in a browser. On the same computer, the browser returns
+    to a local port. For a `device` without a browser, the user enters the code in a browser elsewhere. The
+    sign-in expires after ten minutes."""
     return await provider_sign_in.begin(call, body)
 
 
 async def finish_sign_in(call: Call, body: provider_sign_in.FinishSignIn) -> Response:
-    """What the provider's page has sent with the browser; of a `device` nothing, again after `wait_s` until
-    there is a token."""
+    """The request holds the parameters with which the browser returned from the provider. For a `device`
+    there are none: repeat the request every `wait_s` seconds until there is a token."""
     return await provider_sign_in.finish(call, body)
 
 
 async def sign_out(call: Call) -> Response:
-    """The session of the cookie ends, or the token that was shown is revoked. Streams that they opened
-    end."""
+    """The session of the cookie ends, or the token of the request is revoked. Their open streams end too."""
     return await signing.sign_out(call)
 
 
@@ -54,20 +54,20 @@ async def get_identity(call: Call) -> signing.Identity:
 
 
 async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
-    """Without their secrets, which the lab does not know."""
+    """The answer has no secrets: the lab does not store them."""
     return signing.Tokens(await signing.list_tokens(call, query.user))
 
 
 async def make_token(call: Call, body: signing.NewToken) -> Response:
-    """The secret is told this once. A token that makes another one outlives it, and allows more than it,
-    never."""
+    """The secret is shown only in this answer. A token that was made with another token never lives longer
+    and never allows more than that one."""
     found = await signing.make_token(call, body)
     headers = {"cache-control": "no-store"}
     return Response(msgspec.json.encode(found), 201, headers, "application/json")
 
 
 async def revoke_token(call: Call, path: OfToken) -> signing.UserReference:
-    """It is good for nothing from now on; streams that were opened with it end."""
+    """The token is invalid from now on; streams that were opened with it end."""
     return signing.UserReference((await signing.revoke_token(call, path.token)).user)
 
 
@@ -82,19 +82,19 @@ async def list_people(call: Call) -> signing.People:
 
 
 async def change_person(call: Call, path: OfUser, body: signing.PersonDetails) -> Person:
-    """Kept beside the log, which knows users by their ids alone."""
+    """They are stored beside the log, which contains only the ids of users."""
     return await signing.change_person(call, path.user, body)
 
 
 async def erase_person(call: Call, path: OfUser) -> signing.UserReference:
-    """The name, the address, the password, all tokens and sessions are gone. Events remain, and say the
-    id; one more says that this was done."""
+    """The name, the address, the password and all tokens and sessions are deleted. Events remain and contain
+    the id. A further event records the erasure."""
     await signing.erase_person(call, path.user)
     return signing.UserReference(path.user)
 
 
 async def link_identity(call: Call, path: OfUser, body: signing.ProviderIdentity) -> signing.UserReference:
-    """The person with this name at the identity provider is this user."""
+    """The account with this `subject` at the identity provider belongs to this user."""
     signing.expect_admin(call.who, call)
     signing.expect_self_or_admin(call, path.user)
     await call.api.gate.accounts.link(body.issuer, body.subject, path.user)
@@ -132,7 +132,7 @@ OPERATIONS = declare(
         handler=begin_sign_in,
         client=Method("begin_sign_in"),
         answer=provider_sign_in.ProviderSignIn,
-        summary="Sign in with an identity provider: the address of its page",
+        summary="Begin to sign in with an identity provider: get the address of its page",
         needs="nobody",
         secret=True,
         at_kernel=True,
@@ -151,7 +151,7 @@ OPERATIONS = declare(
         handler=finish_sign_in,
         client=Method("finish_sign_in", "state, key"),
         answer=provider_sign_in.FinishedSignIn,
-        summary="Sign in with an identity provider: a token",
+        summary="Finish signing in with an identity provider: get a token",
         needs="nobody",
         secret=True,
         at_kernel=True,
@@ -173,7 +173,7 @@ OPERATIONS = declare(
         route="GET /whoami",
         handler=get_identity,
         client=Method("identity"),
-        summary="Who asks, and what they may do",
+        summary="Show the user who asks, and the user's rights",
         needs="viewer",
     ),
     Operation(
@@ -211,7 +211,7 @@ OPERATIONS = declare(
         route="GET /people",
         handler=list_people,
         client=Method("people", take="people"),
-        summary="Who users are",
+        summary="List the names of users",
         needs="viewer",
         example_answer={"people": [{"user": "ada", "name": "Ada Byron", "mail": ""}]},
     ),
@@ -231,7 +231,7 @@ OPERATIONS = declare(
         route="POST /users/{user}/person",
         handler=change_person,
         client=Method("set_person", take=None, repeat=True),
-        summary="Say who a user is",
+        summary="Change the name and address of a user",
         needs="viewer",
         by_home=True,
         secret=True,
@@ -242,7 +242,7 @@ OPERATIONS = declare(
         route="POST /users/{user}/erase",
         handler=erase_person,
         client=Method("erase_person", take=None, repeat=True),
-        summary="Forget who a user is",
+        summary="Erase a user's name, address and means of signing in",
         needs="viewer",
         by_home=True,
         example_answer=_USER,
@@ -251,7 +251,7 @@ OPERATIONS = declare(
         route="POST /users/{user}/identity",
         handler=link_identity,
         client=Method("link_identity", take=None, repeat=True),
-        summary="Say whom an identity provider means by a user",
+        summary="Link a user to an account at an identity provider",
         needs="admin",
         by_home=True,
         example={"issuer": "https://login.example.org", "subject": "248289761001"},

@@ -14,6 +14,7 @@ from labos.core.decide.submissions import ApplyPolicy
 from labos.core.ids import CampaignId
 from labos.core.policy import Policy
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.http.approval_forecast import ProposalForecast, forecast_proposal
 from labos.http.bodies import Amendment, Amounts, Limit
@@ -57,33 +58,35 @@ class ProposalView(msgspec.Struct, frozen=True):
 
 
 class ProposalsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    after: Annotated[Name, says("only what waits behind this one; if it waits no more, all")] = ""
-    limit: Annotated[int, msgspec.Meta(ge=1, le=PAGE), says("so many; 100 if left out")] = 100
+    after: Annotated[Name, says("only submissions after this one; all of them if it no longer waits")] = ""
+    limit: Annotated[
+        int, msgspec.Meta(ge=1, le=PAGE), says("the largest number in an answer; 100 if left out")
+    ] = 100
 
 
 class Proposals(msgspec.Struct, frozen=True):
-    """A page of proposals; there are ``more`` behind the last one."""
+    """A page of proposals. ``more``: there are others after the last one."""
 
     approvals: list[ProposalView]
     more: bool
 
 
 class ProposalDetail(msgspec.Struct, frozen=True):
-    """A proposal, and how it differs from what was approved last of its name."""
+    """A proposal, and how it differs from the last approved one of the same name."""
 
     proposal: ProposalView
     differences: list[ChangedPart]
 
 
 class ProposalAnswer(msgspec.Struct, frozen=True):
-    """What was answered about, and the digest that was approved or refused."""
+    """The subject, and the digest that was approved or refused."""
 
     subject: str
     digest: str
 
 
 class PolicyView(msgspec.Struct, frozen=True):
-    """The policy that holds. ``applied`` is the SHA-256 of its file, empty if nobody has applied one."""
+    """The present policy. ``applied`` is the SHA-256 of its file, empty if nobody has applied one."""
 
     applied: str
     policy: Policy
@@ -93,29 +96,32 @@ class ApprovalTerms(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """What is left out stays as it was asked for. The terms are those of campaigns and of their changes;
     the priority also that of a run or an experiment."""
 
-    digest: Annotated[Name, says("of the proposal that was looked at; its first 12 characters are enough")]
+    digest: Annotated[
+        Name,
+        says("the digest of the submission that the operator looked at; the first 12 characters are enough"),
+    ]
     by: Asker = ""
-    comment: Annotated[Line, says("a word about it for the log")] = ""
-    priority: Annotated[Priority | None, says("in place of what was asked")] = None
-    deadline: Annotated[Line | None, says("a time, or how long from now (`12h`); empty for none")] = None
-    runs: Annotated[Limit | None, says("so many runs at most; 0 for no limit")] = None
-    lab_time_s: Annotated[Amount | None, says("so much module time at most; 0 for no limit")] = None
-    consumables: Annotated[Amounts | None, says("so much at most, by kind of consumable")] = None
+    comment: Annotated[Line, says("a reason or comment for the log")] = ""
+    priority: Annotated[Priority | None, says("a priority that replaces the requested one")] = None
+    deadline: Annotated[Line | None, says("a time, or a duration from now (`12h`); empty for none")] = None
+    runs: Annotated[Limit | None, says("the largest number of runs; 0 for no limit")] = None
+    lab_time_s: Annotated[Amount | None, says("the most module time, in lab seconds; 0 for no limit")] = None
+    consumables: Annotated[Amounts | None, says("the largest amounts, by kind of consumable")] = None
     alike: Annotated[
         bool,
-        says("of a run of an experiment: further runs of its workflow in it, with other values, need none"),
+        says("for a run of an experiment: further runs of its workflow there need no approval"),
     ] = False
 
 
 class ApprovalRefusal(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
-    comment: Annotated[Line, says("a word about it for the log")] = ""
+    comment: Annotated[Line, says("a reason or comment for the log")] = ""
 
 
 class PolicyText(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     text: Annotated[FileText, says("the file")]
     by: Asker = ""
-    name: Annotated[FileName, says("what errors call the file")] = "policy"
+    name: Annotated[FileName, says("the name of the file in error messages")] = "policy"
 
 
 class PolicyReference(msgspec.Struct, frozen=True):
@@ -125,8 +131,8 @@ class PolicyReference(msgspec.Struct, frozen=True):
 
 
 async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
-    """The oldest first, a page of them: ask again with `after` = the last `subject` while there are
-    `more`."""
+    """A page of them, the oldest first. While there are `more`, ask for the next page with `after` = the last
+    `subject`."""
     state = call.kernel.state
     names = [name for name in state.approvals.open if name not in call.hidden]
     begin = names.index(query.after) + 1 if query.after in names else 0
@@ -147,15 +153,16 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
 
 
 async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
-    """It is taken as approved now, as it is. Nothing is approved by that. Of an experiment nothing can be
-    forecast: its application decides as it goes."""
+    """The forecast assumes that the submission is approved now, without changes. This does not approve it. An
+    experiment cannot be forecast, because its application decides while it runs."""
     found = await forecast_proposal(call.service, _proposal(call, path))
     return msgspec.structs.replace(found, forecast=hide_others(found.forecast, call))
 
 
 async def approve_proposal(call: Call, path: OfProposal, body: ApprovalTerms) -> ProposalAnswer:
-    """Only what bears this digest can be approved: what was changed since it was looked at is refused. An
-    operator approves, who is not the user unless the policy says so, and never a program."""
+    """Only the submission with this digest can be approved: the request is refused if the submission has
+    changed since the operator looked at it. An operator approves; the policy says whether it may be the
+    submitting user. A program cannot approve."""
     proposal = _proposal(call, path)
     priority, terms = _changes(call, proposal, body)
     command = ApproveProposal(
@@ -189,7 +196,7 @@ def _changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[int |
 
 
 async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -> ProposalAnswer:
-    """It is cancelled. A change of a campaign is not made, and the campaign goes on as before."""
+    """The submission is cancelled. If it is a change of a campaign, the campaign continues unchanged."""
     proposal = _proposal(call, path)
     digest = proposal.digest
     await call.kernel.execute(RefuseProposal(proposal.subject, body.by, body.comment), body.by)
@@ -204,7 +211,7 @@ async def get_policy(call: Call) -> PolicyView:
 
 
 async def apply_policy(call: Call, body: PolicyText) -> PolicyReference:
-    """What waits already goes on waiting."""
+    """Submissions that wait already continue to wait."""
     found = await call.service.beside(len(body.text), parse_policy, body.text, body.name)
     await call.kernel.execute(ApplyPolicy(found.digest, found.policy), body.by)
     return PolicyReference(found.digest)
@@ -221,11 +228,8 @@ def _proposal(call: Call, path: OfProposal) -> Proposal:
 
 
 def _view(state: LabState, proposal: Proposal) -> ProposalView:
-    shown = {name: getattr(proposal, name) for name in ProposalView.__struct_fields__ if name in _SHARED}
-    return ProposalView(**shown, sentence=sentence(state, proposal.subject), terms=_terms(state, proposal))
-
-
-_SHARED = frozenset(Proposal.__struct_fields__) - {"terms"}
+    said = sentence(state, proposal.subject)
+    return make_from(ProposalView, proposal, sentence=said, terms=_terms(state, proposal))
 
 
 def _terms(state: LabState, proposal: Proposal) -> Terms | None:
@@ -242,21 +246,21 @@ OPERATIONS = declare(
         route="GET /approvals",
         handler=list_approvals,
         client=Method("_list_approvals"),
-        summary="What waits for an approval, and why",
+        summary="List the submissions that wait for an approval",
         needs="viewer",
     ),
     Operation(
         route="GET /approvals/{subject}",
         handler=get_approval,
         client=Method("approval_of"),
-        summary="What waits for an approval, and how it differs from what was approved before",
+        summary="Show a submission that waits for an approval, and how it differs from the last approved one",
         needs="viewer",
     ),
     Operation(
         route="GET /approvals/{subject}/forecast",
         handler=forecast_approval,
         client=Method("approval_forecast", timeout_s=FORECAST_S),
-        summary="What a submission that waits for an approval would bring",
+        summary="Forecast a submission that waits for an approval",
         needs="viewer",
         problems=("refused",),
     ),
@@ -264,7 +268,7 @@ OPERATIONS = declare(
         route="POST /approvals/{subject}/approve",
         handler=approve_proposal,
         client=Method("approve", "subject, by, digest", take="digest", repeat=True),
-        summary="Let a submission go on, as it is or with changes",
+        summary="Approve a submission, as it is or with changes",
         needs="operator",
         problems=("refused",),
         example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
@@ -274,7 +278,7 @@ OPERATIONS = declare(
         route="POST /approvals/{subject}/refuse",
         handler=refuse_proposal,
         client=Method("refuse", take="digest", repeat=True),
-        summary="Do not let a submission go on",
+        summary="Refuse a submission",
         needs="operator",
         problems=("refused",),
         example={"by": "olga", "comment": "too many plates"},
@@ -284,14 +288,14 @@ OPERATIONS = declare(
         route="GET /policy",
         handler=get_policy,
         client=Method("policy"),
-        summary="Which submissions wait for an approval, and how high a priority may be",
+        summary="Show the policy: which submissions need an approval, and the highest priority",
         needs="viewer",
     ),
     Operation(
         route="POST /policy",
         handler=apply_policy,
         client=Method("apply_policy", "text, file=name, by", take=None, repeat=True),
-        summary="Let the policy be as a file says",
+        summary="Apply a policy file",
         needs="admin",
         problems=("refused", "spec_error", "spec_errors"),
         example={"text": _POLICY, "by": "ada", "name": "policy.yaml"},

@@ -44,53 +44,55 @@ async def place_labware(call: Call, body: LabwarePlacement) -> LabwareReference:
 
 
 async def load_station(call: Call, body: Load) -> LoadResult:
-    """On top of a stack, or into free slots. What the station does not accept or has no room for is
-    refused."""
+    """The labware is on top of a stack, or in free slots. It is refused if the station does not accept it or
+    has no room."""
     return LoadResult(await load(call.service, body, body.by))
 
 
 async def unload_station(call: Call, body: Unload) -> UnloadResult:
-    """It has left the bench. What a run or an experiment that has not ended owns is refused."""
+    """The labware has left the bench. It is refused for labware of a run or an experiment that has not
+    ended."""
     names, nameless = await unload(call.service, body, body.by)
     return UnloadResult(names, nameless)
 
 
 async def observe_station(call: Call, body: Observation) -> ObservationResult:
-    """What was uncertain is narrowed down; what contradicts the log is asked. Refused while something is
-    carried to or from there."""
+    """The report narrows down uncertain places. If it contradicts the log, LabOS asks a question. It is
+    refused while labware is being moved to or from the station."""
     return await observe(call.service, body.station, body.what, body.by)
 
 
 async def declare_stations(call: Call, body: BenchDeclaration) -> DeclareResult:
-    """Bottom to top; all of it is declared, or nothing."""
+    """The labware is listed from bottom to top. Either all stations are declared, or none."""
     found = await declare_bench(call.service, body.stations, body.workcell, body.by, empty=body.empty)
     return DeclareResult(found)
 
 
 async def get_round(call: Call) -> Round:
-    """What is known of a log that has lost its end, and what has to be said of the bench before anything
-    starts; without such a log, there is nothing to say."""
+    """The evidence that the log has lost its end, and the stations that have to be reported before anything
+    starts. If the log is complete, the answer is empty."""
     view = round_view(call.kernel.state)
     await call.kernel.flush()
     return view
 
 
 async def report_round(call: Call, body: RoundReport) -> RoundResult:
-    """Each station is taken or refused for itself. Labware by its id, or by its type where the log does not
-    know it, with its lid (`P7+P8`, `plate96+lid96`); of a waste the number counts. When nothing is left, the
-    intervention is answered with `checked`."""
+    """Each station is accepted or refused by itself. Labware is named by its id, or by its type if the log
+    does not have it, with its lid (`P7+P8`, `plate96+lid96`). For a waste station only the number matters.
+    When no station is left, the intervention is answered with `checked`."""
     return await say(call.service, body, body.by)
 
 
 async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> LabwareReference:
-    """Refused if other labware on the bench bears it."""
+    """It is refused if other labware on the bench has this barcode."""
     labware = LabwareId(path.labware)
     await call.kernel.execute(NameBarcode(labware, body.barcode, body.by, body.replace), body.by)
     return LabwareReference(labware)
 
 
 async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> LabwareOwner:
-    """Refused while a run uses it, while it is carried or worked on, and if it is not `by`'s."""
+    """It is refused while a run uses the labware, while it is being moved or processed, and if it does not
+    belong to `by`."""
     if body.to.startswith("user:"):
         check_person(body.to.removeprefix("user:"), "to")
     await give(call.service, path.labware, body.to, body.by, force=body.force, note=body.note)
@@ -98,7 +100,7 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
 
 
 async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
-    """A faulty sheet is refused as a whole, with the places of all faults."""
+    """A sheet with faults is refused completely; the answer lists the places of all faults."""
     plates = await register_samples(
         call.service,
         body.text,
@@ -127,7 +129,7 @@ OPERATIONS = declare(
         route="POST /stations/place",
         handler=place_labware,
         client=Method("place", take="labware"),
-        summary="Say that labware was put on an empty station",
+        summary="Report that labware was put on an empty station",
         needs="operator",
         status=201,
         problems=("not_found", "refused"),
@@ -138,7 +140,7 @@ OPERATIONS = declare(
         route="POST /stations/load",
         handler=load_station,
         client=Method("load", take="labware"),
-        summary="Say that labware was loaded",
+        summary="Report that labware was loaded",
         needs="operator",
         status=201,
         problems=("not_found", "refused"),
@@ -149,7 +151,7 @@ OPERATIONS = declare(
         route="POST /stations/unload",
         handler=unload_station,
         client=Method("unload"),
-        summary="Say that labware was taken away",
+        summary="Report that labware was taken away",
         needs="operator",
         problems=("not_found", "refused"),
         example={"station": "sciclops.tower1", "by": "ada", "count": 3},
@@ -159,7 +161,7 @@ OPERATIONS = declare(
         route="POST /stations/observe",
         handler=observe_station,
         client=Method("observe", "station, what, by"),
-        summary="Say what stands at a station",
+        summary="Report what stands at a station",
         needs="operator",
         status=201,
         problems=("not_found", "refused"),
@@ -180,14 +182,14 @@ OPERATIONS = declare(
         route="GET /round",
         handler=get_round,
         client=Method("round"),
-        summary="What has to be said of the bench after the log lost its end",
+        summary="Show what has to be reported of the bench after the log lost its end",
         needs="viewer",
     ),
     Operation(
         route="POST /round",
         handler=report_round,
         client=Method("say", "by, stations, as_recorded", repeat=True),
-        summary="Say on the round what stands where",
+        summary="Report what stands at stations after the log lost its end",
         needs="operator",
         status=201,
         example={"by": "ada", "stations": {"sealer.default": []}, "as_recorded": ["ot2_pcr_alpha.deck1"]},
@@ -201,7 +203,7 @@ OPERATIONS = declare(
         route="POST /labware/{labware}/barcode",
         handler=label_labware,
         client=Method("barcode", take=None, repeat=True),
-        summary="Say which barcode labware bears",
+        summary="Record the barcode of labware",
         needs="submitter",
         status=201,
         problems=("refused",),
@@ -212,7 +214,7 @@ OPERATIONS = declare(
         route="POST /labware/{labware}/owner",
         handler=hand_over_labware,
         client=Method("give", take=None, repeat=True),
-        summary="Hand labware over",
+        summary="Give labware to another owner",
         needs="submitter",
         status=201,
         problems=("refused",),
@@ -223,7 +225,7 @@ OPERATIONS = declare(
         route="POST /samples",
         handler=register_sheet,
         client=Method("_register_sheet", take="plates", repeat=True),
-        summary="Say which samples are in the wells of plates",
+        summary="Register the samples in the wells of plates",
         needs="submitter",
         status=201,
         problems=("not_found", "refused", "spec_error", "spec_errors"),

@@ -38,7 +38,7 @@ MEDIA_TYPE = "text/calendar"
 
 
 async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
-    """Those that are not over, in the order of their next times."""
+    """The bookings that have not ended, in the order of their next times."""
     views = [view(booking) for booking in bookings_of(call.service, query.target)]
     found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
     await call.kernel.flush()
@@ -52,8 +52,9 @@ async def get_booking(call: Call, path: OfBooking) -> BookingView:
 
 
 async def make_booking(call: Call, body: NewBooking) -> BookingView:
-    """Runs of others do not start what would still be there then. Where somebody has booked already it is
-    refused, unless an admin forces it; over maintenance it is refused in any case."""
+    """Runs of other users start nothing that would still be there at that time. If somebody else has a
+    booking at that time, the request is refused, unless an admin forces it. A booking for maintenance cannot
+    be overridden."""
     state, now = call.kernel.state, call.kernel.clock.now_ns()
     target, terms = target_of(call.service, body.target), terms_of(state, body)
     events = await call.kernel.execute(MakeBooking(target, terms, body.by, now, body.force), body.by)
@@ -61,7 +62,8 @@ async def make_booking(call: Call, body: NewBooking) -> BookingView:
 
 
 async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> BookingView:
-    """What is left out stays. A new begin alone moves the end along."""
+    """Fields that are left out do not change. If only the beginning is given, the end moves by the same
+    time."""
     booking, now = the_booking(call.kernel.state, path.booking), call.kernel.clock.now_ns()
     terms = change_terms(call.kernel.state, booking, body)
     events = await call.kernel.execute(ChangeBooking(booking.id, terms, body.by, now, body.force), body.by)
@@ -69,22 +71,22 @@ async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> Bo
 
 
 async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> BookingCancelled:
-    """The time is everybody's again, also while it lasts."""
+    """Everybody may then use that time, also if it has begun."""
     the_booking(call.kernel.state, path.booking)
     await call.kernel.execute(CancelBooking(path.booking, body.by, body.why, body.begins_at), body.by)
     return BookingCancelled(path.booking, body.begins_at)
 
 
 async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
-    """Each time of each booking, repeated ones too."""
+    """Each time of each booking, also of repeated ones."""
     found = calendar(call.service, query, call.kernel.clock.now_ns())
     await call.kernel.flush()
     return found
 
 
 async def export_calendar(call: Call, query: LinkQuery) -> Response:
-    """All bookings as iCalendar (RFC 5545). Calendar programs subscribe to it with a token of scope `viewer`
-    in the address."""
+    """All bookings as iCalendar (RFC 5545). A calendar program subscribes to it with a token of scope
+    `viewer` in the address."""
     from labos.services.ical import ical  # a large library, which most labs never use
 
     bookings = bookings_of(call.service, query.target)
@@ -125,7 +127,7 @@ OPERATIONS = declare(
         route="GET /bookings",
         handler=list_bookings,
         client=Method("bookings", "target", take="bookings"),
-        summary="Which bookings there are",
+        summary="List the bookings",
         needs="viewer",
         problems=("not_found",),
         example_answer={"bookings": [_BOOKING]},
@@ -162,7 +164,7 @@ OPERATIONS = declare(
         route="POST /bookings/{booking}/change",
         handler=change_booking,
         client=Method("change_booking", repeat=True),
-        summary="Change when or for whom a booking is",
+        summary="Change the time or the owner of a booking",
         needs="submitter",
         problems=("refused",),
         example={"begins_at": _AT, "ends_at": _AT + 7_200_000_000_000, "by": "ada"},
@@ -172,7 +174,7 @@ OPERATIONS = declare(
         route="POST /bookings/{booking}/cancel",
         handler=cancel_booking,
         client=Method("cancel_booking", take=None, key="new"),
-        summary="Give a booking back, or one time of it",
+        summary="Cancel a booking, or one time of it",
         needs="submitter",
         problems=("refused",),
         example={"by": "ada", "why": "not needed"},
@@ -182,7 +184,7 @@ OPERATIONS = declare(
         route="GET /calendar",
         handler=show_calendar,
         client=Method("calendar", "since, until, target"),
-        summary="When what is booked",
+        summary="List the booked times",
         needs="viewer",
         problems=("not_found",),
         example_answer={

@@ -59,15 +59,15 @@ async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
 
 
 async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
-    """It is checked row by row; if a row cannot be carried out, nothing is submitted, and `details` of the
-    problem names each fault with its row."""
+    """The campaign is checked row by row. If a row cannot be carried out, nothing is submitted, and `details`
+    of the problem lists each fault with its row."""
     name, estimate = await submit_campaign(call.service, body, call.key)
     told = CampaignSubmission(name, estimate, sentence(call.kernel.state, name))
     return wire.answer(told, 200 if body.dry_run else 201)
 
 
 async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> CampaignReference:
-    """Its runs that wait are paused, those under way go on."""
+    """Its waiting runs are paused; runs that have started continue."""
     name = _open_campaign(call, path).id
     await call.kernel.execute(PauseCampaign(name, body.why), body.by)
     return CampaignReference(name)
@@ -87,8 +87,8 @@ async def cancel_campaign(call: Call, path: OfCampaign, body: CampaignCancel) ->
 
 
 async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> CampaignTerms:
-    """What is left out stays as it is. A change by which it may do more may wait for an approval; until then
-    it goes on under the terms that are answered."""
+    """Fields that are left out do not change. A change that allows the campaign more may need an approval;
+    until then, the terms in the answer are valid."""
     campaign = _open_campaign(call, path)
     terms = amend_terms(campaign.terms, body, call.kernel.clock.now_ns())
     await call.kernel.execute(AmendCampaign(campaign.id, terms), body.by)
@@ -96,9 +96,9 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
 
 
 async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Response:
-    """It has the same rows and the same workflow, and is checked like a new one. It is the user who asks who
-    gets it. A campaign that has ended can be cloned, too. What is left out is as in the campaign that is
-    cloned, but for its deadline: the clone has none."""
+    """The copy has the same rows and the same workflow, and is checked like a new campaign. It belongs to the
+    user who asks. A campaign that has ended can be copied too. Fields that are left out are as in the
+    original, except the deadline: the copy has none."""
     call.expect_seen(path.campaign)
     name, estimate = await clone_campaign(call.service, path.campaign, body, body.by, call.key)
     told = CampaignSubmission(name, estimate, sentence(call.kernel.state, name))
@@ -106,7 +106,7 @@ async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Respons
 
 
 async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> CampaignReference:
-    """It is left out of lists; nothing of it is deleted."""
+    """Nothing is deleted."""
     call.expect_seen(path.campaign)
     await call.kernel.execute(ArchiveCampaign(CampaignId(path.campaign), body.undo), body.by)
     return CampaignReference(path.campaign)
@@ -150,7 +150,7 @@ OPERATIONS = declare(
         route="GET /campaigns",
         handler=list_campaigns,
         client=Method("campaigns", take="campaigns"),
-        summary="Campaigns that have not been completed",
+        summary="List the campaigns that have not been completed",
         needs="viewer",
     ),
     Operation(
@@ -176,14 +176,14 @@ OPERATIONS = declare(
         route="GET /campaigns/{campaign}",
         handler=get_campaign,
         client=Method("campaign"),
-        summary="A campaign that has not been completed: how far it is, and its terms",
+        summary="Show the progress and the terms of a campaign that has not been completed",
         needs="viewer",
     ),
     Operation(
         route="POST /campaigns/{campaign}/pause",
         handler=pause_campaign,
         client=Method("pause_campaign", take=None, repeat=True),
-        summary="Submit no further row of a campaign until it is resumed",
+        summary="Pause a campaign: no further row is submitted",
         needs="submitter",
         problems=("refused",),
         example={"by": "ada", "why": "lunch"},
@@ -193,7 +193,7 @@ OPERATIONS = declare(
         route="POST /campaigns/{campaign}/resume",
         handler=resume_campaign,
         client=Method("resume_campaign", take=None, repeat=True),
-        summary="Go on with a campaign that is paused",
+        summary="Resume a paused campaign",
         needs="submitter",
         problems=("refused",),
         example={"by": "ada"},
@@ -213,7 +213,7 @@ OPERATIONS = declare(
         route="POST /campaigns/{campaign}/amend",
         handler=amend_campaign,
         client=Method("_amend_campaign", repeat=True),
-        summary="Let a campaign go on under other terms",
+        summary="Change the terms of a campaign",
         needs="submitter",
         problems=("refused", "spec_error"),
         example={"by": "ada", "priority": 5, "runs": 100},
@@ -222,7 +222,7 @@ OPERATIONS = declare(
         route="POST /campaigns/{campaign}/clone",
         handler=clone_a_campaign,
         client=Method("_clone_a_campaign", key="given", timeout_s=900.0),
-        summary="Submit a campaign once more",
+        summary="Submit a copy of a campaign",
         needs="submitter",
         status=201,
         other_statuses={200: "It was only checked (`dry_run`)"},
@@ -235,7 +235,7 @@ OPERATIONS = declare(
         route="POST /campaigns/{campaign}/archive",
         handler=archive_campaign,
         client=Method("archive_campaign", take=None, repeat=True),
-        summary="Leave a campaign that has ended out of lists",
+        summary="Hide a campaign that has ended from lists",
         needs="submitter",
         problems=("not_found", "refused"),
         example={"by": "ada"},
@@ -245,14 +245,14 @@ OPERATIONS = declare(
         route="GET /shares",
         handler=list_shares,
         client=Method("shares", take="accounts"),
-        summary="Who is to have which part of the lab, and who has had which",
+        summary="Show each user's share of the lab, and the use so far",
         needs="viewer",
     ),
     Operation(
         route="POST /shares",
         handler=apply_shares,
         client=Method("apply_shares", "text, file=name, by", take=None, repeat=True),
-        summary="Let weights and quotas be as a shares file says",
+        summary="Apply a shares file with weights and quotas",
         needs="admin",
         problems=("refused", "spec_error", "spec_errors"),
         example={"text": _SHARES, "by": "ada", "name": "shares.yaml"},

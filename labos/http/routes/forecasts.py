@@ -21,37 +21,37 @@ from labos.spec.findings import Finding
 
 
 class Forecast(msgspec.Struct, frozen=True):
-    """What is expected of the lab. ``drifts`` are the actions that take longer or shorter than planned."""
+    """The forecast for the lab. ``drifts`` are the actions that take longer or shorter than planned."""
 
     forecast: LabForecast
     drifts: list[Drift]
 
 
 class RunForecast(msgspec.Struct, frozen=True):
-    """What a run would bring, and what its workflow's files made the lab remark."""
+    """The forecast for a run, and the warnings about its workflow's files."""
 
     forecast: LabForecast
     warnings: tuple[Finding, ...] = ()
 
 
 class CampaignForecast(msgspec.Struct, frozen=True):
-    """What a campaign would bring, and what all its rows ask of the lab."""
+    """The forecast for a campaign, and the work and material that all its rows need."""
 
     estimate: Estimate
     forecast: LabForecast
 
 
 async def get_forecast(call: Call) -> Forecast:
-    """The lab is carried on in virtual time, with the durations that its log has taught: nothing fails, and
-    nobody fills anything up. Ranges are as wide as earlier forecasts were off. The first 200 runs that wait
-    are looked at."""
+    """LabOS simulates the lab in virtual time with durations from its log. The simulation assumes that
+    nothing fails and nobody refills a resource. The ranges are as wide as the errors of earlier forecasts. It
+    covers the first 200 waiting runs."""
     forecast = await call.service.forecasts.queue()
     state = call.service.kernel.state
     return Forecast(hide_others(forecast, call), find_drifts(state.lengths, state.lab.pace))
 
 
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
-    """Nothing is submitted, nothing is kept. It is taken as approved."""
+    """Nothing is submitted or stored. The run counts as approved."""
     service = call.service
     service.expect_role(body.user, "submitter")  # before anything is planned
     workcell = await service.workcell_for(body.workflow, body.workcell)
@@ -72,7 +72,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
 
 
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
-    """It is checked row by row; nothing is submitted, nothing is kept. It is taken as approved."""
+    """The campaign is checked row by row. Nothing is submitted or stored. It counts as approved."""
     estimate, forecast = await forecast_campaign(call.service, body)
     return CampaignForecast(estimate, hide_others(forecast, call))
 
@@ -107,7 +107,7 @@ OPERATIONS = (
         route="GET /forecast",
         handler=get_forecast,
         client=Method("forecast", timeout_s=FORECAST_S),
-        summary="When runs start and end, and when a person is needed",
+        summary="Forecast when runs start and end, and when a person is needed",
         tag="runs",
         needs="viewer",
         problems=("refused",),
@@ -116,7 +116,7 @@ OPERATIONS = (
         route="POST /runs/forecast",
         handler=forecast_run,
         client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
-        summary="When a run would start and end, without submitting it",
+        summary="Forecast when a run would start and end, without submitting it",
         tag="runs",
         needs="submitter",
         problems=("not_found", "refused", "spec_error", "spec_errors"),
@@ -127,7 +127,7 @@ OPERATIONS = (
         route="POST /campaigns/forecast",
         handler=forecast_campaign_file,
         client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
-        summary="What a campaign would need and bring, without submitting it",
+        summary="Forecast a campaign and its needs, without submitting it",
         tag="campaigns",
         needs="submitter",
         problems=("not_found", "refused", "spec_error", "spec_errors"),

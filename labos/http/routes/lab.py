@@ -22,7 +22,7 @@ from labos.services.times import iso_time
 
 
 async def get_health(call: Call) -> Health:
-    """For probes there is `/health`: it answers `{"status": …}` and needs no user."""
+    """Probes can use `/health`, which answers `{"status": …}` and needs no user."""
     kernel, parts = call.kernel, call.service.parts
     lab, check = kernel.state.lab, parts.log_check
     return Health(
@@ -40,13 +40,13 @@ async def get_health(call: Call) -> Health:
 
 
 async def get_state(call: Call, query: StateQuery) -> Response:
-    """Those who ask at the same time get one answer, which is newer than their questions."""
+    """Requests at the same time share one answer, which is newer than each of them."""
     return wire.answer_encoded(await call.api.state_for(call.viewer, waits=query.waits).get())
 
 
 async def get_inventory(call: Call) -> Inventory:
-    """Levels and lots of all resources, what the stacks hold, the room in wastes, and in `runs_out` the first
-    run that would find too little. Times in UTC nanoseconds."""
+    """Levels and lots of all resources, the content of stacks, the room in waste stations, and in `runs_out`
+    the first run that would have too little. Times are in UTC nanoseconds."""
     now = call.kernel.clock.now_ns()
     found = inventory(call.kernel.state, now, iso_time(now)[:10])
     await call.kernel.flush()
@@ -54,14 +54,14 @@ async def get_inventory(call: Call) -> Inventory:
 
 
 async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:
-    """Asks the modules' nodes over the bus, now, for two seconds at most. Nothing moves."""
+    """The lab asks the modules' nodes over the bus and waits at most two seconds. Nothing moves."""
     found = await ask_nodes(call.service, query.module, check=query.check)
     await call.kernel.flush()
     return NodeAnswers(found)
 
 
 async def pause(call: Call, body: ControlRequest) -> ControlResult:
-    """Of what is paused nothing more is started but resets; what is in flight goes on to its end."""
+    """Nothing more starts there except resets; actions under way continue to their end."""
     return await control(call.kernel, "pause", body)
 
 
@@ -70,16 +70,16 @@ async def resume(call: Call, body: ControlRequest) -> ControlResult:
 
 
 async def cancel(call: Call, body: ControlRequest) -> ControlResult:
-    """Of a module, those runs are cancelled that are under way and still need it; of a workcell or the lab,
-    all runs, those that wait too. An experiment that is cancelled takes no more runs, and closes when those
-    that it has have ended. Closing workflows go on: they clear away."""
+    """With a module, the started runs that still need it are cancelled; with a workcell or the lab, all runs,
+    also those that wait. A cancelled experiment accepts no more runs and closes when its runs have ended.
+    Closing workflows continue, because they clear labware away."""
     return await control(call.kernel, "cancel", body)
 
 
 async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
-    """In an emergency: without the log, which is told afterwards. This is no safety function. `stopped` are
-    the modules that say that they stopped, and when (UTC nanoseconds), `silent` the others. A stopped module
-    is brought out of its error by a run of its action `reset`, as `labos reset` makes one."""
+    """The stop does not wait for the log; it is logged afterwards. It is not a safety function. `stopped` are
+    the modules that confirmed the stop, with the time (UTC nanoseconds); `silent` are the others. A stopped
+    module is in the state ERROR until a run of its action `reset`, which `labos reset` submits."""
     return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
 
 
@@ -100,7 +100,7 @@ OPERATIONS = declare(
         handler=get_health,
         client=Method("health"),
         at_kernel=True,
-        summary="Whether the kernel works",
+        summary="Show whether the kernel works",
         needs="viewer",
     ),
     Operation(
@@ -108,21 +108,21 @@ OPERATIONS = declare(
         handler=get_state,
         client=Method("state"),
         answer=LabView,
-        summary="Everything that is alive",
+        summary="Show the present state of the lab",
         needs="viewer",
     ),
     Operation(
         route="GET /inventory",
         handler=get_inventory,
         client=Method("inventory"),
-        summary="What is left, and what runs out when",
+        summary="Show the resources that are left, and when they run out",
         needs="viewer",
     ),
     Operation(
         route="GET /nodes",
         handler=list_nodes,
         client=Method("_list_nodes", take="modules"),
-        summary="What the nodes of modules answer now",
+        summary="Ask the nodes of modules for their present state",
         needs="viewer",
         example_answer={"modules": [_NODE]},
     ),
@@ -140,7 +140,7 @@ OPERATIONS = declare(
         route="POST /control/resume",
         handler=resume,
         client=Method("_resume_target", repeat=True),
-        summary="Resume what is paused",
+        summary="Resume a paused run, experiment, module, workcell or lab",
         needs="submitter",
         problems=("not_found", "refused"),
         example={"target": "rpl/ot2_pcr_alpha", "by": "ada"},

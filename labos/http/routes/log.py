@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 import msgspec
 from starlette.responses import Response, StreamingResponse
 
+from labos.core.structs import make_from
 from labos.http import wire
 from labos.http.answers import EventPage
 from labos.http.files import send_file
@@ -24,7 +25,7 @@ CONNECTION = "labos.connection"
 
 
 async def list_events(call: Call, query: EventsQuery) -> Response:
-    """One page, 1000 at most. Ask again with `after` = `position` of the answer."""
+    """One page, at most 1000 events. For the next page, ask with `after` = `position` of the answer."""
 
     def is_there() -> bool:
         return call.kernel.durable > query.after
@@ -44,12 +45,12 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
 
 
 async def follow_events(call: Call, query: EventFilter) -> Response:
-    """Server-sent events, for ever: `id` is the position, `data` the event. The header `Last-Event-ID` goes
-    before `after`: a browser that connects again sends the same `after` as at first. Many may follow: they
-    are served by a process of their own. The more there are, the more events come at once, each second at the
-    latest. A follower for which more than 1 MB waits is dropped: its last message is of the type `dropped`,
-    and its `id` is where to go on. One that reads nothing for 30 s is cut off. The stream ends with the
-    session or token of the follower."""
+    """A stream of server-sent events without end: `id` is the position, `data` is the event. The header
+    `Last-Event-ID` takes precedence over `after`, because a browser that connects again repeats its first
+    `after`. There may be many clients: a separate process serves them. With more clients, events are sent in
+    larger groups, at least once a second. A client that falls more than 1 MB behind is disconnected; its last
+    message has the type `dropped`, and an `id` at which it can continue. A client that reads nothing for 30 s
+    is also disconnected. The stream ends with the client's session or token."""
     wanted = _log_query(query)
     known = wire.header(call.request, "last-event-id")
     if known.isascii() and known.isdecimal() and int(known[:20]) <= WHOLE_NUMBERS[1]:
@@ -73,9 +74,9 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
 
 
 async def get_file(call: Call, path: OfFile) -> Response:
-    """The content of a file that a result names (`{"file": "plate.png", "sha256": …, "bytes": …}`). With
-    `Range: bytes=0-1023` (or `1024-`, or `-512` for the end) that part of it. A file of this name never
-    changes: its SHA-256 is its `ETag`."""
+    """A file that a result names (`{"file": "plate.png", "sha256": …, "bytes": …}`). With `Range:
+    bytes=0-1023` (or `1024-`, or `-512` for the end), only this part. The content never changes; its SHA-256
+    is its `ETag`."""
     return await send_file(call.request, path.sha256, call.service.parts.blobs)
 
 
@@ -91,14 +92,7 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
 
 
 def _log_query(query: EventFilter) -> LogQuery:
-    return LogQuery(
-        after=query.after,
-        types=tuple(query.type),
-        streams=tuple(query.stream),
-        correlation=query.correlation,
-        actor=query.actor,
-        mentions=query.mentions,
-    )
+    return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream))
 
 
 OPERATIONS = declare(

@@ -37,7 +37,7 @@ from labos.http.workcells import WorkcellChange, apply_workcell
 
 
 async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) -> ModuleReference:
-    """What runs there ends, nothing more starts."""
+    """Actions under way continue to their end; nothing more starts there."""
     if not body.why.strip():
         raise BadInput("The field 'why' is empty.", remedy="Say why.")
     await call.service.take_out(path.module, body.why, body.until, body.by)
@@ -50,7 +50,7 @@ async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReferenc
 
 
 async def trace_wires(call: Call, path: OfModule, body: WireTrace) -> TraceFile:
-    """The module's running node writes down every byte on its device's wires, or no more
+    """The module's node records every byte on the links to its device, or stops doing so
     ([links](../links.md))."""
     module = call.service.module(path.module)
     call.service.expect_role(body.by, "operator", workcell_of(module))
@@ -58,47 +58,46 @@ async def trace_wires(call: Call, path: OfModule, body: WireTrace) -> TraceFile:
 
 
 async def replenish_resource(call: Call, path: OfModule, body: Replenishment) -> ReplenishResult:
-    """More than there is room for is refused."""
+    """An amount larger than the free room is refused."""
     amount = await replenish(call.service, path.module, body, body.by)
     return ReplenishResult(path.module, body.resource, amount)
 
 
 async def list_locations(call: Call, path: OfModule) -> Locations:
-    """By station; version 0 is the workcell file's. Labware types with poses of their own stand below
-    `types`."""
+    """Version 0 is the pose of the workcell file. Poses for particular labware types are under `types`."""
     name = call.service.module(path.module)
     return Locations(locations(call.kernel.state.modules.by_name[name]))
 
 
 async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersion:
-    """Its node is started again with the new pose."""
+    """The node restarts with the new pose."""
     return PoseVersion(await teach(call.service, path.module, body, body.by))
 
 
 async def calibrate_module(call: Call, path: OfModule, body: NewCalibration) -> CalibrationRecord:
-    """A later one of the same `what` takes its place, and corrects it. No run waits for a calibration, and
-    none stops because one has expired. The report is had again at `/files/{sha256}`."""
+    """A later calibration of the same `what` replaces it. No run waits for a calibration, and none stops
+    because a calibration has expired. `/files/{sha256}` returns the report."""
     return await calibrate(call.service, path.module, body, body.by)
 
 
 async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
-    """Answers what differs (`modules`, `stations`, `poses`, `labware`), by module the fields that change
-    (`details`), the `blockers`, the warnings of its files (`findings`), and whether it was `applied`. Nothing
-    is read from the lab's disk because of it. A module that names files, programs or secrets of its node's
-    computer ([workcell](workcell.md#files-programs-and-secrets)) is refused unless the lab has it like
-    that."""
+    """The answer has the differences (`modules`, `stations`, `poses`, `labware`), the changed fields of each
+    module (`details`), the `blockers`, the warnings about its files (`findings`), and whether it was
+    `applied`. The request reads no file from the lab's disk. A module that names files, programs or secrets
+    of its node's computer ([workcell](workcell.md#files-programs-and-secrets)) is refused unless the lab has
+    the same module already."""
     return await apply_workcell(call.service, body, body.by)
 
 
 async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequest) -> AccessResult:
-    """Nothing more starts there. `lab.access` in the state says when it is `granted`, and of which modules
-    nobody knows whether they are at rest (`perhaps_moving`)."""
+    """Nothing more starts there. `lab.access` in the state shows when access is `granted`, and which modules
+    may still be moving because the outcome of their action is unknown (`perhaps_moving`)."""
     runs = await request_access(call.service, path.workcell, body.by, body.why, park=body.park)
     return AccessResult(path.workcell, runs)
 
 
 async def end_workcell_access(call: Call, path: OfWorkcell, body: AccessEnd) -> WorkcellReference:
-    """Everybody is out; the workcell goes on."""
+    """Nobody reaches into the workcell any more, and it continues."""
     await end_access(call.service, path.workcell, body.by, body.note, body.changed)
     return WorkcellReference(path.workcell)
 
@@ -132,7 +131,7 @@ OPERATIONS = (
         route="POST /modules/{module}/trace",
         handler=trace_wires,
         client=Method("trace", "module, by='somebody'", take="file", repeat=True),
-        summary="Begin or end the transcript of a device's wires",
+        summary="Start or stop the transcript of a device's links",
         tag="modules",
         needs="operator",
         problems=("refused",),
@@ -143,7 +142,7 @@ OPERATIONS = (
         route="POST /modules/{module}/replenish",
         handler=replenish_resource,
         client=Method("replenish", take="amount"),
-        summary="Say that more of a resource was put in",
+        summary="Report that a resource was refilled",
         tag="modules",
         needs="operator",
         problems=("refused", "spec_error"),
@@ -154,7 +153,7 @@ OPERATIONS = (
         route="GET /modules/{module}/locations",
         handler=list_locations,
         client=Method("locations", take="locations"),
-        summary="Where a manipulator finds stations",
+        summary="Show the poses of a manipulator by station",
         tag="modules",
         needs="viewer",
         example_answer={
@@ -165,7 +164,7 @@ OPERATIONS = (
         route="POST /modules/{module}/locations",
         handler=teach_location,
         client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
-        summary="Teach a manipulator a station",
+        summary="Teach a manipulator the pose for a station",
         tag="modules",
         needs="operator",
         status=201,
@@ -196,7 +195,7 @@ OPERATIONS = (
         route="POST /workcells",
         handler=change_workcell,
         client=Method("_change_workcell", "text, by", repeat=True),
-        summary="Change a workcell to what its file says",
+        summary="Apply a workcell file",
         tag="workcells",
         needs="admin",
         problems=("refused", "spec_error", "spec_errors"),
@@ -207,7 +206,7 @@ OPERATIONS = (
         route="POST /workcells/{workcell}/access",
         handler=request_workcell_access,
         client=Method("enter", "workcell, by, why", take="parking", repeat=True),
-        summary="Ask to reach into a workcell",
+        summary="Ask for access to a workcell",
         tag="workcells",
         needs="operator",
         status=201,
@@ -219,7 +218,7 @@ OPERATIONS = (
         route="POST /workcells/{workcell}/access/end",
         handler=end_workcell_access,
         client=Method("_end_workcell_access", take=None),
-        summary="Say that everybody is out of a workcell",
+        summary="End the access to a workcell",
         tag="workcells",
         needs="operator",
         problems=("refused",),

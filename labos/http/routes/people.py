@@ -51,8 +51,8 @@ async def get_user(call: Call, path: OfUser) -> UserView:
 
 
 async def add_user(call: Call, body: NewUser) -> UserView:
-    """From the first user on, nobody else may do anything: that user becomes admin of the whole lab. It is
-    added by the owner of the lab's folder, with what is in its `home.key` as a token."""
+    """As soon as there is one user, only users may do anything. The first user becomes admin of the whole
+    lab. The owner of the lab's folder adds the first user, with the content of `home.key` as the token."""
     if call.kernel.state.users.is_open and call.who.how != "home":
         raise Forbidden(
             f"{body.user!r} would be the first user of this lab, and its admin: the owner of its folder says "
@@ -63,7 +63,7 @@ async def add_user(call: Call, body: NewUser) -> UserView:
 
 
 async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
-    """The user may do nothing any more. Runs go on; campaigns are paused."""
+    """The user may no longer do anything. The user's runs continue; the user's campaigns are paused."""
     return await _change_user(call, DisableUser(path.user), body.by)
 
 
@@ -83,18 +83,18 @@ async def list_groups(call: Call) -> GroupList:
 
 
 async def add_group(call: Call, body: NewGroup) -> GroupView:
-    """Of weight 1; a shares file may say another one."""
+    """The group has weight 1; a shares file may set another weight."""
     return await _change_group(call, AddGroup(body.group), body.group, body.by)
 
 
 async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
-    """Its members are in no group then, and its roles are gone. Answers those that are left."""
+    """Its members are then in no group, and its roles are removed. The answer lists the remaining groups."""
     await call.kernel.execute(RemoveGroup(path.group), body.by)
     return GroupList(group_views(call.kernel.state))
 
 
 async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
-    """Nobody is in two groups."""
+    """A user can be in only one group."""
     return await _change_group(call, AddMember(path.group, body.user), path.group, body.by)
 
 
@@ -108,13 +108,13 @@ async def _change_group(call: Call, command: Command, group: str, by: str) -> Gr
 
 
 async def grant_role(call: Call, body: Grant) -> GrantView:
-    """In place of the role that the user or group has there."""
+    """It replaces the role that the user or group has there."""
     await call.kernel.execute(GrantRole(body.subject, body.role, body.scope), body.by)
     return GrantView(body.subject, body.scope, body.role)
 
 
 async def revoke_role(call: Call, body: Revocation) -> GrantView:
-    """Without a role somebody may look, and no more."""
+    """A user without a role may only look."""
     await call.kernel.execute(RevokeRole(body.subject, body.scope), body.by)
     return GrantView(body.subject, body.scope, "")
 
@@ -135,7 +135,7 @@ OPERATIONS = declare(
         route="GET /users",
         handler=list_users,
         client=Method("users", take="users"),
-        summary="Who may use the lab, and with which roles",
+        summary="List the users and their roles",
         needs="viewer",
         example_answer={"users": [_USER], "open": False},
     ),
@@ -143,7 +143,7 @@ OPERATIONS = declare(
         route="POST /users",
         handler=add_user,
         client=Method("add_user", take=None),
-        summary="Let a person or a program use the lab",
+        summary="Add a user: a person or a program",
         needs="admin",
         status=201,
         problems=("refused",),
@@ -154,7 +154,7 @@ OPERATIONS = declare(
         route="GET /users/{user}",
         handler=get_user,
         client=Method("user"),
-        summary="A user, with the roles of that user",
+        summary="Show a user and the user's roles",
         needs="viewer",
         example_answer=_USER,
     ),
@@ -162,7 +162,7 @@ OPERATIONS = declare(
         route="POST /users/{user}/disable",
         handler=disable_user,
         client=Method("disable_user", take=None, repeat=True),
-        summary="Let a user do nothing any more",
+        summary="Disable a user",
         needs="admin",
         problems=("refused",),
         example={"by": "ada"},
@@ -172,7 +172,7 @@ OPERATIONS = declare(
         route="POST /users/{user}/enable",
         handler=enable_user,
         client=Method("enable_user", take=None, repeat=True),
-        summary="Let a disabled user act again",
+        summary="Enable a disabled user",
         needs="admin",
         problems=("refused",),
         example={"by": "ada"},

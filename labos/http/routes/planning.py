@@ -13,6 +13,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ExperimentId, RunId, local
 from labos.core.model import MAIN
+from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.users import person_of
 from labos.errors import NotFound
@@ -56,7 +57,7 @@ class ActionView(msgspec.Struct, frozen=True):
 
 
 class ActionList(msgspec.Struct, frozen=True):
-    """What a module can do."""
+    """List the actions of a module."""
 
     module: str
     driver: str
@@ -79,8 +80,9 @@ class PlannedStep(msgspec.Struct, frozen=True):
 
 
 class CheckedRun(msgspec.Struct, frozen=True):
-    """What a run would be. ``demand`` is what its plan asks of the lab; ``approval`` says why it would wait
-    for one, and ``refusal`` why it would be refused as things are now (both empty: it would not)."""
+    """The run as it would be submitted. ``demand`` is the work and material that its plan needs. ``approval``
+    is the reason why it would wait for an approval, and ``refusal`` is the reason why it would be refused in
+    the present state (empty: it would not)."""
 
     workflow: str
     workcell: str
@@ -92,23 +94,17 @@ class CheckedRun(msgspec.Struct, frozen=True):
 
 
 async def list_actions(call: Call, path: OfModule) -> ActionList:
-    """Its actions, with the arguments that a step of a workflow gives them."""
+    """The actions and their arguments, as a step of a workflow uses them."""
     name = call.service.module(path.module)
     spec = call.kernel.state.modules.by_name[name].spec
     found = find_description(spec, call.service.parts.descriptions)
     if found is None:
         raise NotFound(f"Nobody has described what {local(name)} can do.", remedy="Install its driver.")
     actions = [
-        ActionView(
-            name=action.name,
-            description=action.description,
-            duration_s=action.duration_s,
-            dangerous=action.dangerous,
-            result=action.result,
-            arguments=[
-                ArgumentView(**{field: getattr(arg, field) for field in ArgumentView.__struct_fields__})
-                for arg in action.args
-            ],
+        make_from(
+            ActionView,
+            action,
+            arguments=[make_from(ArgumentView, arg) for arg in action.args],
         )
         for action in sorted(found.actions, key=lambda action: not action.exclusive)
     ]
@@ -116,7 +112,7 @@ async def list_actions(call: Call, path: OfModule) -> ActionList:
 
 
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
-    """Nothing is submitted, nothing is kept."""
+    """Nothing is submitted or stored."""
     service, state = call.service, call.kernel.state
     service.expect_role(body.user, "submitter")  # before anything is planned
     workcell = await service.workcell_for(body.workflow, body.workcell)
@@ -139,13 +135,10 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
     asked = [] if isinstance(answer, Rejection) else [e for e in answer if isinstance(e, ApprovalRequested)]
     choices = list_choices(compiled.plans)
     steps = [
-        PlannedStep(
-            key=step.key,
+        make_from(
+            PlannedStep,
+            step,
             module=local(step.module),
-            action=step.action,
-            args=step.args,
-            after=step.after,
-            duration_s=step.duration_s,
             dangerous=step.hazard,
             choices=choices.get(step.key, []),
         )
@@ -173,8 +166,8 @@ class OrderedStep(msgspec.Struct, frozen=True):
 
 
 class SuggestedOrder(msgspec.Struct, frozen=True):
-    """The order that ``by`` suggests for a workcell, the earliest first. It counts up to ``until`` (UTC ns;
-    0: nothing is suggested)."""
+    """The order that ``by`` suggests for a workcell, the earliest step first. It is valid until ``until``
+    (UTC ns; 0: no suggestion)."""
 
     workcell: str
     by: str
@@ -183,7 +176,7 @@ class SuggestedOrder(msgspec.Struct, frozen=True):
 
 
 async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
-    """Of steps that have started, or whose run has ended, nothing is said."""
+    """Steps that have started, or whose run has ended, are not in the answer."""
     state = call.kernel.state
     if path.workcell not in state.lab.workcells:
         raise NotFound(
@@ -202,14 +195,14 @@ async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
 
 
 class StepsLeft(msgspec.Struct, frozen=True):
-    """How many of the suggested steps are still to start."""
+    """The number of suggested steps that have not started."""
 
     steps: int
 
 
 async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
-    """It replaces what was suggested before. Steps of runs that have ended are left out. What is suggested
-    never makes a step start that could not start without it."""
+    """It replaces the previous suggestion. Steps of ended runs are ignored. A suggestion never starts a step
+    that could not start without it."""
     steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
     asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
     events = await call.kernel.execute(asked, body.by)
@@ -223,7 +216,7 @@ OPERATIONS = (
         route="GET /modules/{module}/actions",
         handler=list_actions,
         client=Method("actions"),
-        summary="What a module can do",
+        summary="List the actions of a module",
         tag="modules",
         needs="viewer",
     ),
@@ -231,7 +224,7 @@ OPERATIONS = (
         route="GET /workcells/{workcell}/order",
         handler=show_order,
         client=Method("suggested_order"),
-        summary="In which order a planner suggests that the next steps of a workcell start",
+        summary="Show the order that a planner suggests for the next steps of a workcell",
         tag="workcells",
         needs="viewer",
         problems=("not_found",),
@@ -240,7 +233,7 @@ OPERATIONS = (
         route="POST /workcells/{workcell}/order",
         handler=suggest_order,
         client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
-        summary="Suggest in which order the next steps of a workcell start",
+        summary="Suggest an order for the next steps of a workcell",
         tag="workcells",
         needs="operator",
         problems=("not_found", "refused"),
@@ -255,7 +248,7 @@ OPERATIONS = (
         route="POST /runs/check",
         handler=check_run,
         client=Method("_check_run", "workflow, user=''", repeat=True),
-        summary="What a run of a workflow would be, without submitting it",
+        summary="Check a run of a workflow without submitting it",
         tag="runs",
         needs="submitter",
         problems=("not_found", "refused", "spec_error", "spec_errors"),

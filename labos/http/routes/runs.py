@@ -7,6 +7,7 @@ from itertools import islice
 
 from labos.core.envelope import Record
 from labos.core.runs import RUN_ENDS
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.http.answers import (
     ExperimentReference,
@@ -40,9 +41,9 @@ from labos.services.proposals import sentence
 
 
 async def list_runs(call: Call, query: RunsQuery) -> Runs:
-    """Runs that are alive in the order of their submission, a page of them: ask again with `after` =
-    `position` while there are `more`. With `ended`, first those that ended last; earlier ones with `before`
-    = `ended_position`."""
+    """A page of the runs that have not ended, in the order of their submission. While there are `more`, ask
+    for the next page with `after` = `position`. With `ended`, also runs that have ended, the latest first;
+    for earlier ones ask with `before` = `ended_position`."""
     runs = call.kernel.state.runs
     alive = sorted((*runs.active.values(), *runs.queued.values()), key=lambda run: run.position)
     left = [run for run in alive if run.position > query.after and run.campaign not in call.hidden]
@@ -52,7 +53,7 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
     names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
     stories = [await call.service.story(name) for name in names]
     return Runs(
-        runs=[RunDetail.make(story) for story in stories if story.campaign not in call.hidden],
+        runs=[make_from(RunDetail, story) for story in stories if story.campaign not in call.hidden],
         position=shown[-1].position if shown else query.after,
         more=len(left) > len(shown),
         ended_position=over[0].head.position if over else 0,
@@ -71,7 +72,7 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     story = await call.service.story(path.run, query.wait)
     if story.campaign in call.hidden:
         raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
-    return RunDetail.make(story)
+    return make_from(RunDetail, story)
 
 
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
@@ -99,8 +100,9 @@ async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
 
 
 async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
-    """It ends when what is in flight has ended. Its labware goes the way out that its workflow has under
-    `on_cancel` (the run is `leaving` meanwhile), else it stays where it is."""
+    """The run ends as soon as its actions under way have ended. If its workflow has steps under `on_cancel`,
+    they then clear its labware away (the status is `leaving` during that time); otherwise the labware stays
+    where it is."""
     call.expect_run_seen(path.run)
     await call.service.change(path.run, "cancel", body.by, stay=body.stay, why=body.why)
     return RunReference(path.run)
@@ -119,9 +121,9 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
 
 
 async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
-    """An application begins. It must be heard of every 30 s from now on (a note, or a heartbeat), else a
-    person is asked. A run of it that would leave labware elsewhere than at its `parking` stations, in storage
-    or in a waste is refused."""
+    """An application starts. From now on it has to send a note or a heartbeat at least every 30 s; otherwise
+    LabOS asks a person. A run of the experiment is refused if it would leave labware anywhere except at the
+    `parking` stations, in storage or in a waste station."""
     experiment = await call.service.start_experiment(
         body.name,
         body.user,
@@ -139,14 +141,14 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
 async def resume_experiment(
     call: Call, path: OfExperiment, body: ExperimentResumption
 ) -> ExperimentReference:
-    """The application was started again and goes on with its experiment. The question whether a silent one is
-    to be closed answers itself."""
+    """The application was started again and continues its experiment. A question whether the experiment
+    should be closed, because its application was silent, is withdrawn."""
     await call.service.resume_experiment(path.experiment, body.name, call.user)
     return ExperimentReference(path.experiment)
 
 
 async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) -> ExperimentReference:
-    """The application is over. Twice is once."""
+    """The application has ended. A repeated request has no further effect."""
     await call.service.end_experiment(path.experiment, body.why, call.user)
     return ExperimentReference(path.experiment)
 
@@ -157,8 +159,8 @@ async def note_experiment(call: Call, path: OfExperiment, body: ExperimentNote) 
 
 
 async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileReference:
-    """Keep a file of an experiment that has not ended, such as the result of a computation. It is had again
-    at `/files/{sha256}`. Twice is once."""
+    """Stores a file of an experiment that has not ended, such as the result of a computation.
+    `/files/{sha256}` returns it. A repeated request has no further effect."""
     if path.experiment not in call.kernel.state.experiments.open:
         raise NotFound(f"There is no experiment {path.experiment} that has not ended.")
     call.service.check_noting(path.experiment, call.user)
@@ -166,7 +168,7 @@ async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileRefere
 
 
 async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
-    """The application lives."""
+    """The application is running."""
     call.service.hear(path.experiment, call.user)
     return HeartbeatReply()
 
@@ -185,7 +187,7 @@ OPERATIONS = (
         route="GET /runs",
         handler=list_runs,
         client=Method("runs", "after"),
-        summary="Runs that are alive, and the last that have ended",
+        summary="List the runs that have not ended, and the last ended ones",
         tag="runs",
         needs="viewer",
     ),
@@ -221,7 +223,7 @@ OPERATIONS = (
         route="GET /runs/{run}",
         handler=get_run,
         client=Method("_get_run"),
-        summary="A run with its steps, or its end",
+        summary="Show a run with its steps, or its end",
         tag="runs",
         needs="viewer",
     ),
@@ -240,7 +242,7 @@ OPERATIONS = (
         route="POST /runs/{run}/pause",
         handler=pause_run,
         client=Method("pause", "run, by='somebody'", take=None, repeat=True),
-        summary="Start no more steps of a run",
+        summary="Pause a run: no further step starts",
         tag="runs",
         needs="submitter",
         problems=("refused",),
@@ -251,7 +253,7 @@ OPERATIONS = (
         route="POST /runs/{run}/resume",
         handler=resume_run,
         client=Method("resume", "run, by='somebody'", take=None, repeat=True),
-        summary="Go on with a run that is paused",
+        summary="Resume a paused run",
         tag="runs",
         needs="submitter",
         problems=("refused",),
@@ -262,7 +264,7 @@ OPERATIONS = (
         route="POST /experiments",
         handler=start_experiment,
         client=Method("_start_experiment", "name, user", key="given"),
-        summary="Begin an experiment",
+        summary="Start an experiment",
         tag="experiments",
         needs="submitter",
         status=201,
@@ -276,7 +278,7 @@ OPERATIONS = (
         route="POST /experiments/{experiment}/resume",
         handler=resume_experiment,
         client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
-        summary="Go on with an experiment",
+        summary="Resume an experiment",
         tag="experiments",
         needs="submitter",
         problems=("refused",),
@@ -300,7 +302,7 @@ OPERATIONS = (
         route="POST /experiments/{experiment}/notes",
         handler=note_experiment,
         client=Method("note", "experiment, kind, name, facts, user", take=None),
-        summary="Log something of the application's own",
+        summary="Log a note of the application",
         tag="experiments",
         needs="submitter",
         status=201,
@@ -313,7 +315,7 @@ OPERATIONS = (
         route="POST /experiments/{experiment}/files",
         handler=keep_file,
         client=Method("keep_file", "experiment, content, user", take="sha256", repeat=True),
-        summary="Keep a file of an experiment",
+        summary="Store a file of an experiment",
         tag="experiments",
         needs="submitter",
         status=201,
@@ -328,7 +330,7 @@ OPERATIONS = (
         handler=record_heartbeat,
         client=Method("heartbeat", "experiment, user", take=None, repeat=True),
         at_kernel=True,
-        summary="Say that the application lives",
+        summary="Report that the application is running",
         tag="experiments",
         needs="submitter",
         headers=("LabOS-User",),

@@ -15,33 +15,33 @@ from labos.services.signatures import Kind, Signature
 
 
 async def sign_run(call: Call, path: OfRun, body: RunSignature) -> Signature:
-    """The signature is an event, and binds to all records of the run. Who signs shows the password again,
-    whatever they signed in with."""
+    """The signature is an event and covers all records of the run. The user has to give the password again,
+    however they signed in."""
     return await sign(call, path.run, "run", body)
 
 
 async def list_signatures(call: Call, path: OfRun) -> Signatures:
-    """In the order of the log. `holds`: the record of the run is the one that was signed."""
+    """They are in the order of the log. `holds`: the record is still the one that was signed."""
     return Signatures(await list_signatures_under(call, path.run, "run"))
 
 
 async def sign_experiment(call: Call, path: OfExperiment, body: RunSignature) -> Signature:
-    """As for a run. The signature binds to all records of the experiment and of all its runs."""
+    """It works as for a run. The signature covers all records of the experiment and of all its runs."""
     return await sign(call, path.experiment, "experiment", body)
 
 
 async def list_experiment_signatures(call: Call, path: OfExperiment) -> Signatures:
-    """In the order of the log. `holds`: the records are those that were signed."""
+    """They are in the order of the log. `holds`: the records are still those that were signed."""
     return Signatures(await list_signatures_under(call, path.experiment, "experiment"))
 
 
 async def sign_campaign(call: Call, path: OfCampaign, body: RunSignature) -> Signature:
-    """As for a run. The signature binds to all records of the campaign and of all its runs."""
+    """It works as for a run. The signature covers all records of the campaign and of all its runs."""
     return await sign(call, path.campaign, "campaign", body)
 
 
 async def list_campaign_signatures(call: Call, path: OfCampaign) -> Signatures:
-    """In the order of the log. `holds`: the records are those that were signed."""
+    """They are in the order of the log. `holds`: the records are still those that were signed."""
     return Signatures(await list_signatures_under(call, path.campaign, "campaign"))
 
 
@@ -93,7 +93,7 @@ def _declare(
             route=f"GET {path}",
             handler=list_its,
             client=Method(signatures, take="signatures"),
-            summary=f"Who has signed {record}",
+            summary=f"List the signatures for {record}",
             tag=f"{kind}s",
             needs="viewer",
             problems=("not_found",),

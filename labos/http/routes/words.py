@@ -8,6 +8,7 @@ import msgspec
 
 from labos.core.decide.erasure import MOST_RECORDS, RefuseErasure
 from labos.core.erasure import REASONS, Erasure
+from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.http.erasing import ErasureDone, erase
 from labos.http.limits import Asker, Name, Time, says
@@ -18,7 +19,9 @@ _CODES = ", ".join(f"`{code}` ({why})" for code, why in REASONS.items())
 
 
 class OfErasure(msgspec.Struct, frozen=True):
-    erasure: Annotated[Name, msgspec.Meta(description="what waits for a second person", examples=["X1"])]
+    erasure: Annotated[
+        Name, msgspec.Meta(description="the id of an erasure that waits for a second person", examples=["X1"])
+    ]
 
 
 class NewErasure(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -27,9 +30,11 @@ class NewErasure(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     because: Annotated[Name, says(f"a code: {_CODES}")]
     by: Asker = ""
     records: Annotated[
-        list[Time], msgspec.Meta(max_length=MOST_RECORDS), says("positions of the events whose words go")
+        list[Time],
+        msgspec.Meta(max_length=MOST_RECORDS),
+        says("positions of the events whose words are erased"),
     ] = []
-    user: Annotated[Name, says("the words of all events of this user go")] = ""
+    user: Annotated[Name, says("erase the words of all events of this user")] = ""
 
 
 class Agreement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -64,20 +69,20 @@ async def list_erasures(call: Call) -> Erasures:
 
 
 async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
-    """The texts are deleted, with the salts of their digests; the events stay, and the log verifies as
-    before. Each is shown as `(erased)` from then on. That, who did it and why is an event. Where the policy
-    says `erasure: true`, nothing is done before a second admin has agreed."""
+    """The texts and the salts of their digests are deleted. The events stay, and the log still verifies. Each
+    text is then shown as `(erased)`. An event records the erasure, the user and the reason. If the policy has
+    `erasure: true`, nothing is deleted before a second admin has agreed."""
     return await erase(call, body.because, body.by, body.records, body.user)
 
 
 async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureDone:
-    """The user who asked for it cannot agree. What stands there now is erased."""
+    """The user who asked for the erasure cannot agree to it. The present words at these events are erased."""
     asked = _find_erasure(call, path.erasure)
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
 async def refuse_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureReference:
-    """Nothing is erased. The user who asked may take it back this way."""
+    """Nothing is erased. The user who asked can withdraw the request in this way."""
     _find_erasure(call, path.erasure)
     await call.kernel.execute(RefuseErasure(path.erasure, body.by), body.by)
     return ErasureReference(path.erasure)
@@ -92,7 +97,7 @@ def _find_erasure(call: Call, name: str) -> Erasure:
 
 
 def _view(name: str, asked: Erasure) -> ErasureView:
-    return ErasureView(name, asked.because, asked.by, asked.records, asked.user, asked.asked_at)
+    return make_from(ErasureView, asked, erasure=name)
 
 
 _DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
@@ -103,7 +108,7 @@ OPERATIONS = declare(
         route="GET /words/erasures",
         handler=list_erasures,
         client=Method("erasures", take="erasures"),
-        summary="What is to be erased, and waits for a second person",
+        summary="List the erasures that wait for a second person",
         needs="viewer",
     ),
     Operation(
@@ -121,7 +126,7 @@ OPERATIONS = declare(
         route="POST /words/erasures/{erasure}/approve",
         handler=approve_erasure,
         client=Method("approve_erasure"),
-        summary="Agree, as the second person, that words are erased",
+        summary="Agree to an erasure, as the second person",
         needs="admin",
         at_kernel=True,
         problems=("refused",),
@@ -132,7 +137,7 @@ OPERATIONS = declare(
         route="POST /words/erasures/{erasure}/refuse",
         handler=refuse_erasure,
         client=Method("refuse_erasure", take="erasure", repeat=True),
-        summary="Do not erase what waits for a second person",
+        summary="Refuse an erasure that waits for a second person",
         needs="admin",
         problems=("refused",),
         example={"by": "olga"},

@@ -76,7 +76,7 @@ def check_polymers(world: World, program: Program) -> str:
     rows = _table(program.out / "data.csv")
     plates = {motion.plate for motion in world.motions("synthesise")}
     assert len(plates) == 1, plates
-    made = _polymers.synthesised(world, plates.pop())
+    made = _polymers.find_polymers(world, plates.pop())
     worst = 0.0
     for row in rows:
         polymer = made[row["well"]]

@@ -115,7 +115,7 @@ def test_a_bench_is_furnished_and_filled_as_declared(tmp_path: Path) -> None:
 
     world = on_a_bench(tmp_path, nothing)
     assert world.places() == {"stack": ["plate1", "plate2"]}
-    assert world.left("dev", "tips") == 10.0
+    assert world.find_level("dev", "tips") == 10.0
 
 
 def test_hands_do_nothing_of_a_batch_whose_commit_failed(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_what_is_taken_away_is_what_the_log_means(tmp_path: Path) -> None:
         assert world.places() == {"stack": ["plate1"]}
         world.use("dev", "tips", 4.0)
         await kernel.execute(Replenish(DEV, "tips", 10.0, instead=True), "ada")
-        assert world.left("dev", "tips") == 10.0
+        assert world.find_level("dev", "tips") == 10.0
 
     on_a_bench(tmp_path, work)
 

@@ -130,7 +130,7 @@ class ShakerOnLine(DeviceOnLine):
             case ["COUNT"]:
                 self.tell(f"{self.count}")
             case ["GREASE"]:
-                self.tell(f"{self.world.left(self.name, 'grease'):g}")
+                self.tell(f"{self.world.find_level(self.name, 'grease'):g}")
             case ["HALT" | "RESET" as order]:
                 halted = self.state == "BUSY" and order == "HALT"
                 self.forget_plans()

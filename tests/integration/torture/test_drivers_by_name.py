@@ -13,7 +13,7 @@ from labos.cli.app import main
 from labos.errors import BadInput, DeviceError
 from labos.node import Node, Setup, World
 from labos.spec.workcell import validate_workcell
-from labos.torture import declaration, torture
+from labos.torture import find_declaration, torture
 from tests.support.lab_process import labos
 
 OTHER = """
@@ -81,7 +81,7 @@ def test_what_a_file_in_a_package_needs_is_found_beside_it(tmp_path: Path) -> No
     assert main(["driver", "new", str(tmp_path / "oat_heater")]) == 0
     node = load_driver(str(tmp_path / "oat_heater" / "labos_oat_heater" / "interface.py"))
     assert (node.__module__, node.driver) == ("labos_oat_heater.interface", "oat_heater")
-    told = declaration(node)
+    told = find_declaration(node)
     assert told.device is not None
     assert [case.action for case in told.cases] == ["work"]
     assert load_driver(str(tmp_path / "oat_heater" / "labos_oat_heater" / "interface.py")) is node
@@ -92,7 +92,9 @@ def test_what_a_file_alone_needs_is_found_beside_it(tmp_path: Path) -> None:
     (tmp_path / "torture.py").write_text(
         "from labos.node import Torture\n\nTORTURE = Torture(left_out={'stop': 'it has none'})\n", "utf-8"
     )
-    assert declaration(load_driver(str(tmp_path / "lone_stirrer.py"))).left_out == {"stop": "it has none"}
+    assert find_declaration(load_driver(str(tmp_path / "lone_stirrer.py"))).left_out == {
+        "stop": "it has none"
+    }
 
 
 def test_a_file_whose_package_bears_a_loaded_name_is_not_mistaken_for_it(tmp_path: Path) -> None:

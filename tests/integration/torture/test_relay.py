@@ -14,7 +14,7 @@ import pytest
 from labos.errors import LinkError
 from labos.link import FarEnd, PtyEnd, SerialWire, TcpEnd
 from labos.torture.relay import Mode, Relay, Spoiler
-from labos.torture.relay_http import relay_to
+from labos.torture.relay_http import open_relay
 
 LIMIT_S = 10.0
 
@@ -52,14 +52,14 @@ def _await_spoiled(relay: Relay) -> None:
     """Wait until something has been."""
     assert isinstance(relay, Spoiler)
     deadline = time.monotonic() + LIMIT_S
-    while not relay.spoiled and time.monotonic() < deadline:
+    while not relay.spoiled_count and time.monotonic() < deadline:
         time.sleep(0.01)
 
 
 @pytest.fixture(params=["serial", "tcp"])
 def pair(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Pair]:
     device: FarEnd = PtyEnd() if request.param == "serial" else TcpEnd()
-    relay = relay_to(device.address, tmp_path)
+    relay = open_relay(device.address, tmp_path)
     pair = Pair(device, relay)
     pair.wire.write(b"hello", 1.0)
     assert pair.read_at_device() == b"hello"
@@ -112,7 +112,7 @@ def test_who_is_connected_notices_that_it_is_unplugged_and_may_come_back(pair: P
 
 def test_a_device_with_two_lines_is_cut_off_from_both(tmp_path: Path) -> None:
     devices: list[Any] = [PtyEnd(), TcpEnd()]
-    relay = relay_to(",".join(device.address for device in devices), tmp_path)
+    relay = open_relay(",".join(device.address for device in devices), tmp_path)
     wires = [SerialWire(address) for address in relay.address.split(",")]
     for device, wire in zip(devices, wires, strict=True):
         wire.open()

@@ -15,7 +15,7 @@ import pytest
 from labos.errors import Garbled, HalfReply, LinkError, LinkLost, NoReply, NotConnected
 from labos.link import HttpLink
 from labos.torture.relay import Mode
-from labos.torture.relay_http import HttpRelay, relay_to
+from labos.torture.relay_http import HttpRelay, open_relay
 
 LONG_S, SHORT_S = 20.0, 0.3
 
@@ -45,7 +45,7 @@ def relay(tmp_path: Path) -> Iterator[HttpRelay]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Clock)
     server.daemon_threads = True
     threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
-    relay = relay_to(f"http://127.0.0.1:{server.server_port}", tmp_path)
+    relay = open_relay(f"http://127.0.0.1:{server.server_port}", tmp_path)
     assert isinstance(relay, HttpRelay)
     yield relay
     relay.close()
@@ -88,7 +88,7 @@ def test_an_answer_that_is_held_back_comes_late(relay: HttpRelay, link: HttpLink
     answers: list[int] = []
     asking = threading.Thread(target=lambda: answers.append(count(link)))
     asking.start()
-    _until(lambda: relay.spoiled == 1)
+    _until(lambda: relay.spoiled_count == 1)
     assert answers == []
     relay.restore()
     asking.join(LONG_S)

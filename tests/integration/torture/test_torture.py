@@ -41,6 +41,24 @@ def test_what_is_wrong_is_found(tmp_path: Path) -> None:
     assert find_missed(FEW, tmp_path) == {}
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_what_a_device_notes_when_its_power_goes_is_no_end_of_its_motion(tmp_path: Path) -> None:
+    good = "    def fail(self, state: str) -> None:\n"
+    notes = (
+        "    def close(self) -> None:\n"
+        "        super().close()\n"
+        '        if self.state == "BUSY":\n'
+        "            self._end_shake(900.0, 50.0)\n\n"
+    )
+    text = SHAKER.read_text()
+    assert text.count(good) == 1
+    path = tmp_path / "shaker_that_notes.py"
+    path.write_text(text.replace(good, notes + good))
+    finding = asyncio.run(run_torture(path, "power cycle"))["power cycle"]
+    assert (finding.verdict, finding.why) == ("passed", "")
+
+
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 def test_every_kind_of_bug_is_found(tmp_path: Path) -> None:

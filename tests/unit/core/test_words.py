@@ -19,6 +19,7 @@ DATA = frozenset(
         "accepts",
         "access",
         "action",
+        "actions",
         "aliases",
         "amount",
         "args",

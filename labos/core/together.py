@@ -1,0 +1,54 @@
+"""Actions that a device carries out together: several runs have labware in it, and it is done to all of it
+at once, as in a centrifuge.
+
+Each run keeps an action of its own. They are requested in one commit and carried out by the device in one
+go. What stands in the device takes part, whether its run is ready or not: so nobody starts before all runs
+that have labware there can start with the same arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+from labos.core import reasons
+from labos.core.ids import LabwareId, ModuleName, RunId, StationName
+from labos.core.model import PlanStep, Together
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait, module_key, run_key, station_key
+
+
+def find_together(state: LabState, step: PlanStep) -> Together | None:
+    """How the device of a step does it for several runs at once; None if it does not."""
+    module = state.modules.by_name.get(step.module)
+    told = module.spec.together if module is not None else None
+    return told if told is not None and step.action in told.actions else None
+
+
+def list_inside(state: LabState, module: ModuleName) -> Iterator[tuple[RunId, LabwareId, StationName]]:
+    """Labware of runs that stands in a module, or may."""
+    bench = state.bench
+    for place in bench.by_module.get(module, ()):
+        for name in bench.stations[place].labware:
+            owner = bench.labware[name].owner
+            if owner.startswith("run:"):
+                yield RunId(owner[4:]), name, place
+        for name in bench.lost if place in bench.haunted else ():
+            item = bench.labware[name]
+            if place in item.maybe and item.owner.startswith("run:"):
+                yield RunId(item.owner[4:]), name, place
+
+
+def check_left_out(state: LabState, run: RunState, step: PlanStep, others: Collection[RunId]) -> Wait | None:
+    """Whether labware of a run stands in the module that neither starts this step, nor starts with it, but is
+    done to as well."""
+    if find_together(state, step) is None:
+        return None
+    for owner, labware, place in list_inside(state, step.module):
+        if owner != run.id and owner not in others:
+            why = reasons.InsideToo(str(labware), str(place), f"run:{owner}", step.action)
+            return Wait(why, (station_key(place), module_key(step.module), run_key(owner)))
+    return None
+
+
+__all__ = ["check_left_out", "find_together", "list_inside"]

@@ -1,0 +1,196 @@
+"""Steps of several runs that a device carries out together, as a centrifuge does.
+
+A run whose labware is in such a device waits for the labware of others that could come in time. That is no
+more than a preference: it ends when no place in the device is left, when nobody can come in time any more,
+when nothing moves in the workcell, and in any case some time after the run itself could go on. While the
+clock of a run is running that needs the device too, nobody waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from labos.core import reasons
+from labos.core.actions import ActionStatus
+from labos.core.decide import Command
+from labos.core.decide.actions import StartStep
+from labos.core.decide.together import StartTogether, find_planned_wish, find_wish
+from labos.core.effects import places
+from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.model import Plan, PlanStep
+from labos.core.recurrence import in_zone
+from labos.core.rules import examine, lab_ns
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds
+from labos.core.state import LabState
+from labos.core.together import find_together
+from labos.core.waits import Wait
+from labos.planning.forecast import find_pending_before, find_usual_time
+from labos.planning.ranking import Spot
+from labos.planning.stuck import find_block
+from labos.planning.touch import near_key
+
+RunStep = tuple[RunState, int]
+
+
+def find_companions(state: LabState, run: RunState, index: int, now: int) -> list[RunStep]:
+    """The steps of other runs that can be carried out together with this one now."""
+    step = state.runs.plan_of(run).steps[index]
+    if find_together(state, step) is None or not run.has_started:
+        return []
+    wish = find_wish(state, run, index)
+    found = [
+        (other, at)
+        for other, at in _list_ready(state, run, step.module)
+        if wish is not None and find_wish(state, other, at) == wish
+    ]
+    while found:
+        names = {run.id, *(other.id for other, _ in found)}
+        able = [
+            (other, at)
+            for other, at in found
+            if not isinstance(examine(state, other, at, now, names - {other.id}), Wait)
+        ]
+        if len(able) == len(found):
+            break
+        found = able
+    return found
+
+
+def _list_ready(state: LabState, run: RunState, module: ModuleName) -> Iterator[RunStep]:
+    """A step of each other run inside whose turn it is on a module."""
+    plan = state.runs.plan_of(run)
+    for other in state.runs.inside(plan.workcell):
+        steps = state.runs.plan_of(other).steps if other.id != run.id else ()
+        for index, step in enumerate(steps):
+            if step.module == module and _is_next(other, step, index):
+                yield other, index
+                break
+
+
+def _is_next(run: RunState, step: PlanStep, index: int) -> bool:
+    return run.steps[index].status is PENDING and all(run.steps[at].status in SETTLED for at in step.after)
+
+
+def check_for_others(
+    state: LabState,
+    run: RunState,
+    index: int,
+    companions: Iterable[RunStep],
+    outside: Iterable[Plan],
+    now: int,
+) -> Wait | None:
+    """How long a step waits for labware of others in its device, if it could start with its ``companions``;
+    None if it starts now. ``outside`` are plans of runs that wait to be let in."""
+    plan = state.runs.plan_of(run)
+    step = plan.steps[index]
+    together = find_together(state, step)
+    if together is None or not run.has_started:
+        return None
+    members = [(run, index), *companions]
+    until = min(find_ready_time(state, one, at) for one, at in members) + lab_ns(state, together.wait_s)
+    stations = [state.bench.stations[place] for place in state.bench.by_module.get(step.module, ())]
+    stations = [station for station in stations if not station.spec.hotel]
+    taken = sum(len(station.labware) for station in stations)
+    room = sum(station.spec.capacity for station in stations)
+    if now >= until or taken >= room or _has_clock(state, plan.workcell, step.module):
+        return None
+    if not _is_moving(state, plan.workcell) or not _can_anybody_come(
+        state, members, plan, step, outside, now, until
+    ):
+        return None
+    why = reasons.ForOthers(step.action, str(step.module), str(taken), str(room), in_zone(until, "UTC"))
+    return Wait(why, (near_key(plan.workcell),), until)
+
+
+def put_last(state: LabState, spots: Iterable[Spot]) -> list[Spot]:
+    """Steps that may be carried out together come last: what others start now counts for them. Those of runs
+    with a running clock stay where they are."""
+
+    def comes_late(spot: Spot) -> bool:
+        if spot.bundle or spot.run.id in state.runs.windowed:
+            return False
+        return find_together(state, state.runs.plan_of(spot.run).steps[spot.step]) is not None
+
+    return sorted(spots, key=comes_late)
+
+
+def find_ready_time(state: LabState, run: RunState, index: int) -> int:
+    """Since when nothing of its own run keeps a step from starting (UTC ns)."""
+    ends = [run.steps[at].ended_at or 0 for at in state.runs.plan_of(run).steps[index].after]
+    return max([run.submitted_at, *ends])
+
+
+def _is_moving(state: LabState, cell: str) -> bool:
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
+
+
+def _has_clock(state: LabState, cell: str, module: ModuleName) -> bool:
+    """Whether the clock of a run is running that still needs a module, or a place there."""
+    for name in state.runs.windowed_in.get(cell, ()):
+        run = state.runs.active.get(name)
+        for step, at in zip(state.runs.plan_of(run).steps, run.steps, strict=True) if run else ():
+            if at.status not in SETTLED and (step.module == module or _reaches(state, step, module)):
+                return True
+    return False
+
+
+def _reaches(state: LabState, step: PlanStep, module: ModuleName) -> bool:
+    return any(state.bench.stations[place].spec.module == module for place in places(step.effects))
+
+
+def _can_anybody_come(
+    state: LabState,
+    members: list[RunStep],
+    plan: Plan,
+    step: PlanStep,
+    outside: Iterable[Plan],
+    now: int,
+    until: int,
+) -> bool:
+    """Whether a run that asks for the same as a step of a plan could be ready for it in time."""
+    wish, names = find_planned_wish(plan, step), {run.id for run, _ in members}
+    if wish is None:
+        return False
+    for other in state.runs.inside(plan.workcell):
+        theirs = state.runs.plan_of(other)
+        for index in _list_wishes(theirs, step, wish) if other.id not in names else ():
+            if other.steps[index].status is PENDING and _comes_by(state, other, index, now, until):
+                return True
+    for theirs in outside:
+        for index in _list_wishes(theirs, step, wish):
+            before = sum(find_usual_time(state, each) for each in theirs.steps[:index])
+            if now + before <= until:
+                return True
+    return False
+
+
+def _list_wishes(plan: Plan, step: PlanStep, wish: bytes) -> list[int]:
+    """The steps of a plan that ask for the same."""
+    return [
+        index
+        for index, each in enumerate(plan.steps)
+        if each.module == step.module and each.action == step.action and find_planned_wish(plan, each) == wish
+    ]
+
+
+def _comes_by(state: LabState, run: RunState, index: int, now: int, until: int) -> bool:
+    """Whether a run inside goes on, and its step could start by a time if nothing was in its way (UTC ns)."""
+    if run.status != RunStatus.ACTIVE or find_holds(run) or find_block(state, run) is not None:
+        return False
+    plan = state.runs.plan_of(run)
+    *before, _ = find_pending_before(run, plan, index)
+    at = now
+    for action in state.actions.within(plan.workcell):
+        if action.run == run.id:
+            at = max(at, action.requested_at + find_usual_time(state, plan.steps[action.step]))
+    return at + sum(find_usual_time(state, plan.steps[each]) for each in before) <= until
+
+
+def make_command(starts: list[tuple[RunId, int, ActionId]], plan: str, now: int) -> Command:
+    """The command that starts a step, or steps of several runs together. ``plan`` is the one to which the run
+    is bound, if it has several."""
+    commands = [StartStep(run, step, action, now, plan) for run, step, action in starts]
+    return commands[0] if len(commands) == 1 else StartTogether(tuple(commands))
+
+
+__all__ = ["check_for_others", "find_companions", "find_ready_time", "make_command", "put_last"]
