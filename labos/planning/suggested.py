@@ -30,7 +30,7 @@ from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.waits import Wait, module_key, station_key, zone_key
 from labos.core.zones import zones_of
-from labos.planning.forecast import is_pending
+from labos.planning.forecast import find_deadline, is_pending
 from labos.planning.touch import cell_key
 from labos.planning.urgency import is_urgent
 
@@ -105,6 +105,8 @@ class Adviser:
         urgent = is_urgent(state, run, now)
         goes_first = urgent or run.priority > advice.least
         is_own = not advice.order.by
+        if is_own and _has_clock(state, run):
+            return None
         waits_outside = is_own and not run.has_started
         if now < mine < LAST and not goes_first and (waits_outside or _starts_clock(state, run, step)):
             if is_own and self._has_waited_enough(state, run, step, now):
@@ -177,6 +179,12 @@ def find_suggested_times(
         if run is not None and is_pending(run, one.step):
             found[one.run, one.step] = one.start
     return found
+
+
+def _has_clock(state: LabState, run: RunState) -> bool:
+    """Whether a clock of a run runs."""
+    windowed = state.runs.plans[run.plan].windowed if run.has_started else ()
+    return any(is_pending(run, i) and find_deadline(state, run, i) is not None for i in windowed)
 
 
 def _starts_clock(state: LabState, run: RunState, step: int) -> bool:
