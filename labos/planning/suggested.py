@@ -31,7 +31,7 @@ from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.waits import Wait, station_key
-from labos.planning.forecast import is_pending
+from labos.planning.forecast import find_deadline, is_pending
 from labos.planning.own_order import OWN, OwnOrders
 from labos.planning.taken import list_taken as list_taken
 from labos.planning.touch import cell_key
@@ -117,6 +117,8 @@ class Adviser:
         urgent = is_urgent(state, run, now)
         goes_first = urgent or run.priority > advice.least
         is_own = advice.order.by in (OWN, OWN_WINDOWS)
+        if advice.order.by == OWN_WINDOWS and _has_clock(state, run):
+            return None
         waits_outside = advice.order.by == OWN_WINDOWS and not run.has_started
         if now < mine < LAST and not goes_first and (waits_outside or _starts_clock(state, run, step)):
             if is_own and self._has_waited_enough(state, run, step, now):
@@ -193,6 +195,12 @@ def find_suggested_times(
         if run is not None and is_pending(run, one.step):
             found[one.run, one.step] = one.start
     return found
+
+
+def _has_clock(state: LabState, run: RunState) -> bool:
+    """Whether a clock of a run runs."""
+    windowed = state.runs.plans[run.plan].windowed if run.has_started else ()
+    return any(is_pending(run, i) and find_deadline(state, run, i) is not None for i in windowed)
 
 
 def _starts_clock(state: LabState, run: RunState, step: int) -> bool:

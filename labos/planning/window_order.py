@@ -8,7 +8,7 @@ the rules are asked as ever, and a start counts as planned only if a rehearsal s
 kept.
 
 There is no such order where a planner's counts, where all runs are of one kind, where some run has no
-windows, or where its steps do not follow one another.
+windows, has doors or setpoints to care for, or has steps that do not follow one another.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from itertools import islice
 import msgspec
 
 from labos.core.actions import Action, ActionStatus
+from labos.core.effects import Carrying, Consumes, Needs
 from labos.core.ids import RunId, run_owner
 from labos.core.model import MAIN, Plan
 from labos.core.rules import lab_ns
@@ -59,6 +60,9 @@ LOST = 1000
 
 PUNCTUAL_S = 5.0
 """So much later (lab seconds) than it should a step may start, and the order still counts."""
+
+KNOWN = (Carrying, Needs, Consumes)
+"""Effects that the timetable knows."""
 
 Value = tuple[int, float]
 """How many runs do not fit in or are passed over too often, and when all is over: less is better."""
@@ -352,6 +356,8 @@ def _lay_out(state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], n
 
 def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> Line | None:
     """The main steps of a plan, if they follow one another and its windows are its own."""
+    if plan.holds or any(not isinstance(effect, KNOWN) for step in plan.steps for effect in step.effects):
+        return None  # doors, setpoints and the like are not in the timetable
     steps = [i for i, step in enumerate(plan.steps) if step.part == MAIN]
     place = {step: number for number, step in enumerate(steps)}
     least = [0] * len(steps)

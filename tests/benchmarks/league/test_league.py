@@ -11,7 +11,7 @@ from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, count_missed, faults, makespan
 from tests.benchmarks.league.play import Player
 from tests.benchmarks.league.rules import Problem, problem_of
-from tests.benchmarks.league.score import MUST, Score, play_case, read_best, score, times_of
+from tests.benchmarks.league.score import Score, play_case, read_best, score, times_of
 from tests.benchmarks.league.table import Keeper, row, verdicts
 
 SMALL = (
@@ -48,7 +48,7 @@ def test_one_arm_does_as_well_as_was_proven_possible() -> None:
 @pytest.mark.slow
 def test_windows_in_chains_of_three_are_near_the_best_known() -> None:
     found = score(small("48 windows in chains of three, seed 0"))
-    assert found.ratio <= MUST
+    assert found.ratio <= 1.15
     assert found.missed == 0
 
 
