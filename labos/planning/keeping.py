@@ -336,7 +336,7 @@ class Windows:
                 plan.advice = suggested
                 _, plan.outcome = self._search(state, trial, safety, limit=1)
                 if not trial.list_newly_late(plan.outcome) and plan.outcome.tangle is None:
-                    plan.as_suggested = True
+                    plan.as_suggested = cell in state.suggestions.orders
                     return plan
                 plan.advice = before
             plan.advice, plan.outcome = self._search(state, trial, safety)
