@@ -206,8 +206,6 @@ def test_two_runs_whose_recoveries_cross_are_not_let_in_together() -> None:
     lab.finish("A2")
     both = [f"{first}#2", f"{second}#0"]
     started = lab.pump()
-    assert started in ([both[0]], [both[1]]), (
-        "its way is straight now: both need the arm, one after the other"
-    )
+    assert started in ([both[0]], [both[1]]), "its way is straight now, and both need the arm"
     lab.finish("A3")
     assert set(started + lab.pump()) >= set(both)
