@@ -33,6 +33,7 @@ NODE_SETTINGS = "LABOS_NODE_SETTINGS"
 NODE_SETTINGS_FILE = "nodes.yaml"
 PKI = "LABOS_PKI"
 OTLP = "LABOS_OTLP"
+ORDER = "LABOS_ORDER"
 DEFAULT_HOME = "lab"
 HOME_KEY = "home.key"
 PATIENCE_S = 30.0
@@ -161,6 +162,14 @@ class Settings(msgspec.Struct, frozen=True):
             remedy=f"Say never, or 5/600 for five times in 600 s ({QUARANTINE}, --quarantine); "
             f"more than {FAILURES_KNOWN} times are not counted.",
         )
+
+    @property
+    def searches_order(self) -> bool:
+        """Whether the lab looks for an order of all waiting runs. Raises BadInput."""
+        said = os.environ.get(ORDER) or "age"
+        if said in ("age", "search"):
+            return said == "search"
+        raise BadInput(f"{said!r} is no order of waiting runs.", remedy=f"Write age or search ({ORDER}).")
 
     @property
     def is_secure(self) -> bool:

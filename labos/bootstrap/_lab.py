@@ -44,6 +44,7 @@ from labos.http.finding import Finder
 from labos.http.server import HttpServer
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
+from labos.planning.scheduler import Scheduler, make_scheduler
 from labos.private import make_folder
 from labos.runtime.feeder import Feeder
 from labos.runtime.follower import Follower
@@ -240,7 +241,8 @@ async def _open_kernel(
         quarantine_within_s=within_s,
     )
     writer = ThreadWriter(store, silence_s=settings.silence_s)
-    kernel = Kernel(writer, SystemClock(), Uuid7Ids(), chosen)
+    plan_with = make_scheduler if settings.searches_order else Scheduler
+    kernel = Kernel(writer, SystemClock(), Uuid7Ids(), chosen, plan_with)
     try:
         await kernel.open(follower, plan=False)
     except BaseException:

@@ -107,6 +107,8 @@ class Admission:
         """Look for an order of all that is known in a workcell, where its runs may be compared; whether it
         is another one than before."""
         own = self._adviser.own
+        if not own.is_used:
+            return False
         if own.find(cell) is None and not 0 < len(self._room.within(cell)) <= MOST_WAITING:
             return False
         inside = state.runs.inside(cell)

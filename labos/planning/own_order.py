@@ -93,12 +93,16 @@ def _list_lines(known: OwnOrder | None) -> tuple[list[RunId], list[RunId]]:
 
 class OwnOrders:
     """The orders that the lab has found by itself, one for each workcell. In an empty workcell, no run starts
-    before so many lists have been tried: ``before_start``."""
+    before so many lists have been tried: ``before_start``. With ``enough`` 0, there are none."""
 
     def __init__(self, enough: int = ENOUGH, before_start: int = 0) -> None:
         self._enough, self._before_start = enough, before_start
         self._ways: dict[str, Ways] = {}
         self._known: dict[str, OwnOrder] = {}
+
+    @property
+    def is_used(self) -> bool:
+        return self._enough > 0
 
     def __bool__(self) -> bool:
         return bool(self._known)

@@ -4,7 +4,8 @@ A step that cannot start sleeps on the keys whose change may end its wait. Runs 
 let in sleep in bundles of those that wait for the same (see ``waiting``): the cost of a decision
 does not grow with the queue.
 
-The scheduler keeps nothing that it could not work out again from the state.
+The scheduler keeps nothing that it could not work out again from the state, but the orders that it has
+found: they decide who goes first, and nothing that must hold rests on them.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ class StepStart(msgspec.Struct, frozen=True):
 
 
 class Scheduler:
-    """Proposes starts for one state that only moves forward. Make a new one after a refold."""
+    """Proposes starts for one state that only moves forward. Make a new one after a refold. Without ``own``
+    it looks for no order of all that waits."""
 
     def __init__(self, own: OwnOrders | None = None) -> None:
         self.safety = Safety()
@@ -417,7 +419,7 @@ class Scheduler:
 
 
 def make_scheduler() -> Scheduler:
-    """The scheduler of a lab's kernel: it looks for an order before the first of several runs starts."""
+    """A scheduler that looks for an order of all that waits before the first of several runs starts."""
     return Scheduler(OwnOrders(before_start=BEFORE_START))
 
 

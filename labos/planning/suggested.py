@@ -65,7 +65,7 @@ class Adviser:
     one counts that the lab has found by itself: ``own``, or ``windowed`` where clocks run."""
 
     def __init__(self, own: OwnOrders | None, windowed: Mapping[str, OrderSuggested]) -> None:
-        self.own = own if own is not None else OwnOrders()
+        self.own = own if own is not None else OwnOrders(enough=0)
         self._windowed = windowed
         self._known: dict[str, OrderLookup] = {}
         self._since: dict[tuple[RunId, int], int] = {}

@@ -48,7 +48,6 @@ from labos.core.users import LABOS
 from labos.core.waits import Wait
 from labos.planning.forecast import setup_under_way
 from labos.planning.obstacle import explain_wait
-from labos.planning.own_order import AT_ONCE, OwnOrders
 from labos.planning.scheduler import Scheduler
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.touch import find_touched_keys
@@ -130,7 +129,7 @@ class VirtualLab:
         self._most_rows, self._most_steps = most_rows, most_steps
         self._admitted: dict[CampaignId, int] = {}
         self._keys: set[str] = set()
-        self._scheduler = Scheduler(OwnOrders(enough=AT_ONCE))
+        self._scheduler = Scheduler()
         self._scheduler.sleepers = _ObservedSleepers(self._note_wait)
         self._flying: list[tuple[int, int, ActionId]] = []
         self._ends: dict[ActionId, int] = {}

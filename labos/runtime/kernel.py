@@ -33,7 +33,7 @@ from labos.errors import (
     LabosError,
     Refused,
 )
-from labos.planning.scheduler import Scheduler, make_scheduler
+from labos.planning.scheduler import Scheduler
 from labos.planning.touch import find_touched_keys
 from labos.runtime.follower import Follower
 from labos.runtime.guard import CircuitBreaker, FaultyCommands
@@ -78,7 +78,7 @@ class Kernel(KernelLog):
         clock: Clock,
         ids: Ids,
         settings: KernelSettings,
-        plan_with: Callable[[], Scheduler] = make_scheduler,
+        plan_with: Callable[[], Scheduler] = Scheduler,
         salt: Callable[[], bytes] = new_salt,
     ) -> None:
         super().__init__(writer, clock, ids, settings)

@@ -56,7 +56,7 @@ def test_branches_and_windows(tmp_path: Path) -> None:
     assert plan["critical"] == ["Seal", "Carry"]
     assert (opening["critical"], plan["inputs"]) == (False, ["sealer.default"])
     assert carry["late_s"] == carry["start_s"] - opening["end_s"] - 1
-    assert "'Carry' starts 4 s later than its window allows." in call("plan", str(file), "--workcell", "rpl")
+    assert "'Carry' starts 5 s later than its window allows." in call("plan", str(file), "--workcell", "rpl")
 
 
 def test_what_is_wrong_is_said_as_elsewhere() -> None:
