@@ -120,6 +120,15 @@ class WindowOrders:
         self._ways.pop(cell, None)
         self.drop(cell)
 
+    def remember(self, other: WindowOrders) -> None:
+        """Begin with the orders of another scheduler."""
+        self.orders.update(other.orders)
+        self._lines.update({cell: list(line) for cell, line in other._lines.items()})
+        self._members.update(other._members)
+        self._late.update({cell: dict(late) for cell, late in other._late.items()})
+        self._seen.update(other._seen)
+        self._looked.update(other._looked)
+
     def drop(self, cell: str) -> None:
         """There is no order for a workcell any more."""
         for store in (self.orders, self._lines, self._members, self._late, self._seen, self._looked):

@@ -469,6 +469,7 @@ class Driver:
         fresh.patience = copy.deepcopy(self.scheduler.patience)
         fresh.reservations.windows.remember(self.scheduler.reservations.windows)
         fresh.adviser.own = copy.deepcopy(self.scheduler.adviser.own)
+        fresh.window_orders.remember(self.scheduler.window_orders)
         start = next(iter(fresh.proposals(self.state, self.now)), None)
         return [] if start is None else [f"{start.run}#{start.step}"]
 

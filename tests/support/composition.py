@@ -7,6 +7,7 @@ network here, and the places of the lab's folder and of secrets.
 from __future__ import annotations
 
 import os
+import random
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from labos.settings import free_port
+from labos.settings import is_free
 from tests.docs.markdown import ROOT
 from tests.support.lab_process import PATIENCE_S, until
 
@@ -56,6 +57,15 @@ def environment_file() -> dict[str, str]:
     return dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
 
 
+def _choose_port() -> int:
+    """A free port that the system gives to nobody else: it takes ports from 32768 on for connections."""
+    for _ in range(1000):
+        port = random.randrange(20000, 32000)
+        if is_free(port):
+            return port
+    raise AssertionError("no port is free between 20000 and 32000")
+
+
 class Composition:
     """Services that are started one by one. ``told`` takes the place of lines of lab.env."""
 
@@ -68,7 +78,7 @@ class Composition:
         (folder / "secrets").mkdir()
         (folder / "secrets" / "postgres").write_text("not asked for here")
         (folder / "secrets" / "admin").write_text("correct horse battery")
-        self._bus, self._http = free_port(), free_port()
+        self._bus, self._http = _choose_port(), _choose_port()
         self.url = f"http://127.0.0.1:{self._http}"
         self._places = {
             "@postgres/labos": f"@{database.rpartition('@')[2]}",
@@ -84,7 +94,7 @@ class Composition:
 
     def start(self, *names: str) -> None:
         for name in names:
-            self._metrics[name] = free_port()  # one of before may be somebody else's by now
+            self._metrics[name] = _choose_port()  # one of before may be somebody else's by now
             log = (self._folder / f"{name}.log").open("ab")
             with log:
                 self._processes[name] = subprocess.Popen(
