@@ -31,7 +31,7 @@ from labos.core.runs import RunCompleted, RunSubmitted
 from labos.core.steps import WindowBreached
 from labos.planner.planner import Planner
 from labos.planner.watch import CellWatch, list_waiting
-from labos.planning.scheduler import Scheduler, make_scheduler
+from labos.planning.scheduler import Scheduler
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Entry
@@ -82,7 +82,7 @@ class Player:
         self,
         cell: Workcell,
         stock: Mapping[StationName, tuple[str, int]],
-        plan_with: Callable[[], Scheduler] = make_scheduler,
+        plan_with: Callable[[], Scheduler] = Scheduler,
         jitter: float = 0.0,
         seed: int = 0,
         planner: Planner | None = None,

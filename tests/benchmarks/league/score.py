@@ -10,6 +10,7 @@ import msgspec
 
 from labos.planner.planner import Planner
 from labos.planner.solve import solve
+from labos.planning.scheduler import Scheduler, make_scheduler
 from tests.benchmarks.figures import Figure, Report, times
 from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, count_missed, faults, makespan
@@ -60,10 +61,17 @@ def read_best() -> dict[str, Known]:
 
 
 def play_case(
-    case: Case, *, planner: bool = False, seconds: float = PLANNER_S, together: bool = True
+    case: Case,
+    *,
+    planner: bool = False,
+    seconds: float = PLANNER_S,
+    together: bool = True,
+    search: bool = False,
 ) -> Outcome:
+    """``search``: the lab looks for an order of its own (``LABOS_ORDER=search``)."""
     plans = make_planner(seconds) if planner else None
-    return Player(case.cell, case.stock, planner=plans, together=together).play(case.works)
+    plans_with = make_scheduler if search else Scheduler
+    return Player(case.cell, case.stock, plans_with, planner=plans, together=together).play(case.works)
 
 
 def make_planner(seconds: float) -> Planner:
@@ -82,9 +90,16 @@ def times_of(case: Case, outcome: Outcome) -> Times:
     return found
 
 
-def score(case: Case, *, planner: bool = False, seconds: float = PLANNER_S, together: bool = True) -> Score:
+def score(
+    case: Case,
+    *,
+    planner: bool = False,
+    seconds: float = PLANNER_S,
+    together: bool = True,
+    search: bool = False,
+) -> Score:
     """Play a case. Raises AssertionError if what came of it cannot have happened."""
-    outcome = play_case(case, planner=planner, seconds=seconds, together=together)
+    outcome = play_case(case, planner=planner, seconds=seconds, together=together, search=search)
     problem, done = problem_of(case.cell, case.works), times_of(case, outcome)
     wrong = faults(problem, done)
     assert not wrong, f"{case.name}: {wrong[0]}"

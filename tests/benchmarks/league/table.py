@@ -64,8 +64,10 @@ class Keeper:
     """Plays cases, but for those that the file has. It does not say which planning it is of: begin a new one
     where planning has changed."""
 
-    def __init__(self, file: Path | None, seconds: float, *, together: bool = True) -> None:
-        self.file, self.seconds, self.together = file, seconds, together
+    def __init__(
+        self, file: Path | None, seconds: float, *, together: bool = True, search: bool = False
+    ) -> None:
+        self.file, self.seconds, self.together, self.search = file, seconds, together, search
         self._kept: dict[tuple[str, float], Kept] = {}
         if file is not None and file.exists():
             for line in file.read_text().splitlines():
@@ -77,7 +79,7 @@ class Keeper:
         kept = self._kept.get((case.name, seconds))
         if kept is not None:
             return Score(case, kept.makespan_s, kept.missed, read_best().get(case.key))
-        found = score(case, planner=planner, seconds=self.seconds, together=self.together)
+        found = score(case, planner=planner, seconds=self.seconds, together=self.together, search=self.search)
         if self.file is not None:
             line = msgspec.json.encode(Kept(case.name, seconds, found.makespan_s, found.missed)).decode()
             with self.file.open("a") as out:
@@ -102,6 +104,8 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="families, or parts of names; all if none")
     parser.add_argument("--online", action="store_true", help="without the planner only")
     one_by_one = "runs are submitted one after the other: the first starts before the next is known"
+    search = "the lab looks for an order of its own, as with LABOS_ORDER=search"
+    parser.add_argument("--search", action="store_true", help=search)
     parser.add_argument("--one-by-one", action="store_true", help=one_by_one)
     parser.add_argument(
         "--keep", type=Path, metavar="FILE", help="write each result there at once; play no case twice"
@@ -110,7 +114,7 @@ def main() -> None:
         "--seconds", type=float, default=PLANNER_S, help="how long the planner may look each time, counted"
     )
     options = parser.parse_args()
-    keeper = Keeper(options.keep, options.seconds, together=not options.one_by_one)
+    keeper = Keeper(options.keep, options.seconds, together=not options.one_by_one, search=options.search)
     online: list[Score] = []
     planned: list[Score] = []
     print(_line(*HEADINGS))
