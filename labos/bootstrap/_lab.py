@@ -44,7 +44,7 @@ from labos.http.finding import Finder
 from labos.http.server import HttpServer
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
-from labos.planning.scheduler import Scheduler, make_scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.private import make_folder
 from labos.runtime.feeder import Feeder
 from labos.runtime.follower import Follower
@@ -241,7 +241,7 @@ async def _open_kernel(
         quarantine_within_s=within_s,
     )
     writer = ThreadWriter(store, silence_s=settings.silence_s)
-    plan_with = make_scheduler if settings.searches_order else Scheduler
+    plan_with = make_searching_scheduler if settings.searches_order else Scheduler
     kernel = Kernel(writer, SystemClock(), Uuid7Ids(), chosen, plan_with)
     try:
         await kernel.open(follower, plan=False)

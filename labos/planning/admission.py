@@ -42,7 +42,7 @@ class CheckStart(Protocol):
     ) -> Wait | None: ...
 
 
-class Possible(msgspec.Struct, frozen=True):
+class PossibleStart(msgspec.Struct, frozen=True):
     """How a waiting run could start by the rules: as one of its plans has it, with this first step; or, with
     no ``start``, what each of its first steps waits for."""
 
@@ -97,7 +97,7 @@ class Admission:
                 with self._reservations.only_asking():
                     wait = self._check_start(state, option, step, now, only_asking=True)
                     if wait is None:
-                        possible = Possible((option, step), [])
+                        possible = PossibleStart((option, step), [])
                         chosen = self._look_ahead(state, run, possible, now, only_asking=True)
                         waits = chosen if isinstance(chosen, list) else []
                         return [(step, each) for each in waits]
@@ -140,18 +140,18 @@ class Admission:
     def _carries(self, state: LabState, run: RunState) -> bool:
         return any(list_carried(step.effects) for step in state.runs.plan_of(run).steps)
 
-    def _find_start(self, state: LabState, run: RunState, now: int) -> Possible:
+    def _find_start(self, state: LabState, run: RunState, now: int) -> PossibleStart:
         waits: list[Wait] = []
         for option in options_in_order(state, run, now):
             for step in self._ranking.behind.sort(state, option.plan, state.runs.plans[option.plan].starts):
                 wait = self._check_start(state, option, step, now)
                 if wait is None:
-                    return Possible((option, step), [])
+                    return PossibleStart((option, step), [])
                 waits.append(wait)
-        return Possible(None, waits)
+        return PossibleStart(None, waits)
 
     def _look_ahead(
-        self, state: LabState, run: RunState, possible: Possible, now: int, *, only_asking: bool = False
+        self, state: LabState, run: RunState, possible: PossibleStart, now: int, *, only_asking: bool = False
     ) -> Candidate | list[Wait]:
         """The run that starts now: this one if it may start, another of equal rank, or none, and what the
         run waits for then."""

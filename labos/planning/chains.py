@@ -47,7 +47,7 @@ class Fit(msgspec.Struct, frozen=True, gc=False):
     marks: tuple[tuple[int, int, int], ...]
 
 
-class Timetable:
+class SlotTable:
     """In which of ``slots`` each resource is taken."""
 
     def __init__(self, resources: int, slots: int) -> None:
@@ -55,8 +55,8 @@ class Timetable:
         self.full = (1 << slots) - 1
         self.taken = [0] * resources
 
-    def copy(self) -> Timetable:
-        other = Timetable.__new__(Timetable)
+    def copy(self) -> SlotTable:
+        other = SlotTable.__new__(SlotTable)
         other.slots, other.full, other.taken = self.slots, self.full, list(self.taken)
         return other
 

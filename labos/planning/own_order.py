@@ -59,7 +59,7 @@ Part = tuple[int, int, tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 _MASK = 2**64 - 1
 
 
-class Motion(msgspec.Struct, frozen=True, gc=False):
+class MotionGroup(msgspec.Struct, frozen=True, gc=False):
     """A motion of a run, and the steps that follow it up to the next one. ``left`` is the time of these and
     of all later ones."""
 
@@ -131,7 +131,7 @@ class OwnOrders:
         if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
             return False
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
-        search = Search(outline)
+        search = OrderSearch(outline)
         if not outline.is_safe or not search.is_possible:
             return self.drop(cell)
         numbers = {run.id: number for number, run in enumerate(outline.runs)}
@@ -172,14 +172,14 @@ class OwnOrders:
         return known.seen + pause
 
 
-class Found(msgspec.Struct, frozen=True):
+class FoundOrder(msgspec.Struct, frozen=True):
     value: Value
     order: list[int]
     starts: list[tuple[int, int, int]]
     """(time, run, step)"""
 
 
-class Search:
+class OrderSearch:
     """Looks for an order of the motions of an outline. ``tried`` counts the lists."""
 
     def __init__(self, outline: Outline) -> None:
@@ -194,7 +194,7 @@ class Search:
             [outline.now] * max(0, room - used) for room, used in zip(self._room, outline.used, strict=True)
         ]
         self._before: list[list[Part]] = []
-        self._motions: list[list[Motion]] = []
+        self._motions: list[list[MotionGroup]] = []
         flying = {who: (end, step) for end, who, step in outline.flying}
         for end, who, step in outline.flying:
             task = outline.ways[who][step]
@@ -222,11 +222,11 @@ class Search:
                 groups.append([])
             (groups[-1] if groups else before).append((step, times[step], task.takes, task.gets, task.frees))
         self._before.append(before)
-        left, motions = 0, list[Motion]()
+        left, motions = 0, list[MotionGroup]()
         held: dict[int, int] = {}
         for group in reversed(groups):
             left += sum(part[1] for part in group)
-            motions.append(Motion(tuple(group), left))
+            motions.append(MotionGroup(tuple(group), left))
             _, _, _, gets, frees = group[0]
             for key in frees:
                 held[key] = held.get(key, 0) + 1
@@ -258,7 +258,7 @@ class Search:
 
     def measure(
         self, order: Sequence[int], most: int | None = None, without: frozenset[int] = frozenset()
-    ) -> Found | None:
+    ) -> FoundOrder | None:
         """When each step starts in this order, as if runs that are left out were not there; None if it is not
         possible, or if all of it is over later than ``most``."""
         self.tried += 1
@@ -284,7 +284,7 @@ class Search:
             if who not in without:
                 total += end
                 last = max(last, end)
-        return Found((last, total), list(order), starts)
+        return FoundOrder((last, total), list(order), starts)
 
     def _go(
         self,
@@ -320,7 +320,7 @@ class Search:
 
     # -- putting a run into an order -----------------------------------------------------------------
 
-    def insert(self, order: Sequence[int], who: int, out: frozenset[int] = frozenset()) -> Found | None:
+    def insert(self, order: Sequence[int], who: int, out: frozenset[int] = frozenset()) -> FoundOrder | None:
         """The best order with a run that this one does not have. Others that are ``out`` of it are put back
         later."""
         gone = out | {who}
@@ -330,7 +330,7 @@ class Search:
         if not self._motions[who]:
             return self.measure(order, without=out)
         used, peaks, begun = self._list_used(found, gone)
-        best: Found | None = None
+        best: FoundOrder | None = None
         seen: set[tuple[int, ...]] = set()
         for first in range(1 if self.outline.inside[who] else len(order) + 1):
             places = self._find_places(who, first, used, peaks, begun)
@@ -350,7 +350,7 @@ class Search:
         return best
 
     def _list_used(
-        self, found: Found, gone: frozenset[int]
+        self, found: FoundOrder, gone: frozenset[int]
     ) -> tuple[list[list[int]], list[list[int]], list[int]]:
         """How many take room before each motion of an order, and during each; and when each begins."""
         floor = list(self.outline.floor)
@@ -414,7 +414,7 @@ class Search:
 
     def improve(
         self, most: int, order: Sequence[int] = (), last: Sequence[int] = ()
-    ) -> tuple[Found, Found] | None:
+    ) -> tuple[FoundOrder, FoundOrder] | None:
         """A good order, and the one with which the search ended; None if none is found. It begins with what
         was found ``last``, and the best ``order`` so far. So many lists are tried."""
         best = self._complete(list(order)) or self._complete([])
@@ -426,7 +426,7 @@ class Search:
             left = list(range(self._count))
             out = [left.pop(next(draw) % len(left)) for _ in range(1 + next(draw) % (self._count // 2 + 1))]
             rest = [who for who in here.order if who in left]
-            other: Found | None = None
+            other: FoundOrder | None = None
             while out:
                 who = out.pop()
                 other = self.insert(rest, who, frozenset(out))
@@ -442,7 +442,7 @@ class Search:
                 best = other
         return best, here
 
-    def _complete(self, order: list[int]) -> Found | None:
+    def _complete(self, order: list[int]) -> FoundOrder | None:
         """An order with all motions that are left: those that have begun are gone, runs that are new are put
         in, the longest first, and of equally long ones the youngest: who comes later is put in front."""
         kept: list[int] = []
@@ -454,7 +454,7 @@ class Search:
         new = [who for who in range(self._count) if left[who]]
         rest = [who for who in reversed(kept) if who not in new]
         new.sort(key=lambda who: (not self.outline.inside[who], -self._motions[who][0].left, -who))
-        found: Found | None = None
+        found: FoundOrder | None = None
         while new:
             who = new.pop(0)
             found = self.insert(rest, who, frozenset(new))

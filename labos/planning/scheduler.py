@@ -418,7 +418,7 @@ class Scheduler:
                 yield state.runs.plan_of(run)
 
 
-def make_scheduler() -> Scheduler:
+def make_searching_scheduler() -> Scheduler:
     """A scheduler that looks for an order of all that waits before the first of several runs starts."""
     return Scheduler(OwnOrders(before_start=BEFORE_START))
 
@@ -466,4 +466,4 @@ def _cell_of(state: LabState, name: str) -> str | None:
     return cell_of_run(state, name) or None
 
 
-__all__ = ["Scheduler", "StepStart", "list_ready_steps", "make_scheduler"]
+__all__ = ["Scheduler", "StepStart", "list_ready_steps", "make_searching_scheduler"]

@@ -27,7 +27,7 @@ from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_anchor, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, Timetable
+from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import DECK, Task, Ways
 
@@ -39,6 +39,9 @@ MOST_WAITING = 16
 
 TRIES_EACH = 25
 """So many orders are tried for each run that waits, when something has happened."""
+
+MOST_TRIES = 160
+"""So many in all: they take some 50 ms of processor time, and the kernel does nothing else meanwhile."""
 
 TRIES_NEW = 10
 """So many in all, when somebody has submitted a run."""
@@ -68,7 +71,7 @@ Value = tuple[int, float]
 """How many runs do not fit in or are passed over too often, and when all is over: less is better."""
 
 
-class Line(msgspec.Struct, frozen=True):
+class StepChain(msgspec.Struct, frozen=True):
     """A plan whose main steps follow one another: their numbers, and for each how long the run has to wait
     before it at least, and may at most (ns of wall time; None: no limit)."""
 
@@ -77,13 +80,13 @@ class Line(msgspec.Struct, frozen=True):
     most: tuple[int | None, ...]
 
 
-class Member(msgspec.Struct):
+class PlannedRun(msgspec.Struct):
     """A run in the timetable."""
 
     run: RunState
     first: int
     """The first of its steps, in its line, that has not started."""
-    line: Line
+    line: StepChain
     chain: Chain
     end: int
     """When what is under way ends (UTC ns)."""
@@ -91,11 +94,11 @@ class Member(msgspec.Struct):
     """So many younger runs may still be let in before it."""
 
 
-class Layout(msgspec.Struct):
+class PlannedCell(msgspec.Struct):
     """What is laid out: the runs, the older ones first, and the timetable without them."""
 
-    members: dict[RunId, Member]
-    table: Timetable
+    members: dict[RunId, PlannedRun]
+    table: SlotTable
     slot: int
     now: int
 
@@ -152,7 +155,7 @@ class WindowOrders:
         waiting = [run for run in waiting if run.id not in late][:MOST_WAITING]
         members = (tuple(run.id for run in inside), tuple(run.id for run in waiting))
         known, order = self._members.get(cell), self.orders.get(cell)
-        tries = TRIES_EACH * len(waiting)
+        tries = min(MOST_TRIES, TRIES_EACH * len(waiting))
         if known == members:
             if order is None:
                 return False
@@ -218,19 +221,19 @@ class WindowOrders:
         return _suggest(state, cell, layout, {name: fit for name, fit in fits if fit is not None})
 
 
-class Attempt(msgspec.Struct):
+class TriedOrder(msgspec.Struct):
     """One order of the runs, how they fit in with it, and the timetables after each of them."""
 
     line: list[RunId]
     fits: list[Fit | None]
-    tables: list[Timetable]
+    tables: list[SlotTable]
     value: Value
 
 
 class _Search:
     """Tries orders of the runs of a layout."""
 
-    def __init__(self, layout: Layout, seed: int) -> None:
+    def __init__(self, layout: PlannedCell, seed: int) -> None:
         self.layout = layout
         self.tries = 0
         self._draws = _Draws(seed)
@@ -240,7 +243,7 @@ class _Search:
         """How long a run is at work if nothing is in its way (slots)."""
         return sum(leg.length for leg in self.layout.members[name].chain.legs)
 
-    def improve(self, lines: Iterable[list[RunId]], tries: int) -> Attempt | None:
+    def improve(self, lines: Iterable[list[RunId]], tries: int) -> TriedOrder | None:
         """The best order found, beginning with the best of these; None if with none of them those inside fit
         in."""
         here = best = min((self._try(line) for line in lines), key=lambda attempt: attempt.value)
@@ -268,7 +271,7 @@ class _Search:
                     other[one], other[two] = other[two], other[one]
         return other
 
-    def _try(self, line: list[RunId], like: Attempt | None = None) -> Attempt:
+    def _try(self, line: list[RunId], like: TriedOrder | None = None) -> TriedOrder:
         """Lay out the runs in an order. What begins like another attempt takes over its first runs."""
         self.tries += 1
         same = 0
@@ -285,7 +288,7 @@ class _Search:
                 table = table.copy()
                 table.mark(fit.marks)
             tables.append(table)
-        return Attempt(line, fits, tables, self._value(line, fits))
+        return TriedOrder(line, fits, tables, self._value(line, fits))
 
     def _value(self, line: list[RunId], fits: list[Fit | None]) -> Value:
         members = self.layout.members
@@ -323,9 +326,11 @@ class _Draws:
 # -- reading the state -----------------------------------------------------------------------------
 
 
-def _lay_out(state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], now: int) -> Layout | None:
+def _lay_out(
+    state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], now: int
+) -> PlannedCell | None:
     """The runs of a workcell and those that wait, as chains; None if some run is none."""
-    lines: list[tuple[RunState, Line, tuple[Task, ...]]] = []
+    lines: list[tuple[RunState, StepChain, tuple[Task, ...]]] = []
     lengths: dict[RunId, dict[int, int]] = {}
     for run in runs:
         if run.has_started and (run.status != RunStatus.ACTIVE or find_holds(run)):
@@ -341,13 +346,13 @@ def _lay_out(state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], n
     total += sum(sum(line.least) for _, line, _ in lines)
     slot = _choose_slot(state, [t for each in lengths.values() for t in each.values()], total)
     flying = {(a.run, a.step): a for a in state.actions.within(cell)}
-    members: dict[RunId, Member] = {}
+    members: dict[RunId, PlannedRun] = {}
     for run, line, tasks in lines:
         member = _make_member(state, run, line, tasks, ways, lengths[run.id], slot, now, flying)
         if member is None:
             return None
         members[run.id] = member
-    table = Timetable(len(ways.room), int(total / slot * 1.3) + 64)
+    table = SlotTable(len(ways.room), int(total / slot * 1.3) + 64)
     owners = {run_owner(run.id) for run in runs}
     for key, number in ways.numbers.items():
         kind, _, name = key.partition(":")
@@ -360,10 +365,10 @@ def _lay_out(state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], n
             deck = ways.numbers.get(f"{DECK}{station.spec.claim}")
             if deck is not None and station.spec.claim:
                 table.taken[deck] = table.full
-    return Layout(dict(sorted(members.items(), key=lambda item: item[1].run.position)), table, slot, now)
+    return PlannedCell(dict(sorted(members.items(), key=lambda item: item[1].run.position)), table, slot, now)
 
 
-def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> Line | None:
+def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepChain | None:
     """The main steps of a plan, if they follow one another and its windows are its own."""
     if plan.holds or any(not isinstance(effect, KNOWN) for step in plan.steps for effect in step.effects):
         return None  # doors, setpoints and the like are not in the timetable
@@ -391,7 +396,7 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> Line |
             least[first] = max(least[first], wait)
             for later in range(first + 1, number + 1):
                 most[later] = 0
-    return Line(tuple(steps), tuple(least), tuple(most))
+    return StepChain(tuple(steps), tuple(least), tuple(most))
 
 
 def _choose_slot(state: LabState, lengths: Iterable[int], total: int) -> int:
@@ -413,14 +418,14 @@ def _up(time: int, slot: int) -> int:
 def _make_member(
     state: LabState,
     run: RunState,
-    line: Line,
+    line: StepChain,
     tasks: tuple[Task, ...],
     ways: Ways,
     durations: dict[int, int],
     slot: int,
     now: int,
     flying: dict[tuple[RunId, int], Action],
-) -> Member | None:
+) -> PlannedRun | None:
     statuses = run.statuses if run.has_started else []
     first, begins, held = 0, None, dict[int, int]()
     under_way: tuple[int, ...] = ()
@@ -472,7 +477,7 @@ def _make_member(
         )
         _carry(held, task, is_over=True)
     keeps = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
-    return Member(run, first, line, Chain(tuple(legs), begins, under_way, keeps), end)
+    return PlannedRun(run, first, line, Chain(tuple(legs), begins, under_way, keeps), end)
 
 
 def _carry(held: dict[int, int], task: Task, *, is_over: bool) -> None:
@@ -487,7 +492,7 @@ def _since_clocks(
     state: LabState,
     run: RunState,
     plan: Plan,
-    line: Line,
+    line: StepChain,
     number: int,
     first: int,
     durations: dict[int, int],
@@ -520,7 +525,7 @@ def _since_clocks(
 # -- the order ---------------------------------------------------------------------------------------
 
 
-def _suggest(state: LabState, cell: str, layout: Layout, fits: dict[RunId, Fit]) -> OrderSuggested:
+def _suggest(state: LabState, cell: str, layout: PlannedCell, fits: dict[RunId, Fit]) -> OrderSuggested:
     """The timetable as an order. A step that does not wait starts as soon as the one before it has ended."""
     steps: list[Suggested] = []
     last = layout.now

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.planner.planner import Planner
 from labos.planner.solve import solve
-from labos.planning.scheduler import Scheduler, make_scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from tests.benchmarks.figures import Figure, Report, times
 from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, count_missed, faults, makespan
@@ -70,7 +70,7 @@ def play_case(
 ) -> Outcome:
     """``search``: the lab looks for an order of its own (``LABOS_ORDER=search``)."""
     plans = make_planner(seconds) if planner else None
-    plans_with = make_scheduler if search else Scheduler
+    plans_with = make_searching_scheduler if search else Scheduler
     return Player(case.cell, case.stock, plans_with, planner=plans, together=together).play(case.works)
 
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import random
 
-from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, Timetable
+from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, SlotTable
 
 SLOTS = 30
 RESOURCES = 4
 
 
-def is_free(table: Timetable, resources: tuple[int, ...], begin: int, end: int) -> bool:
+def is_free(table: SlotTable, resources: tuple[int, ...], begin: int, end: int) -> bool:
     return end <= SLOTS and not any(
         table.taken[r] >> slot & 1 for r in resources for slot in range(begin, end)
     )
 
 
-def find_ends(table: Timetable, chain: Chain) -> set[int]:
+def find_ends(table: SlotTable, chain: Chain) -> set[int]:
     """All ends that a chain can have, by trying every start of every step."""
     if chain.begins is None:
         ends = set(range(SLOTS))
@@ -35,8 +35,8 @@ def find_ends(table: Timetable, chain: Chain) -> set[int]:
     return {end for end in ends if end < SLOTS and is_free(table, chain.keeps, end, SLOTS)}
 
 
-def draw(rng: random.Random) -> tuple[Timetable, Chain]:
-    table = Timetable(RESOURCES, SLOTS)
+def draw(rng: random.Random) -> tuple[SlotTable, Chain]:
+    table = SlotTable(RESOURCES, SLOTS)
     for _ in range(rng.randrange(6)):
         begin = rng.randrange(SLOTS)
         table.mark([(rng.randrange(RESOURCES), begin, min(SLOTS, begin + rng.randrange(1, 6)))])
@@ -53,7 +53,7 @@ def draw(rng: random.Random) -> tuple[Timetable, Chain]:
     return table, Chain(tuple(legs), begins, (), keeps)
 
 
-def assert_fits(table: Timetable, chain: Chain, fit: Fit) -> None:
+def assert_fits(table: SlotTable, chain: Chain, fit: Fit) -> None:
     """What is marked was free, and the starts are within their waits."""
     assert all(is_free(table, (resource,), begin, end) for resource, begin, end in fit.marks)
     end = chain.begins
@@ -79,7 +79,7 @@ def test_the_end_is_the_earliest_one() -> None:
 
 
 def test_a_place_is_kept_while_labware_waits_there() -> None:
-    table = Timetable(3, SLOTS)
+    table = SlotTable(3, SLOTS)
     table.mark([(0, 4, 9)])
     arm, nest, other = 0, 1, 2
     chain = Chain((Leg((arm, nest), (), 1), Leg((), (nest,), 3), Leg((arm, other), (nest,), 1)))
@@ -91,6 +91,6 @@ def test_a_place_is_kept_while_labware_waits_there() -> None:
 
 
 def test_what_is_never_free_has_no_fit() -> None:
-    table = Timetable(1, SLOTS)
+    table = SlotTable(1, SLOTS)
     table.taken[0] = table.full
     assert table.fit(Chain((Leg((0,), (), 1),))) is None
