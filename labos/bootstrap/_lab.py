@@ -100,6 +100,7 @@ async def open_lab(
     expect_tls(settings)
     if settings.trace_receiver:
         check_receiver(settings.trace_receiver)
+    plan_with = make_searching_scheduler if settings.searches_order else Scheduler
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
@@ -109,7 +110,7 @@ async def open_lab(
             refuse_lost_log(store, settings.journals, show_url(settings.database))
             known, ended = store.known_position, store.head().position
             with _folder(settings.worlds if simulated else settings.home):
-                kernel, writer = await _open_kernel(settings, store, follower)
+                kernel, writer = await _open_kernel(settings, store, follower, plan_with)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
         stack.callback(lab.close_worlds)
@@ -228,7 +229,10 @@ def _is_fenced(kernel: Kernel) -> bool:
 
 
 async def _open_kernel(
-    settings: Settings, store: SqlEventStore, follower: Follower | None
+    settings: Settings,
+    store: SqlEventStore,
+    follower: Follower | None,
+    plan_with: Callable[[], Scheduler],
 ) -> tuple[Kernel, ThreadWriter]:
     owner = f"pid {os.getpid()} on {socket.gethostname()}"
     after, within_s = settings.failures_borne
@@ -241,7 +245,6 @@ async def _open_kernel(
         quarantine_within_s=within_s,
     )
     writer = ThreadWriter(store, silence_s=settings.silence_s)
-    plan_with = make_searching_scheduler if settings.searches_order else Scheduler
     kernel = Kernel(writer, SystemClock(), Uuid7Ids(), chosen, plan_with)
     try:
         await kernel.open(follower, plan=False)

@@ -28,7 +28,7 @@ from labos.core.waits import station_key
 from labos.planner.lengths import at_level
 from labos.planner.measure import rate
 from labos.planning.forecast import setup_under_way
-from labos.planning.suggested import list_taken
+from labos.planning.taken import list_taken
 
 MOST_WAITING = 30
 """So many runs that wait are looked at, those that go first."""

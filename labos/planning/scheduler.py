@@ -285,7 +285,7 @@ class Scheduler:
             active = state.runs.active.values()
             names.update({(run.id, step): True for run in active for step in list_ready_steps(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
-        for cell in self._list_cells(state, names):
+        for cell in self._list_cells(state, names) if self.adviser.own.is_used else ():
             if self.admission.find_order(state, cell, now):
                 names |= self.sleepers.find_waiting(cell_key(cell))  # others may go first now
         for cell in self._order_windows(state, now):

@@ -33,7 +33,7 @@ from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.waits import Wait, station_key
 from labos.planning.forecast import find_deadline, is_pending
 from labos.planning.own_order import OWN, OwnOrders
-from labos.planning.taken import list_taken as list_taken
+from labos.planning.taken import list_taken
 from labos.planning.touch import cell_key
 from labos.planning.urgency import is_urgent
 from labos.planning.window_order import OWN_WINDOWS
