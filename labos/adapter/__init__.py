@@ -6,6 +6,6 @@ that its outcome is unknown. docs/adapters.md describes what exactly-once means 
 """
 
 from labos.adapter._foreign import ForeignNode, adapt
-from labos.adapter.registry import ADAPTERS, adapter_class, describe_foreign
+from labos.adapter.registry import ADAPTERS, describe_foreign, find_adapter_class
 
-__all__ = ["ADAPTERS", "ForeignNode", "adapt", "adapter_class", "describe_foreign"]
+__all__ = ["ADAPTERS", "ForeignNode", "adapt", "describe_foreign", "find_adapter_class"]

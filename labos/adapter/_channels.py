@@ -15,7 +15,14 @@ from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 from labos.spec.signals import Condition
 
-__all__ = ["ChannelReading", "Channels", "NoResponse", "fits", "leaves_open", "report_missing_package"]
+__all__ = [
+    "ChannelReading",
+    "Channels",
+    "NoResponse",
+    "is_fulfilled",
+    "leaves_open",
+    "report_missing_package",
+]
 
 SETTLED = 3
 """How many times in a row a device must report that it is idle before an action without an answer counts as
@@ -55,7 +62,7 @@ class Channels(Protocol):
         """Disconnect from all names."""
 
 
-def fits(condition: Condition, told: ChannelReading) -> bool:
+def is_fulfilled(condition: Condition, told: ChannelReading) -> bool:
     """Whether a reading fulfils a condition."""
     if condition.is_ is not None:
         return _is_among(told, condition.is_)
@@ -70,7 +77,7 @@ def fits(condition: Condition, told: ChannelReading) -> bool:
 def leaves_open(condition: Condition, told: ChannelReading) -> bool:
     """Whether a reading neither fulfils nor contradicts a condition: it is not a number where one is needed,
     or not one of the known values."""
-    if fits(condition, told):
+    if is_fulfilled(condition, told):
         return False
     if condition.not_ is not None:
         return not _is_among(told, condition.not_)

@@ -69,7 +69,7 @@ class PvaChannels:
             raise DeviceError(
                 f"{name} does not answer ({error or 'no value in time'}).", effects="none"
             ) from error
-        if "index" in _fields(told):
+        if "index" in _list_fields(told):
             return number_of(name, value, list(told.choices))
         if _is_bytes(told):
             import numpy as np
@@ -81,7 +81,7 @@ class PvaChannels:
         if _is_bytes(told.value) and name not in self._numbers:
             text = text_of(told.value.tobytes())
             if text is not None:
-                return ChannelReading(text, severity=_severity(told))
+                return ChannelReading(text, severity=_read_severity(told))
         return _read_value(told)
 
     def why_silent(self) -> str:
@@ -108,30 +108,30 @@ class _Once:
             del wanted  # the traceback must not keep it
             raise _Again
         self._given = True
-        if "index" in _fields(wanted.value):
+        if "index" in _list_fields(wanted.value):
             wanted.value.index = int(self._value)
         else:
             wanted.value = self._value
         return wanted
 
 
-def _fields(value: Any) -> list[str]:
+def _list_fields(value: Any) -> list[str]:
     return list(value.keys()) if hasattr(value, "keys") else []
 
 
 def _read_value(told: Any) -> ChannelReading:
     value, label = told.value, ""
-    if "index" in _fields(value):
+    if "index" in _list_fields(value):
         labels = list(value.choices)
         value = int(value.index)
         label = labels[value] if 0 <= value < len(labels) else ""
     elif hasattr(value, "tolist"):
         value = value.tolist()
-    return ChannelReading(value, label, _severity(told))
+    return ChannelReading(value, label, _read_severity(told))
 
 
-def _severity(told: Any) -> int:
-    return int(told.alarm.severity) if "alarm" in _fields(told) else 0
+def _read_severity(told: Any) -> int:
+    return int(told.alarm.severity) if "alarm" in _list_fields(told) else 0
 
 
 def _is_bytes(value: Any) -> bool:

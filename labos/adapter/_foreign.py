@@ -16,7 +16,7 @@ from labos.core.ids import local
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_action
-from labos.spec.about import resettable
+from labos.spec.about import add_reset
 
 SENT = "sent"
 """The handle of a start in a protocol without ids."""
@@ -146,7 +146,7 @@ class ForeignNode(Node):
             ours = {LABWARE_TYPE, PLATE_TYPE} - names.keys()
             args = {key: value for key, value in args.items() if key not in ours}
         args = {names.get(key, key): value for key, value in args.items()}
-        return await self._unless_settled(spec, self.begin(spec, name, args))
+        return await self._wait_unless_settled(spec, self.begin(spec, name, args))
 
     async def take_up(self, name: str, handle: str) -> Any:
         if not handle:
@@ -154,7 +154,7 @@ class ForeignNode(Node):
         spec = self.described.action(name)
         if spec is None or name == "reset":
             raise OutcomeUnknown(INTERRUPTED)
-        return await self._unless_settled(spec, self.find_out(spec, self._find_call(spec)[0], handle))
+        return await self._wait_unless_settled(spec, self.find_out(spec, self._find_call(spec)[0], handle))
 
     async def settle(self, action: str, done: bool) -> None:
         self._unseen.pop(action, None)
@@ -237,7 +237,7 @@ class ForeignNode(Node):
         told = self._calls.get(spec.name) or {}
         return str(told.get("name", spec.name)), told.get("args") or {}
 
-    async def _unless_settled(self, spec: ActionSpec, work: Awaitable[Any]) -> Any:
+    async def _wait_unless_settled(self, spec: ActionSpec, work: Awaitable[Any]) -> Any:
         """The result of the work, unless a person reports the outcome first."""
         action = current_action.get()
         # After a restart nobody knows when it began: it counts from now, which is never too short.
@@ -283,7 +283,7 @@ class Silence:
 
 def adapt(adapter: type[ForeignNode], description: Description) -> type[Node]:
     """The adapter as the node class of a module with this description."""
-    description = resettable(description)
+    description = add_reset(description)
     return type(adapter.__name__, (adapter,), {"described": description, "driver": description.driver})
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 
 from labos.adapter._decode import read_json_text
-from labos.adapter._keepalive import keepalive
+from labos.adapter._keepalive import make_options
 from labos.errors import DeviceError
 from labos.node.secrets import secret_of
 
@@ -64,7 +64,7 @@ class HttpClient:
             transport=httpx.AsyncHTTPTransport(
                 limits=httpx.Limits(max_keepalive_connections=0),
                 trust_env=False,
-                socket_options=keepalive(patience_s),
+                socket_options=make_options(patience_s),
             ),
             trust_env=False,
         )
@@ -88,7 +88,7 @@ class HttpClient:
                 asyncio.timeout(begins_s) as limit,
                 self._client.stream(method, url, timeout=timeout, **options) as streamed,
             ):
-                answer = await _whole(streamed, limit)
+                answer = await _read_whole(streamed, limit)
         except TimeoutError as error:
             raise NoResponse(f"{method} {url}: its answer comes so slowly that it does not end") from error
         except NOT_SENT as error:
@@ -111,7 +111,7 @@ class HttpClient:
             raise DeviceError(f"The foreign node does not answer ({lost}).", effects="none") from lost
 
 
-async def _whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx.Response:
+async def _read_whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx.Response:
     """An answer with its content. Raises Lost if the content does not end, because the request was sent. A
     piece that takes longer than the allowed silence exceeds the limit."""
     data, clock, awaited = bytearray(), asyncio.get_running_loop().time, 0
@@ -136,7 +136,7 @@ def read_json(answer: httpx.Response) -> Any:
         return read_json_text(answer.content)
     except ValueError as error:
         raise DeviceError(
-            f"{answer.request.url.path} answered what cannot be read as JSON ({error}): {excerpt(answer)}"
+            f"{answer.request.url.path} answered what cannot be read as JSON ({error}): {cut_answer(answer)}"
         ) from error
 
 
@@ -163,13 +163,13 @@ def refuse_at_end(answer: httpx.Response, refused: Collection[int] = ()) -> None
         raise DeviceError(error.message, effects="unknown" if begun else "none") from error
 
 
-def authorization(config: dict[str, Any], key: str) -> str:
+def read_authorization(config: dict[str, Any], key: str) -> str:
     """The value of the Authorization header, from the file that ``key`` names, or from the variable that
     ``<key>_env`` names. Raises DeviceError."""
     return secret_of(config, key, file_key=key)
 
 
-def address(config: dict[str, Any], *keys: str) -> str:
+def find_address(config: dict[str, Any], *keys: str) -> str:
     """The node's address. Raises DeviceError naming the key."""
     for key in keys:
         if config.get(key):
@@ -190,11 +190,11 @@ def _detail(answer: httpx.Response) -> str:
     try:
         body = read_json_text(answer.content)
     except ValueError:
-        return excerpt(answer)
+        return cut_answer(answer)
     detail = body.get("detail", body) if isinstance(body, dict) else body
     return (detail if isinstance(detail, str) else json.dumps(detail))[:SHOWN]
 
 
-def excerpt(answer: httpx.Response) -> str:
+def cut_answer(answer: httpx.Response) -> str:
     """The beginning of an answer, for a person."""
     return repr(answer.content[: 4 * SHOWN].decode("utf-8", "replace")[:SHOWN])

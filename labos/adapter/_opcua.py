@@ -11,7 +11,7 @@ from typing import Any
 
 from labos.adapter._channels import ChannelReading, NoResponse, report_missing_package
 from labos.adapter._opcua_security import OpcuaAccess
-from labos.adapter._opcua_types import OpcuaKind, Types, plain
+from labos.adapter._opcua_types import OpcuaKind, Types, make_plain
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -109,7 +109,7 @@ class UaChannels:
         types = Types(client, self._ua, self._known)
         subscription = await client.create_subscription(PERIOD_MS, self)
         for name, changed in self._watched.items():
-            node = await self._node(client, name)
+            node = await self._find_node(client, name)
             try:
                 if await node.read_node_class() == self._ua.NodeClass.Method:
                     changed(ChannelReading("a method"))
@@ -127,7 +127,7 @@ class UaChannels:
         if changed := self._watched.get(name):
             changed(self._read_value(name, data.monitored_item.Value))
 
-    async def _node(self, client: Any, name: str) -> Any:
+    async def _find_node(self, client: Any, name: str) -> Any:
         if "=" in name:
             return client.get_node(name)
         index = await client.get_namespace_index(self._namespace) if self._namespace else 0
@@ -140,7 +140,7 @@ class UaChannels:
         if client is None:
             raise DeviceError(f"{self._url} does not answer.", effects="none")
         try:
-            node = await asyncio.wait_for(self._node(client, name), timeout_s)
+            node = await asyncio.wait_for(self._find_node(client, name), timeout_s)
             told = await asyncio.wait_for(node.read_data_value(raise_on_bad_status=False), timeout_s)
         except (OSError, ValueError, TimeoutError, RecursionError, self._ua.UaError) as error:
             why = _error_text(error, timeout_s)
@@ -177,9 +177,9 @@ class UaChannels:
 
     async def _prepare(self, client: Any, name: str, value: Any, on: str) -> Callable[[], Any]:
         """The request to call a method or write a variable, with values of the required types."""
-        node, types = await self._node(client, name), Types(client, self._ua, self._known)
+        node, types = await self._find_node(client, name), Types(client, self._ua, self._known)
         if await node.read_node_class() != self._ua.NodeClass.Method:
-            written = self._ua.DataValue(types.variant(await types.find(node), value))
+            written = self._ua.DataValue(types.make_variant(await types.find(node), value))
             return lambda: node.write_value(written)
         given = value if isinstance(value, list) else []
         inputs = []
@@ -190,13 +190,13 @@ class UaChannels:
         sent = []
         for told, each in zip(inputs, given, strict=True):
             try:
-                sent.append(types.variant(await types.kind(told.DataType), each))
+                sent.append(types.make_variant(await types.kind(told.DataType), each))
             except ValueError as error:
                 raise ValueError(f"{told.Name}: {error}") from error
-        owner = await self._node(client, on) if on else await self._owner(node)
+        owner = await self._find_node(client, on) if on else await self._find_owner(node)
         return lambda: owner.call_method(node, *sent)
 
-    async def _owner(self, method: Any) -> Any:
+    async def _find_owner(self, method: Any) -> Any:
         """The object of a method. Raises ValueError if several objects share it."""
         ids, inverse = self._ua.ObjectIds, self._ua.BrowseDirection.Inverse
         having = await method.get_referenced_nodes(ids.HasComponent, inverse)
@@ -207,7 +207,7 @@ class UaChannels:
         return objects[0] if objects else await method.get_parent()
 
     def _read_value(self, name: str, told: Any) -> ChannelReading:
-        value = plain(told.Value.Value) if told.Value is not None else None
+        value = make_plain(told.Value.Value) if told.Value is not None else None
         kind = self._kinds.get(name)
         label = kind.labels.get(value, "") if kind is not None and isinstance(value, int) else ""
         if kind is not None and kind.labels and isinstance(value, list):

@@ -53,38 +53,42 @@ def access_of(config: dict[str, Any]) -> OpcuaAccess:
     """The access from ``config:`` of a module. Raises DeviceError (``none``) naming the key."""
     url = str(config.get("opcua_url") or "")
     if "@" in urlsplit(url).netloc:
-        raise _wrong(
+        raise _make_error(
             "`opcua_url` holds a user, and the workcell file is kept for ever.",
             "Write `opcua_user`, and the path of a file with the password as `opcua_password`.",
         )
     policy, user = str(config.get("opcua_policy") or ""), str(config.get("opcua_user") or "")
     password = secret_of(config, "opcua_password", file_key="opcua_password")
     if user and not policy and not config.get("opcua_insecure"):
-        raise _wrong(
+        raise _make_error(
             "`opcua_user` without `opcua_policy`: the password would go over the network as it is.",
             "Write `opcua_policy`, or `opcua_insecure: true` where nobody else can listen.",
         )
     if not policy:
         if given := [key for key in (*FILES, "opcua_mode") if config.get(key)]:
-            raise _wrong(f"`{given[0]}` is nothing without `opcua_policy`.", f"It is {_one_of(POLICIES)}.")
+            raise _make_error(
+                f"`{given[0]}` is nothing without `opcua_policy`.", f"It is {_one_of(POLICIES)}."
+            )
         return OpcuaAccess(user=user, password=password)
     if policy not in POLICIES:
-        raise _wrong(f"`opcua_policy` is {policy!r}.", f"It is {_one_of(POLICIES)}.")
+        raise _make_error(f"`opcua_policy` is {policy!r}.", f"It is {_one_of(POLICIES)}.")
     mode = str(config.get("opcua_mode") or "sign_and_encrypt")
     if mode not in MODES:
-        raise _wrong(f"`opcua_mode` is {mode!r}.", f"It is {_one_of(tuple(MODES))}.")
-    own, key, server = (_file(config, name) for name in FILES)
-    return OpcuaAccess(policy, MODES[mode], own, key, server, _uri_in(own), user, password)
+        raise _make_error(f"`opcua_mode` is {mode!r}.", f"It is {_one_of(tuple(MODES))}.")
+    own, key, server = (_find_file(config, name) for name in FILES)
+    return OpcuaAccess(policy, MODES[mode], own, key, server, _read_uri(own), user, password)
 
 
-def _file(config: dict[str, Any], key: str) -> str:
+def _find_file(config: dict[str, Any], key: str) -> str:
     path = str(config.get(key) or "")
     if not path:
-        raise _wrong(f"`opcua_policy` needs `{key}`.", "Write the path of a PEM or DER file.")
+        raise _make_error(f"`opcua_policy` needs `{key}`.", "Write the path of a PEM or DER file.")
     try:
         data = Path(path).read_bytes()
     except OSError as error:
-        raise _wrong(f"`{key}` names the file {path!r}, which cannot be read ({error.strerror}).") from error
+        raise _make_error(
+            f"`{key}` names the file {path!r}, which cannot be read ({error.strerror})."
+        ) from error
     from cryptography import x509
     from cryptography.hazmat.primitives import serialization
 
@@ -97,13 +101,13 @@ def _file(config: dict[str, Any], key: str) -> str:
             (x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate)(data)
     except (ValueError, TypeError) as error:
         what = "key without a passphrase" if key == "opcua_key" else "certificate"
-        raise _wrong(f"`{key}` names the file {path!r}, which holds no {what} ({error}).") from error
+        raise _make_error(f"`{key}` names the file {path!r}, which holds no {what} ({error}).") from error
     if pem != path.endswith(".pem"):  # asyncua goes by the name
-        raise _wrong(f"`{key}` names the file {path!r}.", f"Call it .{'pem' if pem else 'der'}.")
+        raise _make_error(f"`{key}` names the file {path!r}.", f"Call it .{'pem' if pem else 'der'}.")
     return path
 
 
-def _uri_in(path: str) -> str:
+def _read_uri(path: str) -> str:
     """The application's URI in a certificate, which a server compares with the client's."""
     from cryptography import x509
 
@@ -114,7 +118,7 @@ def _uri_in(path: str) -> str:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         return str(names.get_values_for_type(x509.UniformResourceIdentifier)[0])
     except (x509.ExtensionNotFound, IndexError) as error:
-        raise _wrong(
+        raise _make_error(
             f"The certificate {path} names no application URI.",
             "Make one with a URI as subjectAltName, as OPC UA wants it.",
         ) from error
@@ -124,5 +128,5 @@ def _one_of(words: tuple[str, ...]) -> str:
     return " or ".join([", ".join(words[:-1]), words[-1]])
 
 
-def _wrong(message: str, remedy: str = "") -> DeviceError:
+def _make_error(message: str, remedy: str = "") -> DeviceError:
     return DeviceError(message, effects="none", remedy=remedy)

@@ -60,14 +60,14 @@ class Types:
         node = self._client.get_node(data_type)
         base = (await get_base_data_type(node)).nodeid.Identifier
         if base == ENUMERATION:
-            return OpcuaKind(data_type, self._ua.VariantType.Int32, labels=await self._labels(node))
+            return OpcuaKind(data_type, self._ua.VariantType.Int32, labels=await self._read_labels(node))
         if base == STRUCTURE and data_type != self._ua.NodeId(STRUCTURE):
-            return await self._structure(node)
+            return await self._read_structure(node)
         if base in (24, 26, 27, 28):  # BaseDataType, Number, Integer, UInteger: the value itself says which
             return OpcuaKind(data_type)
         return OpcuaKind(data_type, self._ua.VariantType(base))
 
-    async def _labels(self, node: Any) -> dict[int, str]:
+    async def _read_labels(self, node: Any) -> dict[int, str]:
         """An enumeration's labels, from any of the places where a server may have them."""
         missing = self._ua.UaStatusCodeError
         with contextlib.suppress(missing):
@@ -81,7 +81,7 @@ class Types:
             return {int(field.Value): str(field.Name) for field in definition.Fields}
         return {}
 
-    async def _structure(self, node: Any) -> OpcuaKind:
+    async def _read_structure(self, node: Any) -> OpcuaKind:
         if not self._loaded:
             await self._client.load_data_type_definitions(overwrite_existing=True)
             self._loaded = True
@@ -95,7 +95,7 @@ class Types:
 
     # -- there -------------------------------------------------------------------------------
 
-    def variant(self, kind: OpcuaKind, value: Any) -> Any:
+    def make_variant(self, kind: OpcuaKind, value: Any) -> Any:
         """A value in the form for sending. Raises ValueError, TypeError."""
         return self._ua.Variant(self._encode(kind, value), kind.variant)
 
@@ -103,7 +103,7 @@ class Types:
         if isinstance(value, list | tuple):
             return [self._encode(kind, each) for each in value]
         if kind.labels:
-            return _number(kind.labels, value)
+            return _find_number(kind.labels, value)
         if kind.fields:
             return self._fill(kind, value)
         name = kind.variant.name if kind.variant is not None else ""
@@ -137,7 +137,7 @@ class Types:
         return made
 
 
-def _number(labels: dict[int, str], value: Any) -> int:
+def _find_number(labels: dict[int, str], value: Any) -> int:
     """An enumeration's number, from the number or its label. Raises ValueError."""
     for number, label in labels.items():
         if value == label or (not isinstance(value, bool) and value == number):
@@ -146,10 +146,10 @@ def _number(labels: dict[int, str], value: Any) -> int:
     raise ValueError(f"the enumeration has {has}")
 
 
-def plain(value: Any) -> Any:
+def make_plain(value: Any) -> Any:
     """A value in a form for JSON: structures are tables, enumerations in them labels, dates ISO 8601."""
     if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
+        return [make_plain(each) for each in value]
     if isinstance(value, enum.Enum):
         return value.name
     if isinstance(value, datetime.datetime):
@@ -158,5 +158,5 @@ def plain(value: Any) -> Any:
         return value.Text or ""
     if dataclasses.is_dataclass(value) and hasattr(value, "data_type"):
         names = [field.name for field in dataclasses.fields(value) if field.name != "Encoding"]
-        return {name: plain(getattr(value, name)) for name in names}
+        return {name: make_plain(getattr(value, name)) for name in names}
     return value if isinstance(value, str | int | float | bytes | None) else str(value)

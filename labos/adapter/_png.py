@@ -12,7 +12,7 @@ _COLOUR_TYPE = {1: 0, 3: 2, 4: 6}
 """PNG's numbers for grey, RGB and RGBA."""
 
 
-def png(raw: bytes, *, width: int, height: int, encoding: str, step: int) -> bytes:
+def encode_png(raw: bytes, *, width: int, height: int, encoding: str, step: int) -> bytes:
     """A picture of ``sensor_msgs/msg/Image`` (8 bits a channel) as a PNG file. Raises DeviceError."""
     channels = _CHANNELS.get(encoding)
     if channels is None or len(raw) < step * height or step < width * channels:
@@ -29,8 +29,8 @@ def png(raw: bytes, *, width: int, height: int, encoding: str, step: int) -> byt
         rows += b"\0" + row
     header = struct.pack(">IIBBBBB", width, height, 8, _COLOUR_TYPE[channels], 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(rows))), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(name, data) for name, data in chunks)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_encode_chunk(name, data) for name, data in chunks)
 
 
-def _chunk(name: bytes, data: bytes) -> bytes:
+def _encode_chunk(name: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))

@@ -19,7 +19,7 @@ LARGEST = 64 * 1024 * 1024
 
 
 @functools.cache
-def schema() -> dict[str, Any]:
+def make_schema() -> dict[str, Any]:
     """The classes of the messages, by name. Raises DeviceError."""
     try:
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory

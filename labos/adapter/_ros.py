@@ -111,7 +111,7 @@ class BridgeProcess:
 
         self._say(self._listen(hear), watch=topic, type=kind)
 
-    async def ready(self, service: str, kind: str, limit_s: float = 5.0) -> bool:
+    async def is_offered(self, service: str, kind: str, limit_s: float = 5.0) -> bool:
         """Whether a node offers a service. Raises DeviceError."""
         async with self._ask(ready=service, type=kind) as answers:
             return bool(await asyncio.wait_for(_answer(service, answers), limit_s))
@@ -122,7 +122,7 @@ class BridgeProcess:
         async with self._ask(call=service, type=kind, fields=fields, wait_s=wait_s) as answers:
             return await _answer(service, answers)
 
-    async def frame(self, topic: str, file: Path, limit_s: float) -> dict[str, Any]:
+    async def fetch_frame(self, topic: str, file: Path, limit_s: float) -> dict[str, Any]:
         """Write the next image of a topic to a file as raw bytes; returns its shape. Raises DeviceError."""
         async with self._ask(frame=topic, file=str(file)) as answers:
             try:

@@ -22,7 +22,7 @@ from labos.adapter._channels import (
     ChannelReading,
     Channels,
     NoResponse,
-    fits,
+    is_fulfilled,
     leaves_open,
     report_missing_package,
 )
@@ -32,7 +32,7 @@ from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup, current_action
-from labos.spec.flaws import flaw_in
+from labos.spec.flaws import find_first_flaw
 from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMapping
 
 CONNECT_S = 5.0
@@ -64,7 +64,7 @@ class SignalNode(ForeignNode):
         self._losses = 0
 
     async def connect(self) -> None:
-        if flaw := flaw_in(SignalMapping, self.read_mapping()):
+        if flaw := find_first_flaw(SignalMapping, self.read_mapping()):
             raise DeviceError(f"In `{self.table}:`, {flaw}.", effects="none")
         self.mapping = SignalMapping.model_validate(self.read_mapping())
         for spec in self.described.actions:
@@ -73,12 +73,12 @@ class SignalNode(ForeignNode):
                     f"`{self.table}:` does not say how {spec.name!r} is started.", effects="none"
                 )
         await self.close()
-        for name in sorted(_names(self.mapping)):
+        for name in sorted(_list_names(self.mapping)):
             protocol, whole = self.mapping.find(name)
             if whole not in self._now:
                 self._now[whole] = None
                 self._find_client(protocol).watch(whole, partial(self._note_reading, whole))
-        await self._until_connected(CONNECT_S)
+        await self._wait_until_connected(CONNECT_S)
 
     async def close(self) -> None:
         channels, self._channels, self._now = self._channels, {}, {}
@@ -105,16 +105,16 @@ class SignalNode(ForeignNode):
         self._now[name] = told
         self._changed.set()
 
-    def _silent(self) -> str:
+    def _list_silent(self) -> str:
         return ", ".join(sorted(name for name, told in self._now.items() if told is None))
 
-    async def _until_connected(self, limit_s: float) -> bool:
+    async def _wait_until_connected(self, limit_s: float) -> bool:
         """Wait until all process variables answer; returns whether they do."""
         loop = asyncio.get_running_loop()
         until = loop.time() + limit_s
-        while self._silent() and loop.time() < until:
+        while self._list_silent() and loop.time() < until:
             await self._change(until - loop.time())
-        return not self._silent()
+        return not self._list_silent()
 
     async def _change(self, limit_s: float) -> None:
         """Wait for any change, at most this long."""
@@ -131,32 +131,32 @@ class SignalNode(ForeignNode):
         return bool(self.mapping.state.busy)
 
     async def is_idle(self) -> bool:
-        if self._silent():
+        if self._list_silent():
             return False
         if not self.tells_busy:
             return await super().is_idle()
         seen = [(told, await self._get(told.pv)) for told in self.mapping.state.busy]
-        return not any(fits(told, now) or leaves_open(told, now) for told, now in seen)
+        return not any(is_fulfilled(told, now) or leaves_open(told, now) for told, now in seen)
 
     async def trouble(self) -> str:
-        if absent := self._silent():
+        if absent := self._list_silent():
             whys = [why for each in self._channels.values() if (why := each.why_silent())]
             return " ".join([f"Nobody answers for {absent}. Is {self.where} running?", *whys])
-        return self._error()
+        return self._describe_error()
 
-    def _error(self) -> str:
+    def _describe_error(self) -> str:
         """The last reported error of the device; empty if none."""
         state = self.mapping.state
         limit = SEVERITIES.index(state.severity)
         for name in state.alarms:
-            told = self._last(name)
+            told = self._find_last(name)
             if told is not None and told.severity >= limit:
                 value = told.label or told.value
                 return f"{name} has an alarm ({SEVERITIES[min(told.severity, 3)]}, value {value})."
         for condition in state.error:
-            told = self._last(condition.pv)
-            if told is not None and fits(condition, told):
-                why = self._last(state.why) if state.why else None
+            told = self._find_last(condition.pv)
+            if told is not None and is_fulfilled(condition, told):
+                why = self._find_last(state.why) if state.why else None
                 words = (why.label or why.value) if why is not None else f"{condition.pv} is {told.value}"
                 return f"The device is in error: {words}. Reset the module."
         return ""
@@ -169,18 +169,20 @@ class SignalNode(ForeignNode):
             seen[variable] = told.label or told.value
         if self.mapping.labware:
             told_of = [(at, told, await self._get(told.pv)) for at, told in self.mapping.labware.items()]
-            seen["labware"] = {at: fits(told, now) for at, told, now in told_of if not leaves_open(told, now)}
+            seen["labware"] = {
+                at: is_fulfilled(told, now) for at, told, now in told_of if not leaves_open(told, now)
+            }
         return seen
 
     async def resources(self) -> dict[str, float]:
         return {what: float((await self._get(name)).value) for what, name in self.mapping.resources.items()}
 
-    def _works(self) -> bool:
+    def _is_working(self) -> bool:
         """Whether the device has last reported that it is busy."""
-        told = [(condition, self._last(condition.pv)) for condition in self.mapping.state.busy]
-        return any(now is not None and fits(condition, now) for condition, now in told)
+        told = [(condition, self._find_last(condition.pv)) for condition in self.mapping.state.busy]
+        return any(now is not None and is_fulfilled(condition, now) for condition, now in told)
 
-    def _last(self, name: str) -> ChannelReading | None:
+    def _find_last(self, name: str) -> ChannelReading | None:
         return self._now.get(self.mapping.find(name)[1])
 
     async def _get(self, name: str) -> ChannelReading:
@@ -188,8 +190,8 @@ class SignalNode(ForeignNode):
         protocol, whole = self.mapping.find(name)
         return await self._find_client(protocol).get(whole, CONNECT_S)
 
-    async def _holds(self, condition: Condition) -> bool:
-        return fits(condition, await self._get(condition.pv))
+    async def _is_fulfilled(self, condition: Condition) -> bool:
+        return is_fulfilled(condition, await self._get(condition.pv))
 
     # -- recovery ----------------------------------------------------------------------------
 
@@ -214,7 +216,7 @@ class SignalNode(ForeignNode):
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         told = self.mapping.actions[spec.name]
         values = {**self.name_places(spec, args), "id": current_action.get()}
-        if absent := self._silent():
+        if absent := self._list_silent():
             raise DeviceError(f"Nobody answers for {absent} ({self.where}).", effects="none")
         ends_by = [_fill_in(condition, values, self.table) for condition in told.done]
         start = told.start.model_copy(update={"value": fill(told.start.value, values, self.table)})
@@ -223,19 +225,21 @@ class SignalNode(ForeignNode):
                 await self._put(put, values, self.patience_s)
         except (NoResponse, DeviceError) as error:
             raise DeviceError(f"{spec.name} was not started: {error}", effects="none") from error
-        started = Started(boot=await self._boot(), done=[_as_written(condition) for condition in ends_by])
+        started = Started(
+            boot=await self._read_boot(), done=[_show_condition(condition) for condition in ends_by]
+        )
         losses = self._losses
         await self.note_handle(msgspec.json.encode(started).decode())
         try:
-            await self._put(start, values, self._limit_s(spec, told))
+            await self._put(start, values, self._find_limit_s(spec, told))
         except NoResponse as lost:
             await self._see_proof(spec, told, ends_by, NOT_KEPT.format(why=lost))
-            return await self._result(told)
+            return await self._read_result(told)
         if ends_by or told.failed:
             started.taken = True
             await self.note_handle(msgspec.json.encode(started).decode())
             await self._see_done(spec, told, ends_by, started.boot, losses)
-        return await self._result(told)
+        return await self._read_result(told)
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         told = self.mapping.actions[spec.name]
@@ -246,9 +250,9 @@ class SignalNode(ForeignNode):
         elif started.taken:
             await self._see_done(spec, told, ends_by, started.boot, self._losses - 1)
         else:
-            await self._until_connected(self.patience_s)
+            await self._wait_until_connected(self.patience_s)
             raise OutcomeUnknown("the adapter was restarted meanwhile, and nothing keeps a record of it")
-        return await self._result(told)
+        return await self._read_result(told)
 
     async def _put(self, put: Put, values: dict[str, Any], limit_s: float) -> None:
         """Send a put once, and wait for its callback, the loss of the connection, or ``limit_s`` without a
@@ -258,7 +262,7 @@ class SignalNode(ForeignNode):
         working = loop.time()
         sending = asyncio.ensure_future(
             self._find_client(protocol).put(
-                whole, fill(put.value, values, self.table), callback=put.callback, on=self._object(put)
+                whole, fill(put.value, values, self.table), callback=put.callback, on=self._find_object(put)
             )
         )
         try:
@@ -268,14 +272,14 @@ class SignalNode(ForeignNode):
                 changed.cancel()
                 if self._losses != losses and not sending.done():
                     raise NoResponse(f"{put.pv}: {self.where} was lost")
-                working = loop.time() if self._works() else working
+                working = loop.time() if self._is_working() else working
                 if loop.time() - working > limit_s and not sending.done():
                     raise NoResponse(f"{put.pv}: {self.where} has not answered the put for {limit_s:.0f} s")
             sending.result()
         finally:
             sending.cancel()
 
-    def _object(self, put: Put) -> str:
+    def _find_object(self, put: Put) -> str:
         return self.mapping.find(put.object)[1] if put.object else ""
 
     async def _see_done(
@@ -284,11 +288,11 @@ class SignalNode(ForeignNode):
         """Wait for the end of a started action. ``losses`` is the number of broken connections up to the
         start. After another one, the end counts only if the server was not restarted. Raises DeviceError,
         OutcomeUnknown."""
-        limit_s = self._limit_s(spec, told)
+        limit_s = self._find_limit_s(spec, told)
         until = asyncio.get_running_loop().time() + limit_s
         while True:
-            if self._silent() and not await self._until_connected(self.patience_s):
-                raise OutcomeUnknown(f"Nobody answers for {self._silent()}")
+            if self._list_silent() and not await self._wait_until_connected(self.patience_s):
+                raise OutcomeUnknown(f"Nobody answers for {self._list_silent()}")
             if self._losses != losses and not told.is_proven:
                 losses = self._losses
                 await self._see_same_server(boot)
@@ -305,7 +309,7 @@ class SignalNode(ForeignNode):
         """Check after a broken connection. Raises OutcomeUnknown unless it is the same server that got the
         start."""
         try:
-            now = await self._boot()
+            now = await self._read_boot()
         except DeviceError as error:
             raise OutcomeUnknown(NOT_KEPT.format(why=error)) from error
         if boot is None or now != boot:
@@ -316,12 +320,12 @@ class SignalNode(ForeignNode):
     async def _has_ended(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition]) -> bool:
         """Raises DeviceError if it failed."""
         try:
-            failed = [condition.pv for condition in told.failed if await self._holds(condition)]
-            done = all([await self._holds(condition) for condition in ends_by])
+            failed = [condition.pv for condition in told.failed if await self._is_fulfilled(condition)]
+            done = all([await self._is_fulfilled(condition) for condition in ends_by])
         except DeviceError:
             return False  # the line is broken; that is looked at before the next time
         if failed:
-            raise DeviceError(f"{spec.name} failed: {self._error() or ', '.join(failed)}")
+            raise DeviceError(f"{spec.name} failed: {self._describe_error() or ', '.join(failed)}")
         return done
 
     async def _see_proof(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], why: str) -> None:
@@ -329,13 +333,13 @@ class SignalNode(ForeignNode):
         adapter was restarted. Raises OutcomeUnknown."""
         if not told.is_proven:
             raise OutcomeUnknown(why)
-        if not await self._until_connected(self.patience_s):
-            raise OutcomeUnknown(f"{why}; Nobody answers for {self._silent()}")
+        if not await self._wait_until_connected(self.patience_s):
+            raise OutcomeUnknown(f"{why}; Nobody answers for {self._list_silent()}")
         loop = asyncio.get_running_loop()
-        idle, until = 0, loop.time() + self._limit_s(spec, told)
+        idle, until = 0, loop.time() + self._find_limit_s(spec, told)
         while True:
             try:
-                if all([await self._holds(condition) for condition in ends_by]):
+                if all([await self._is_fulfilled(condition) for condition in ends_by]):
                     return
                 idle = idle + 1 if await self.is_idle() else 0
             except DeviceError:
@@ -344,22 +348,24 @@ class SignalNode(ForeignNode):
                 raise OutcomeUnknown(f"{why}; the device does not name it as done")
             await asyncio.sleep(self.poll_s)
 
-    def _limit_s(self, spec: ActionSpec, told: Actuation) -> float:
+    def _find_limit_s(self, spec: ActionSpec, told: Actuation) -> float:
         return told.timeout or self.limit_s(spec)
 
-    async def _boot(self) -> Any:
+    async def _read_boot(self) -> Any:
         return (await self._get(self.mapping.boot)).value if self.mapping.boot else None
 
-    async def _result(self, told: Actuation) -> Any:
+    async def _read_result(self, told: Actuation) -> Any:
         """Read the result at the end. An alarm then is a failure, because it is not known how far the action
         got."""
         try:
             if isinstance(told.result, dict):
-                result: Any = {key: _plain(await self._get(name)) for key, name in told.result.items()}
+                result: Any = {
+                    key: _find_plain_value(await self._get(name)) for key, name in told.result.items()
+                }
             else:
-                result = _plain(await self._get(told.result)) if told.result else None
+                result = _find_plain_value(await self._get(told.result)) if told.result else None
             if told.files:
-                files = {key: array_file(key, await self._get(name)) for key, name in told.files.items()}
+                files = {key: encode_array(key, await self._get(name)) for key, name in told.files.items()}
                 result = {**(result or {}), **files}
             # What was last told of its state may be older than the end.
             state = self.mapping.state
@@ -368,12 +374,12 @@ class SignalNode(ForeignNode):
         except DeviceError as unread:
             words = f"It was done, but its result cannot be read: {unread}"
             raise DeviceError(words, effects="all") from unread
-        if error := self._error():
+        if error := self._describe_error():
             raise DeviceError(f"It came to its end, and then: {error}")
         return result
 
 
-def array_file(name: str, told: ChannelReading) -> Attachment:
+def encode_array(name: str, told: ChannelReading) -> Attachment:
     """An array in the file format of numpy. Raises DeviceError if it is not an array of numbers."""
     try:
         import numpy
@@ -389,7 +395,7 @@ def array_file(name: str, told: ChannelReading) -> Attachment:
     return Attachment(f"{name}.npy", content.getvalue())
 
 
-def _names(mapping: SignalMapping) -> set[str]:
+def _list_names(mapping: SignalMapping) -> set[str]:
     """All names of process variables in a mapping."""
     state = mapping.state
     names = {*state.alarms, *mapping.resources.values(), *mapping.observe.values()}
@@ -402,7 +408,7 @@ def _names(mapping: SignalMapping) -> set[str]:
     return {name for name in (*names, mapping.boot, state.why) if name}
 
 
-def _plain(told: ChannelReading) -> Any:
+def _find_plain_value(told: ChannelReading) -> Any:
     return told.label or told.value
 
 
@@ -411,5 +417,5 @@ def _fill_in(condition: Condition, values: dict[str, Any], table: str) -> Condit
     return condition.model_copy(update=told)
 
 
-def _as_written(condition: Condition) -> dict[str, Any]:
+def _show_condition(condition: Condition) -> dict[str, Any]:
     return condition.model_dump(by_alias=True, exclude_defaults=True)

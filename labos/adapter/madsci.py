@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from labos.adapter._foreign import Silence, read_file
-from labos.adapter._http import HttpClient, NoResponse, address, authorization, read_json, refuse
+from labos.adapter._http import HttpClient, NoResponse, find_address, read_authorization, read_json, refuse
 from labos.adapter._http_node import HttpNode
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
@@ -49,18 +49,18 @@ class MadsciRestNode(HttpNode):
 
     async def connect(self) -> None:
         config = self.setup.config
-        where = address(config, "node_url", "rest_node_address")
-        self._http = HttpClient(where, authorization(config, "node_auth"), patience_s=self.patience_s)
+        where = find_address(config, "node_url", "rest_node_address")
+        self._http = HttpClient(where, read_authorization(config, "node_auth"), patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
 
     async def is_idle(self) -> bool:
-        status = await self._status()
+        status = await self._ask_status()
         return not (status["busy"] or status.get("running_actions") or status.get("initializing"))
 
     async def trouble(self) -> str:
         try:
-            status = await self._status()
+            status = await self._ask_status()
             if not self._checked:
                 info = await self._info()
                 self.note_version(info.get("module_version"))
@@ -89,7 +89,7 @@ class MadsciRestNode(HttpNode):
         state = await self.http.ask("/state")
         return state if isinstance(state, dict) else {"state": state}
 
-    async def _status(self) -> dict[str, Any]:
+    async def _ask_status(self) -> dict[str, Any]:
         """The node's status. Raises DeviceError (``none``), also for an answer that does not show whether the
         node is busy."""
         status = await self._table("/status")
@@ -112,7 +112,7 @@ class MadsciRestNode(HttpNode):
         """The foreign node's own reset; it ends when the node is ready again."""
         await self._command("reset")
         for _ in range(int(self.patience_s / 0.5)):
-            status = await self._status()
+            status = await self._ask_status()
             if not status.get("initializing"):
                 break
             await asyncio.sleep(0.5)
@@ -131,7 +131,7 @@ class MadsciRestNode(HttpNode):
         except NoResponse as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
         if not isinstance(told, dict) or told.get("success") is not True:
-            why = _errors(told) if isinstance(told, dict) else ""
+            why = _describe_errors(told) if isinstance(told, dict) else ""
             raise DeviceError(f"{name}: {why or f'the foreign node answered {told!r}'}")
 
     # -- actions -----------------------------------------------------------------------------
@@ -143,17 +143,17 @@ class MadsciRestNode(HttpNode):
             if self.is_file(spec, key):
                 files[key] = (Path(str(value)).name, await read_file(value))
             elif self.is_station(spec, key):
-                sent[key] = self._location(spec, str(value))
+                sent[key] = self._make_location(spec, str(value))
             else:
                 sent[key] = value
-        handle = await self._again(lambda: self._create(name, sent))
+        handle = await self._send_again(lambda: self._create(name, sent))
         for key, file in files.items():
-            await self._again(functools.partial(self._upload, name, handle, key, file))
+            await self._send_again(functools.partial(self._upload, name, handle, key, file))
         await self.note_handle(handle)
         await self._start(name, handle)
         return await self._end(name, handle)
 
-    def _location(self, spec: ActionSpec, station: str) -> dict[str, Any]:
+    def _make_location(self, spec: ActionSpec, station: str) -> dict[str, Any]:
         """A station in the form for the foreign node; ``resource_ids`` has the resource of its lab for the
         station, if there is one."""
         location = {"representation": self.place(spec, station), "location_name": station}
@@ -179,7 +179,7 @@ class MadsciRestNode(HttpNode):
             raise DeviceError(f"The file {key!r} was not taken: {answer.text[:200]}", effects="none")
         refuse(answer)
 
-    async def _again(self, send: Callable[[], Awaitable[T]]) -> T:
+    async def _send_again(self, send: Callable[[], Awaitable[T]]) -> T:
         """Send a request that moves nothing, again if its answer was lost."""
         for number in range(TRIES):
             try:
@@ -227,14 +227,14 @@ class MadsciRestNode(HttpNode):
                 told = {"status": "running"}
             status = str(told.get("status"))
             if status == "succeeded":
-                return await self._result_with_files(handle, told)
+                return await self._fetch_result_with_files(handle, told)
             if status == "not_ready":
-                raise DeviceError(f"{name}: {_errors(told)}", effects="none")
+                raise DeviceError(f"{name}: {_describe_errors(told)}", effects="none")
             if status == "unknown":
-                raise OutcomeUnknown(_errors(told) if told.get("action_id") == handle else FORGOTTEN)
+                raise OutcomeUnknown(_describe_errors(told) if told.get("action_id") == handle else FORGOTTEN)
             if status not in UNDER_WAY:
-                effects = "unknown" if await self._began(handle) else "none"
-                raise DeviceError(f"{name}: {_errors(told) or status}", effects=effects)
+                effects = "unknown" if await self._has_begun(handle) else "none"
+                raise DeviceError(f"{name}: {_describe_errors(told) or status}", effects=effects)
             await asyncio.sleep(pause_s)
             # Its nodes answer 100 questions a minute.
             pause_s = min(pause_s * 1.5, max(self.poll_s, 0.2))
@@ -245,7 +245,7 @@ class MadsciRestNode(HttpNode):
             raise DeviceError(f"{name}: asked about {handle}, answered about {told.get('action_id')}.")
         return told
 
-    async def _began(self, handle: str) -> bool:
+    async def _has_begun(self, handle: str) -> bool:
         """Whether the history of a failed action shows that it ran."""
         try:
             history = (await self._table(f"/action?action_id={handle}")).get(handle)
@@ -254,7 +254,7 @@ class MadsciRestNode(HttpNode):
         entries = history if isinstance(history, list) else [{"status": "running"}]
         return any(entry.get("status") == "running" for entry in entries)
 
-    async def _result_with_files(self, handle: str, told: dict[str, Any]) -> Any:
+    async def _fetch_result_with_files(self, handle: str, told: dict[str, Any]) -> Any:
         """The result with references to its files and data points."""
         result, points = told.get("json_result"), told.get("datapoints")
         if not told.get("files") and not points:
@@ -265,10 +265,10 @@ class MadsciRestNode(HttpNode):
         if points:
             full["datapoints"] = points
         if told.get("files"):
-            full["files"] = await self._files(handle, list(told["files"]))
+            full["files"] = await self._fetch_files(handle, list(told["files"]))
         return full
 
-    async def _files(self, handle: str, labels: list[str]) -> dict[str, Any]:
+    async def _fetch_files(self, handle: str, labels: list[str]) -> dict[str, Any]:
         try:
             answer = await self.http.send("GET", f"/action/{handle}/download", read_s=120.0)
             refuse(answer)
@@ -303,11 +303,11 @@ def describe(info: dict[str, Any]) -> Description:
 def _action(name: str, action: dict[str, Any]) -> ActionSpec:
     args = [
         *(
-            _arg(key, arg, type_of(arg.get("argument_type")))
+            _make_arg(key, arg, type_of(arg.get("argument_type")))
             for key, arg in (action.get("args") or {}).items()
         ),
-        *(_arg(key, arg, "station") for key, arg in (action.get("locations") or {}).items()),
-        *(_arg(key, arg, "file") for key, arg in (action.get("files") or {}).items()),
+        *(_make_arg(key, arg, "station") for key, arg in (action.get("locations") or {}).items()),
+        *(_make_arg(key, arg, "file") for key, arg in (action.get("files") or {}).items()),
     ]
     return ActionSpec(
         name=name,
@@ -318,7 +318,7 @@ def _action(name: str, action: dict[str, Any]) -> ActionSpec:
     )
 
 
-def _arg(name: str, arg: dict[str, Any], kind: str) -> Arg:
+def _make_arg(name: str, arg: dict[str, Any], kind: str) -> Arg:
     return Arg(
         name=name,
         type=kind,
@@ -328,7 +328,7 @@ def _arg(name: str, arg: dict[str, Any], kind: str) -> Arg:
     )
 
 
-def _errors(told: dict[str, Any]) -> str:
+def _describe_errors(told: dict[str, Any]) -> str:
     """The messages of a result's errors."""
     errors = told.get("errors") or ()
     return "; ".join(str(error.get("message") if isinstance(error, dict) else error) for error in errors)

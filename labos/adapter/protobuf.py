@@ -13,7 +13,7 @@ from typing import Any
 from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import ForeignNode, Silence, read_file
 from labos.adapter._http import NoResponse
-from labos.adapter._protobuf import frame_message, read_message, schema
+from labos.adapter._protobuf import frame_message, make_schema, read_message
 from labos.adapter._tcp import Address
 from labos.adapter.wei import describe
 from labos.core.model import ActionSpec, Description
@@ -38,7 +38,7 @@ class TcpNode(ForeignNode):
         self._starting = 0
 
     async def connect(self) -> None:
-        schema()
+        make_schema()
         self._address.check()
 
     @property
@@ -51,32 +51,32 @@ class TcpNode(ForeignNode):
         return not await self._is_busy()
 
     async def _is_busy(self) -> bool:
-        return bool((await self._question("state")).busy)
+        return bool((await self._ask_question("state")).busy)
 
     async def trouble(self) -> str:
         """The trouble with the node. A node that answers an action only at its end may answer no other
         request before."""
         try:
-            state = await self._question("state")
+            state = await self._ask_question("state")
         except DeviceError as error:
             return "" if self._starting else str(error)
         return f"The node is in error: {state.error} Reset the module." if state.error else ""
 
     async def observe(self) -> dict[str, Any]:
-        told = (await self._question("state")).variables
-        return dict(_from_json(told) or {})
+        told = (await self._ask_question("state")).variables
+        return dict(_parse_json(told) or {})
 
     async def resources(self) -> dict[str, float]:
-        return dict((await self._question("resources")).levels)
+        return dict((await self._ask_question("resources")).levels)
 
     async def reset(self) -> None:
-        await self._question("reset", limit_s=self.patience_s)
+        await self._ask_question("reset", limit_s=self.patience_s)
 
     async def stop(self) -> None:
-        await self._question("stop")
+        await self._ask_question("stop")
 
     async def foreign_description(self) -> Description:
-        told = await self._question("about")
+        told = await self._ask_question("about")
         actions = [
             {
                 "name": action.name,
@@ -87,7 +87,7 @@ class TcpNode(ForeignNode):
                         "name": arg.name,
                         "type": arg.type or "any",
                         "required": not arg.optional,
-                        "default": _from_json(arg.default),
+                        "default": _parse_json(arg.default),
                         "description": arg.description,
                     }
                     for arg in action.args
@@ -102,7 +102,7 @@ class TcpNode(ForeignNode):
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         known = current_action.get()
-        action = schema()["Action"](id=known, action_handle=name)
+        action = make_schema()["Action"](id=known, action_handle=name)
         sent: dict[str, Any] = {}
         for key, value in args.items():
             if self.is_file(spec, key):
@@ -113,7 +113,7 @@ class TcpNode(ForeignNode):
         action.action_vars = json.dumps(sent)
         await self.note_handle(known)
         limit_s = self.limit_s(spec)
-        sending = asyncio.ensure_future(self._exchange(schema()["Request"](action=action), None))
+        sending = asyncio.ensure_future(self._exchange(make_schema()["Request"](action=action), None))
         self._starting += 1
         try:
             told = await self.answer_to(
@@ -140,7 +140,7 @@ class TcpNode(ForeignNode):
         silence = Silence(self.patience_s, self.where)
         while True:
             try:
-                asking = schema()["Request"](ask=schema()["Ask"](id=known))
+                asking = make_schema()["Request"](ask=make_schema()["Ask"](id=known))
                 progress = _pick_answer(await self._exchange(asking, READ_S), "progress")
             except (NoResponse, DeviceError) as error:
                 silence.go_on(error)
@@ -154,7 +154,7 @@ class TcpNode(ForeignNode):
 
     def _read_end(self, name: str, progress: Any) -> Any:
         if progress.status == SUCCEEDED:
-            return _result_with_files(progress)
+            return _make_result_with_files(progress)
         if progress.status == FAILED:
             raise DeviceError(f"{name}: {progress.error or 'the node says that it failed'}")
         if progress.status == NOT_STARTED:
@@ -165,9 +165,9 @@ class TcpNode(ForeignNode):
 
     # -- the wire ----------------------------------------------------------------------------
 
-    async def _question(self, what: str, limit_s: float = 0.0) -> Any:
+    async def _ask_question(self, what: str, limit_s: float = 0.0) -> Any:
         """Send a request without fields; returns its answer. Raises DeviceError."""
-        request = schema()["Request"]()
+        request = make_schema()["Request"]()
         getattr(request, what).SetInParent()
         try:
             told = await self._exchange(request, limit_s or READ_S)
@@ -183,7 +183,7 @@ class TcpNode(ForeignNode):
         try:
             writer.write(frame_message(request))
             await writer.drain()
-            return await asyncio.wait_for(read_message(reader, schema()["Response"]), limit_s)
+            return await asyncio.wait_for(read_message(reader, make_schema()["Response"]), limit_s)
         except TimeoutError as error:
             raise NoResponse(f"{self.where}: no answer within {limit_s:g} s") from error
         except (OSError, EOFError, ValueError) as error:
@@ -202,9 +202,9 @@ def _pick_answer(told: Any, what: str) -> Any:
     return getattr(told, what)
 
 
-def _result_with_files(progress: Any) -> Any:
+def _make_result_with_files(progress: Any) -> Any:
     """The result with references to the files that came with it."""
-    result = _from_json(progress.result)
+    result = _parse_json(progress.result)
     if not progress.files:
         return result
     files = {label: Attachment(file.name or label, file.content) for label, file in progress.files.items()}
@@ -212,7 +212,7 @@ def _result_with_files(progress: Any) -> Any:
     return {**full, "files": files}
 
 
-def _from_json(text: str) -> Any:
+def _parse_json(text: str) -> Any:
     """The value of a JSON text; the text itself if it is not JSON."""
     try:
         return read_json_text(text) if text else None

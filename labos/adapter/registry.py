@@ -10,7 +10,7 @@ from labos.adapter._foreign import ForeignNode, adapt
 from labos.core.model import Description
 from labos.errors import BadInput, DeviceError
 from labos.node.node import Node, Setup
-from labos.spec.interfaces import REMEDY, why_not_reached
+from labos.spec.interfaces import REMEDY, explain_unreachable
 
 ADAPTERS: Mapping[str, str] = {
     "wei_rest_node": "labos.adapter.wei:WeiRestNode",
@@ -31,16 +31,16 @@ ADAPTERS: Mapping[str, str] = {
 NOT_DESCRIBED = "What {} reaches does not say what it offers."
 
 
-def adapter_class(interface: str, description: Description) -> type[Node]:
+def find_adapter_class(interface: str, description: Description) -> type[Node]:
     """The node class that reaches a foreign node with this description. Raises BadInput."""
-    return adapt(_adapter(interface), description)
+    return adapt(_find_adapter(interface), description)
 
 
 async def describe_foreign(interface: str, config: dict[str, Any]) -> Description:
     """The description of a running foreign node by itself. Raises BadInput, DeviceError."""
-    if _adapter(interface).foreign_description is ForeignNode.foreign_description:
+    if _find_adapter(interface).foreign_description is ForeignNode.foreign_description:
         raise DeviceError(NOT_DESCRIBED.format(interface), effects="none", remedy="Write `about:` by hand.")
-    node_class = adapter_class(interface, Description(driver=interface, version="", description=""))
+    node_class = find_adapter_class(interface, Description(driver=interface, version="", description=""))
     node = node_class(Setup("node", "foreign", config))
     assert isinstance(node, ForeignNode)
     await node.connect()
@@ -50,9 +50,9 @@ async def describe_foreign(interface: str, config: dict[str, Any]) -> Descriptio
         await node.close()
 
 
-def _adapter(interface: str) -> type[ForeignNode]:
+def _find_adapter(interface: str) -> type[ForeignNode]:
     if interface not in ADAPTERS:
-        raise BadInput(why_not_reached(interface) or "A native node needs no adapter.", remedy=REMEDY)
+        raise BadInput(explain_unreachable(interface) or "A native node needs no adapter.", remedy=REMEDY)
     module, _, name = ADAPTERS[interface].partition(":")
     found: type[ForeignNode] = getattr(import_module(module), name)
     return found

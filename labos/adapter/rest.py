@@ -19,18 +19,18 @@ from labos.adapter._foreign import SENT, Silence
 from labos.adapter._http import (
     HttpClient,
     NoResponse,
-    address,
-    authorization,
+    find_address,
+    read_authorization,
     read_json,
     refuse,
     refuse_at_end,
 )
 from labos.adapter._http_node import HttpNode
-from labos.adapter.wei import levels_in
+from labos.adapter.wei import find_levels
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import current_action
-from labos.spec.rest import Reading, Request, RestMapping, flaw_in, request_of
+from labos.spec.rest import Reading, Request, RestMapping, find_flaw, request_of
 
 JOB_START_S = 30.0
 """How long a device may take to confirm that it has accepted a job."""
@@ -45,14 +45,14 @@ class RestNode(HttpNode):
 
     async def connect(self) -> None:
         config = self.setup.config
-        if flaw := flaw_in(config.get("rest") or {}):
+        if flaw := find_flaw(config.get("rest") or {}):
             raise DeviceError(f"In `rest:`, {flaw}.", effects="none")
         self.mapping = RestMapping.model_validate(config["rest"])
         for spec in self.described.actions:
             if not spec.recovers and self.mapping.request(spec.name) is None:
                 raise DeviceError(f"`rest:` does not say how {spec.name!r} is started.", effects="none")
-        where = address(config, "rest_node_address", "node_url")
-        auth = authorization(config, "rest_node_auth")
+        where = find_address(config, "rest_node_address", "node_url")
+        auth = read_authorization(config, "rest_node_auth")
         self._http = HttpClient(where, auth, patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
@@ -63,12 +63,12 @@ class RestNode(HttpNode):
 
     async def is_idle(self) -> bool:
         """By its status; a device without a status is only asked whether it answers."""
-        status, _ = await self._state()
+        status, _ = await self._ask_state()
         return status not in ("busy", "not known") if self.tells_busy else await super().is_idle()
 
     async def trouble(self) -> str:
         try:
-            status, why = await self._state()
+            status, why = await self._ask_state()
         except DeviceError as missing:
             return str(missing)
         if status == "not known":
@@ -78,19 +78,19 @@ class RestNode(HttpNode):
     async def resources(self) -> dict[str, float]:
         if self.mapping.resources is None:
             return {}
-        found = field(await self.http.ask(self.mapping.resources.path), self.mapping.resources.at)
-        return levels_in(found if isinstance(found, dict) else {})
+        found = find_field(await self.http.ask(self.mapping.resources.path), self.mapping.resources.at)
+        return find_levels(found if isinstance(found, dict) else {})
 
-    async def _state(self) -> tuple[str, str]:
+    async def _ask_state(self) -> tuple[str, str]:
         """The status (busy, error, not known or nothing) and its reason. Raises DeviceError (``none``) if
         there is no status."""
         told = self.mapping.state
         if told is None:
             return "", ""
         answer = await self.http.ask(told.path)
-        status = field(answer, told.status)
+        status = find_field(answer, told.status)
         if status in told.error:
-            return "error", str(field(answer, told.why) if told.why else status)
+            return "error", str(find_field(answer, told.why) if told.why else status)
         if status in told.busy:
             return "busy", ""
         if status is None:
@@ -124,7 +124,7 @@ class RestNode(HttpNode):
             options["params"] = {key: _as_text(value) for key, value in texts.items()}
         if request.json_ is not None:
             options["json"] = fill_request(request.json_, values)
-        path = in_path(request.path, values)
+        path = fill_path(request.path, values)
         return await self.http.send(request.method, path, read_s=read_s, **options)
 
     # -- actions -----------------------------------------------------------------------------
@@ -143,7 +143,7 @@ class RestNode(HttpNode):
         values = {**args, "args": args, "action": name, "id": action}
         try:
             if job is None:
-                return await self._at_once(spec, request, values)
+                return await self._carry_out_at_once(spec, request, values)
             answer = await self._send(request, values, JOB_START_S)
         except NoResponse as lost:
             if named_by_us:
@@ -155,11 +155,11 @@ class RestNode(HttpNode):
             return await self._end(spec, handle)
         return await self._end(spec, action)
 
-    async def _at_once(self, spec: ActionSpec, request: Request, values: dict[str, Any]) -> Any:
+    async def _carry_out_at_once(self, spec: ActionSpec, request: Request, values: dict[str, Any]) -> Any:
         """The result of an action whose answer comes at its end. Raises DeviceError, OutcomeUnknown, Lost."""
 
         async def at_work() -> bool:
-            return self.tells_busy and (await self._state())[0] == "busy"
+            return self.tells_busy and (await self._ask_state())[0] == "busy"
 
         limit_s = self.limit_s(spec)
         # A device that can do one thing at a time may tell its state to nobody while it works.
@@ -196,7 +196,7 @@ class RestNode(HttpNode):
         said, strange_since = None, 0.0
         while True:
             try:
-                answer = await self.http.send("GET", in_path(job.path, {"id": handle}))
+                answer = await self.http.send("GET", fill_path(job.path, {"id": handle}))
                 if answer.status_code == 404:
                     raise OutcomeUnknown(f"the device does not know the job {handle}")
                 told = read_json(answer)
@@ -232,17 +232,17 @@ class JobEnd(NamedTuple):
 
 def read_end(reading: Reading, told: Any) -> JobEnd:
     """Whether an action has ended, and its result. Raises DeviceError if it failed."""
-    result = field(told, reading.result) if reading.result else told
+    result = find_field(told, reading.result) if reading.result else told
     if not reading.status:
         return JobEnd("done", result)
-    status = field(told, reading.status)
+    status = find_field(told, reading.status)
     if status in reading.done:
         return JobEnd("done", result)
     if status in reading.running:
         return JobEnd("running")
     if status not in reading.failed and status not in reading.not_started:
         return JobEnd("not known", said=status)
-    error = field(told, reading.error) if reading.error else None
+    error = find_field(told, reading.error) if reading.error else None
     effects = "none" if status in reading.not_started else "unknown"
     raise DeviceError(f"The device says {status!r}{f': {error}' if error else ''}.", effects=effects)
 
@@ -255,22 +255,22 @@ def read_given_id(reading: Reading, path: str, answer: httpx.Response) -> str:
         told = read_json(answer)
     except DeviceError as error:
         raise OutcomeUnknown(f"the device took it and gave no id to ask by: {error}") from error
-    found = field(told, path)
+    found = find_field(told, path)
     if isinstance(found, str | int) and not isinstance(found, bool) and found != "":
         return str(found)
-    if reading.status and field(told, reading.status) in reading.not_started:
+    if reading.status and find_field(told, reading.status) in reading.not_started:
         read_end(reading, told)
     raise OutcomeUnknown(f"the device took it and gave no id to ask by: its answer has no {path!r}")
 
 
-def field(told: Any, path: str) -> Any:
+def find_field(told: Any, path: str) -> Any:
     """A field by its path, ``job.status``; None where there is none."""
     for part in path.split(".") if path else ():
         told = told.get(part) if isinstance(told, dict) else None
     return told
 
 
-def in_path(path: str, values: dict[str, Any]) -> str:
+def fill_path(path: str, values: dict[str, Any]) -> str:
     """A path with its placeholders filled in."""
     return str(fill_request(path, {key: quote(str(value), safe="") for key, value in values.items()}))
 
@@ -283,23 +283,23 @@ def fill_request(written: Any, values: dict[str, Any]) -> Any:
     """A request's table with its placeholders filled in. Raises DeviceError (``none``)."""
     if isinstance(written, dict):
         # An argument that was not given is left out.
-        given = {k: v for k, v in written.items() if not _absent(v, values)}
+        given = {k: v for k, v in written.items() if not _is_absent(v, values)}
         return {key: fill_request(value, values) for key, value in given.items()}
     if isinstance(written, list):
         return [fill_request(value, values) for value in written]
     if not isinstance(written, str):
         return written
     if whole := _PLACE.fullmatch(written):
-        return _value(whole[1], values)
-    return _PLACE.sub(lambda found: str(_value(found[1], values)), written)
+        return _find_value(whole[1], values)
+    return _PLACE.sub(lambda found: str(_find_value(found[1], values)), written)
 
 
-def _absent(written: Any, values: dict[str, Any]) -> bool:
+def _is_absent(written: Any, values: dict[str, Any]) -> bool:
     whole = _PLACE.fullmatch(written) if isinstance(written, str) else None
     return whole is not None and whole[1] not in values
 
 
-def _value(name: str, values: dict[str, Any]) -> Any:
+def _find_value(name: str, values: dict[str, Any]) -> Any:
     if name not in values:
         raise DeviceError(f"`rest:` wants the argument {name!r}, which was not given.", effects="none")
     return values[name]

@@ -22,15 +22,15 @@ from labos.adapter._decode import LARGEST_JSON, read_json_text
 from labos.adapter._foreign import LATE_S, SENT, ForeignNode
 from labos.adapter._http import NoResponse
 from labos.adapter._placeholders import fill
-from labos.adapter._png import png
+from labos.adapter._png import encode_png
 from labos.adapter._ros import BridgeProcess
-from labos.adapter.rest import field
+from labos.adapter.rest import find_field
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup, current_action
-from labos.spec.flaws import flaw_in
-from labos.spec.ros import Call, RosMapping, camera_mapping, wei_mapping
+from labos.spec.flaws import find_first_flaw
+from labos.spec.ros import Call, RosMapping, make_camera_mapping, make_wei_mapping
 
 WAIT_S = 3.0
 """How long to search for a service, because ROS needs some time to find its nodes."""
@@ -73,7 +73,7 @@ class RosNode(ForeignNode):
 
     async def connect(self) -> None:
         written = self.read_mapping()
-        if flaw := flaw_in(RosMapping, written):
+        if flaw := find_first_flaw(RosMapping, written):
             raise DeviceError(f"In `ros:`, {flaw}.", effects="none")
         self.mapping = RosMapping.model_validate(written)
         for spec in self.described.actions:
@@ -104,17 +104,17 @@ class RosNode(ForeignNode):
 
     def _on_state(self, told: dict[str, Any]) -> None:
         state = self.mapping.state
-        self._state = str(field(told, state.field) if state else "").upper()
+        self._state = str(find_field(told, state.field) if state else "").upper()
         self._state_at = asyncio.get_running_loop().time()
 
     # -- how it is ---------------------------------------------------------------------------
 
-    def _says(self, words: list[str]) -> bool:
+    def _is_in_state(self, words: list[str]) -> bool:
         return any(word.upper() in self._state for word in words)
 
     @property
     def _is_busy(self) -> bool:
-        return self.mapping.state is not None and self._says(self.mapping.state.busy)
+        return self.mapping.state is not None and self._is_in_state(self.mapping.state.busy)
 
     @property
     def tells_busy(self) -> bool:
@@ -130,7 +130,7 @@ class RosNode(ForeignNode):
     def _is_strange(self) -> bool:
         """Whether its state is in no list of the mapping, if the mapping lists states at rest."""
         state = self.mapping.state
-        return state is not None and bool(state.idle) and not self._says([*state.idle, *state.error])
+        return state is not None and bool(state.idle) and not self._is_in_state([*state.idle, *state.error])
 
     async def trouble(self) -> str:
         try:
@@ -140,7 +140,7 @@ class RosNode(ForeignNode):
         if not await self._is_there():
             return "The node does not answer in ROS. Is it running, in this ROS domain?"
         state = self.mapping.state
-        if state is not None and self._says(state.error):
+        if state is not None and self._is_in_state(state.error):
             return f"The node is in error: {self._state.strip()}. Reset the module."
         if self._state and self._is_strange and not self._is_busy:
             return f"The node says {self._state.strip()!r}, which is not known to mean that it is idle."
@@ -152,16 +152,16 @@ class RosNode(ForeignNode):
         calls = [self.mapping.call(spec.name) for spec in self.described.actions if not spec.recovers]
         services = {_service_of(call) for call in calls if call is not None and not call.frame}
         try:
-            return all([await self.bridge.ready(name, kind) for name, kind in services])
+            return all([await self.bridge.is_offered(name, kind) for name, kind in services])
         except (TimeoutError, NoResponse, DeviceError):
             return False
 
     async def resources(self) -> dict[str, float]:
-        from labos.adapter.wei import levels_in
+        from labos.adapter.wei import find_levels
 
         if self.mapping.resources is None:
             return {}
-        return levels_in(_table(await self._ask(self.mapping.resources)))
+        return find_levels(_table(await self._ask(self.mapping.resources)))
 
     # -- recovery ----------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class RosNode(ForeignNode):
         call = self._call(spec)
         args = self.name_places(spec, args)
         if call.frame:
-            return await self._picture(call)
+            return await self._take_picture(call)
         told = {"action_handle": name, "action_vars": args}
         own = {"args": args, "vars": json.dumps(args), "message": json.dumps(told), "action": name}
         fields = fill(call.fields, {**args, **own, "id": current_action.get()}, "ros")
@@ -205,7 +205,7 @@ class RosNode(ForeignNode):
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         call = self._call(spec)
         if call.action:
-            return await self._result(spec, call, handle)
+            return await self._fetch_result(spec, call, handle)
         loop = asyncio.get_running_loop()
         until = loop.time() + self.limit_s(spec)
         while self._is_busy or (not await self.is_idle() and loop.time() < until):
@@ -249,7 +249,7 @@ class RosNode(ForeignNode):
 
     async def _is_offered(self, call: Call) -> bool:
         try:
-            return await self.bridge.ready(*_service_of(call))
+            return await self.bridge.is_offered(*_service_of(call))
         except (TimeoutError, NoResponse, DeviceError):
             return False
 
@@ -257,19 +257,19 @@ class RosNode(ForeignNode):
 
     async def _pursue(self, spec: ActionSpec, call: Call, goal: dict[str, Any]) -> Any:
         """Send a goal with its own id, and wait for its result."""
-        known = goal_id(current_action.get())
+        known = make_goal_id(current_action.get())
         await self.note_handle(known)
         fields = {"goal_id": {"uuid": list(bytes.fromhex(known))}, "goal": goal}
         sending = self.bridge.call(*_service_of(call), fields, wait_s=WAIT_S)
         try:
             answer = await asyncio.wait_for(sending, ANSWER_S)
         except (TimeoutError, NoResponse):
-            return await self._result(spec, call, known)
+            return await self._fetch_result(spec, call, known)
         if not answer.get("accepted"):
             raise DeviceError(f"{call.action} does not accept the goal.", effects="none")
-        return await self._result(spec, call, known)
+        return await self._fetch_result(spec, call, known)
 
-    async def _result(self, spec: ActionSpec, call: Call, known: str) -> Any:
+    async def _fetch_result(self, spec: ActionSpec, call: Call, known: str) -> Any:
         """Ask for the result of a goal until there is one. Raises DeviceError, OutcomeUnknown."""
         kind, fields = f"{call.type}:GetResultService", {"goal_id": {"uuid": list(bytes.fromhex(known))}}
         silent_s, loop = 0.0, asyncio.get_running_loop()
@@ -293,25 +293,25 @@ class RosNode(ForeignNode):
                 await self.trouble()  # which starts a bridge that has ended
                 await asyncio.sleep(self.poll_s)
                 continue
-            return self._goal_end(call, told)
+            return self._read_goal_end(call, told)
 
-    def _goal_end(self, call: Call, told: dict[str, Any]) -> Any:
+    def _read_goal_end(self, call: Call, told: dict[str, Any]) -> Any:
         match told.get("status"):
             case 4:
                 return read_end(call, told["result"])
             case 5 | 6 as status:
                 word = "canceled" if status == CANCELED else "aborted"
-                error = field(told["result"], call.error) if call.error else ""
+                error = find_field(told["result"], call.error) if call.error else ""
                 raise DeviceError(f"{call.action}: the goal was {word}{f': {error}' if error else ''}.")
         raise OutcomeUnknown(FORGOTTEN)
 
     # -- pictures ----------------------------------------------------------------------------
 
-    async def _picture(self, call: Call) -> Any:
+    async def _take_picture(self, call: Call) -> Any:
         with tempfile.TemporaryDirectory(prefix="labos-") as folder:
             raw = Path(folder) / "raw"
-            shape = await self.bridge.frame(call.frame, raw, max(self.poll_s, WAIT_S + 7.0))
-            picture = await asyncio.to_thread(lambda: png(raw.read_bytes(), **shape))
+            shape = await self.bridge.fetch_frame(call.frame, raw, max(self.poll_s, WAIT_S + 7.0))
+            picture = await asyncio.to_thread(lambda: encode_png(raw.read_bytes(), **shape))
         return {"files": {"image": Attachment("image.png", picture)}}
 
     # -- what it says of itself --------------------------------------------------------------
@@ -331,14 +331,14 @@ class WeiRosNode(RosNode):
     """Config: ``ros_node_address``, the node's name; ``ros`` has names that differ from the defaults."""
 
     def read_mapping(self) -> dict[str, Any]:
-        return {**wei_mapping(_node_name(self.setup.config)), **super().read_mapping()}
+        return {**make_wei_mapping(_node_name(self.setup.config)), **super().read_mapping()}
 
 
 class WeiRosCamera(RosNode):
     """Config: ``ros_node_address``, the camera's name; any action takes an image."""
 
     def read_mapping(self) -> dict[str, Any]:
-        return {**camera_mapping(_node_name(self.setup.config)), **super().read_mapping()}
+        return {**make_camera_mapping(_node_name(self.setup.config)), **super().read_mapping()}
 
 
 def _node_name(config: dict[str, Any]) -> str:
@@ -352,17 +352,17 @@ def _service_of(call: Call) -> tuple[str, str]:
     return call.service, call.type
 
 
-def goal_id(action: str) -> str:
+def make_goal_id(action: str) -> str:
     """The id of a goal (16 bytes), derived from LabOS' id of the action and always the same."""
     return hashlib.sha256(action.encode()).hexdigest()[:32]
 
 
 def read_end(call: Call, answer: Any) -> Any:
     """The result in an answer. Raises DeviceError if it reports a failure."""
-    result = field(answer, call.result) if call.result else answer
-    if not call.status or (status := field(answer, call.status)) in call.done:
+    result = find_field(answer, call.result) if call.result else answer
+    if not call.status or (status := find_field(answer, call.status)) in call.done:
         return result
-    error = field(answer, call.error) if call.error else ""
+    error = find_field(answer, call.error) if call.error else ""
     raise DeviceError(f"The node answers {status!r}{f': {error}' if error else ''}.")
 
 

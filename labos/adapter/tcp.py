@@ -104,7 +104,7 @@ class WeiTcpNode(WeiJsonNode):
             async with asyncio.timeout(limit_s):
                 writer.write(message)
                 await writer.drain()
-                return await _object(reader)
+                return await _read_object(reader)
         except TimeoutError:
             raise
         except OSError as error:
@@ -113,7 +113,7 @@ class WeiTcpNode(WeiJsonNode):
             writer.close()
 
 
-async def _object(reader: asyncio.StreamReader) -> dict[str, Any]:
+async def _read_object(reader: asyncio.StreamReader) -> dict[str, Any]:
     """Read a JSON object. Raises OSError, OutcomeUnknown."""
     data = b""
     while len(data) <= LARGEST:

@@ -23,8 +23,8 @@ from labos.adapter._http import (
     LARGEST_ANSWER,
     HttpClient,
     NoResponse,
-    address,
-    authorization,
+    find_address,
+    read_authorization,
     read_json,
     refuse_at_end,
 )
@@ -55,21 +55,21 @@ class WeiRestNode(HttpNode):
 
     async def connect(self) -> None:
         config = self.setup.config
-        where = address(config, "rest_node_address", "node_url")
-        auth = authorization(config, "rest_node_auth")
+        where = find_address(config, "rest_node_address", "node_url")
+        auth = read_authorization(config, "rest_node_auth")
         self._http = HttpClient(where, auth, patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
 
     async def is_idle(self) -> bool:
-        flags, _ = await self._state()
-        return rests(flags)
+        flags, _ = await self._ask_state()
+        return is_at_rest(flags)
 
     async def trouble(self) -> str:
         try:
-            flags, error = await self._state()
+            flags, error = await self._ask_state()
             if not self._checked:
-                about = await self._about()
+                about = await self._ask_about()
                 self.note_version(about.get("version"))
                 offered = {str(action.get("name")) for action in about.get("actions", [])}
                 if absent := self.describe_missing(lambda name: name in offered):
@@ -82,7 +82,7 @@ class WeiRestNode(HttpNode):
             return f"The foreign node is in error: {error or 'it does not say why'}. Reset the module."
         if halted := flags & HALTED:
             return f"The foreign node is {min(halted).lower()} on its own side. Unlock or reset it there."
-        if not works(flags) and not rests(flags):
+        if not is_working(flags) and not is_at_rest(flags):
             said = ", ".join(sorted(flags)) or "nothing of its status"
             return f"The foreign node says {said}, which is not known to mean that it is idle."
         return ""
@@ -100,13 +100,13 @@ class WeiRestNode(HttpNode):
     async def resources(self) -> dict[str, float]:
         told = await self.http.ask("/resources")
         levels = told.get("resources") if isinstance(told, dict) else None
-        return levels_in(levels if isinstance(levels, dict) else {})
+        return find_levels(levels if isinstance(levels, dict) else {})
 
-    async def _state(self) -> tuple[set[str], str]:
+    async def _ask_state(self) -> tuple[set[str], str]:
         """The flags that are set, and the error."""
         return read_state(await self.http.ask("/state"))
 
-    async def _about(self) -> dict[str, Any]:
+    async def _ask_about(self) -> dict[str, Any]:
         about = await self.http.ask("/about")
         if not isinstance(about, dict):
             raise DeviceError("/about answered what is no description.", effects="none")
@@ -118,13 +118,13 @@ class WeiRestNode(HttpNode):
     async def reset(self) -> None:
         """The foreign node's own reset; it ends when the node has started again without an error."""
         await self._command("reset")
-        flags, error = await self._state()
+        flags, error = await self._ask_state()
         until = asyncio.get_running_loop().time() + self.patience_s
         while flags & STARTING:
             if asyncio.get_running_loop().time() > until:
                 raise DeviceError(f"{self.where} has said for {self.patience_s:g} s that it starts.")
             await asyncio.sleep(min(self.poll_s, 0.5))
-            flags, error = await self._state()
+            flags, error = await self._ask_state()
         if "ERROR" in flags:
             raise DeviceError(f"The foreign node is in error after its reset: {error}", effects="none")
 
@@ -134,7 +134,7 @@ class WeiRestNode(HttpNode):
 
     async def _command(self, name: str) -> None:
         if not self._admin:
-            await self._about()
+            await self._ask_about()
         if name not in self._admin:
             raise DeviceError(f"The foreign node has no command {name!r}.", effects="none")
         try:
@@ -160,43 +160,43 @@ class WeiRestNode(HttpNode):
         params = {"action_handle": name, "action_vars": json.dumps(sent)}
         sending = self.http.send("POST", "/action", read_s=None, params=params, files=files or None)
         answer = await self._answer(spec, asyncio.ensure_future(sending))
-        return await self._result(name, answer)
+        return await self._make_result(name, answer)
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
-        await self._until_not_busy()
+        await self._wait_until_not_busy()
         raise OutcomeUnknown(f"the adapter was restarted meanwhile; {NO_RECORD}")
 
     async def _answer(self, spec: ActionSpec, sending: asyncio.Future[httpx.Response]) -> httpx.Response:
         """The answer to a start. Raises OutcomeUnknown."""
 
         async def at_work() -> bool:
-            return works((await self._state())[0])
+            return is_working((await self._ask_state())[0])
 
         try:
             return await self.answer_to(
                 sending, at_work, silent_s=self.patience_s, mute_s=self.limit_s(spec), ended=NO_RECORD
             )
         except NoResponse as lost:
-            await self._until_not_busy()
+            await self._wait_until_not_busy()
             raise OutcomeUnknown(f"its answer was lost ({lost}); {NO_RECORD}") from lost
 
-    async def _until_not_busy(self) -> None:
+    async def _wait_until_not_busy(self) -> None:
         """Wait while the node reports that it is busy. Raises OutcomeUnknown if it does not answer."""
         silence = Silence(self.patience_s, self.where)
         while True:
             try:
-                flags, _ = await self._state()
-                if not works(flags):
+                flags, _ = await self._ask_state()
+                if not is_working(flags):
                     return
                 silence.end()
             except DeviceError as error:
                 silence.go_on(error)
             await asyncio.sleep(self.poll_s)
 
-    async def _result(self, name: str, answer: httpx.Response) -> Any:
+    async def _make_result(self, name: str, answer: httpx.Response) -> Any:
         refuse_at_end(answer, refused=(422,))  # FastAPI's own word that arguments are wrong
         if "x-wei-status" in answer.headers:
-            told = {key: _in_header(answer, f"x-wei-{key}") for key in ("data", "error", "files")}
+            told = {key: _read_header(answer, f"x-wei-{key}") for key in ("data", "error", "files")}
             status: Any = answer.headers["x-wei-status"]
         else:
             told = read_json(answer)
@@ -208,14 +208,14 @@ class WeiRestNode(HttpNode):
         error = told.get("error") or told.get("action_log") or ""
         match word:
             case "succeeded":
-                return self._result_with_files(told, answer)
+                return self._make_result_with_files(told, answer)
             case "not_ready":
                 raise DeviceError(f"{name}: {error or 'the foreign node is not ready'}", effects="none")
             case "failed" | "cancelled":
                 raise DeviceError(f"{name}: {error or word}")
         raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")
 
-    def _result_with_files(self, told: dict[str, Any], answer: httpx.Response) -> Any:
+    def _make_result_with_files(self, told: dict[str, Any], answer: httpx.Response) -> Any:
         """The data with references to the files that came with them."""
         data = told.get("data", told.get("action_msg"))
         files = told.get("files") if "x-wei-status" in answer.headers else None
@@ -231,10 +231,10 @@ class WeiRestNode(HttpNode):
     # -- what it says of itself --------------------------------------------------------------
 
     async def foreign_description(self) -> Description:
-        return describe(await self._about())
+        return describe(await self._ask_about())
 
 
-def _in_header(answer: httpx.Response, name: str) -> Any:
+def _read_header(answer: httpx.Response, name: str) -> Any:
     """The JSON in a header. Raises DeviceError; if the node reports success, with all effects."""
     try:
         return read_json_text(answer.headers.get(name) or "null")
@@ -297,18 +297,18 @@ def read_state(told: Any) -> tuple[set[str], str]:
     raise DeviceError(f"/state answered {told!r}, which names no status.", effects="none")
 
 
-def works(flags: set[str]) -> bool:
+def is_working(flags: set[str]) -> bool:
     """Whether a node is carrying out something. A node whose action raised an error reports BUSY without end;
     it counts as in error and idle."""
     return bool(flags & (BUSY | STARTING)) and "ERROR" not in flags
 
 
-def rests(flags: set[str]) -> bool:
+def is_at_rest(flags: set[str]) -> bool:
     """Whether a node reports that it carries out nothing. An unknown state does not count."""
-    return not works(flags) and bool(flags & (READY | HALTED | {"ERROR"}))
+    return not is_working(flags) and bool(flags & (READY | HALTED | {"ERROR"}))
 
 
-def levels_in(told: dict[str, Any]) -> dict[str, float]:
+def find_levels(told: dict[str, Any]) -> dict[str, float]:
     """The numbers of a table of resources, at the first level or as ``quantity`` below it."""
     levels = {}
     for name, value in told.items():

@@ -14,7 +14,7 @@ from typing import Any
 from labos.adapter._channels import report_missing_package
 from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import SENT
-from labos.adapter._keepalive import timings
+from labos.adapter._keepalive import choose_timings
 from labos.adapter._tcp import CONNECT_S, LARGEST, Address
 from labos.adapter.tcp import WeiJsonNode
 from labos.errors import DeviceError, OutcomeUnknown
@@ -71,7 +71,7 @@ class WeiZmqNode(WeiJsonNode):
                     raise TimeoutError
                 if not answer.done():
                     raise OutcomeUnknown("the line was cut before the answer came")
-                return _object(answer.result())
+                return _decode_object(answer.result())
             except self._zmq.ZMQError as error:
                 raise OutcomeUnknown(f"no answer came ({error})") from error
             finally:
@@ -89,7 +89,7 @@ class WeiZmqNode(WeiJsonNode):
         socket.setsockopt(zmq.IMMEDIATE, 1)
         socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
         names = zmq.TCP_KEEPALIVE_IDLE, zmq.TCP_KEEPALIVE_INTVL, zmq.TCP_KEEPALIVE_CNT
-        for name, value in zip(names, timings(self.patience_s), strict=True):
+        for name, value in zip(names, choose_timings(self.patience_s), strict=True):
             socket.setsockopt(name, value)
         socket.setsockopt(zmq.MAXMSGSIZE, LARGEST)
         monitor = socket.get_monitor_socket(
@@ -121,7 +121,7 @@ class WeiZmqNode(WeiJsonNode):
                 return int(told["event"])
 
 
-def _object(answer: bytes) -> dict[str, Any]:
+def _decode_object(answer: bytes) -> dict[str, Any]:
     """Raises OutcomeUnknown."""
     try:
         told = read_json_text(answer)

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from labos.audit._campaigns import agree
+from labos.audit._campaigns import set_terms
 from labos.audit._rows import Row, RowChanges
 from labos.audit._work_tables import APPROVALS, CAMPAIGNS, EXPERIMENTS, RUNS, WAITING
 from labos.core import approvals as p
@@ -46,7 +46,7 @@ def on_given(rows: RowChanges, event: p.ApprovalGiven, head: Envelope, at: float
     if campaign is not None:
         campaign["status"] = "open"
         if event.terms is not None:
-            agree(campaign, event.terms)
+            set_terms(campaign, event.terms)
 
 
 def on_refused(rows: RowChanges, event: p.ApprovalRefused, head: Envelope, at: float) -> None:

@@ -74,7 +74,7 @@ def on_removed(rows: RowChanges, event: b.LabwareRemoved, head: Envelope, at: fl
     if row is not None:
         lid = rows.change(LABWARE, row["lid"]) if row["lid"] else None
         if lid is not None and lid["maybe"] is not None:
-            _part(rows, lid)
+            _take_off_plate(rows, lid)
         elif lid is not None:
             _leave(rows, lid, event.why, head, at)
         _leave(rows, row, event.why, head, at)
@@ -109,7 +109,7 @@ def on_loaded(rows: RowChanges, event: b.StationLoaded, head: Envelope, at: floa
 
 
 def _settle(rows: RowChanges, row: Row, station: str, on: str) -> None:
-    _part(rows, row)
+    _take_off_plate(rows, row)
     row["maybe"] = None
     if on:
         row["station"] = ""
@@ -119,14 +119,14 @@ def _settle(rows: RowChanges, row: Row, station: str, on: str) -> None:
 
 
 def _lay_on(rows: RowChanges, lid: Row, plate: str) -> None:
-    _part(rows, lid)
+    _take_off_plate(rows, lid)
     lid["lies_on"] = plate
     under = rows.change(LABWARE, plate)
     if under is not None:
         under["lid"] = lid["labware"]
 
 
-def _part(rows: RowChanges, lid: Row) -> None:
+def _take_off_plate(rows: RowChanges, lid: Row) -> None:
     under = rows.change(LABWARE, lid["lies_on"]) if lid["lies_on"] else None
     if under is not None:
         under["lid"] = ""
@@ -134,7 +134,7 @@ def _part(rows: RowChanges, lid: Row) -> None:
 
 
 def _leave(rows: RowChanges, row: Row, why: str, head: Envelope, at: float) -> None:
-    _part(rows, row)
+    _take_off_plate(rows, row)
     row["station"], row["maybe"] = "", None
     row["gone_at_s"], row["gone"], row["gone_position"] = at, why, head.position
 

@@ -10,9 +10,9 @@ from labos.audit._columns import (
     POSITION,
     RUN,
     Table,
-    by_people,
     flag,
     json,
+    make_words_column,
     number,
     text,
     time,
@@ -66,7 +66,7 @@ MOVES = Table(
         RUN,
         ACTION,
         text("actor", "The cause: a user, a module, or `labos`."),
-        by_people("why", "A reason, or the observer; empty if none."),
+        make_words_column("why", "A reason, or the observer; empty if none."),
     ),
     view="labware_moves",
     indexes=(("labware", "position"),),
@@ -195,7 +195,7 @@ CALIBRATIONS = Table(
         text(
             "file", "The SHA-256 of the report, which is stored with the lab's files; empty if there is none."
         ),
-        by_people("why", "Their comment."),
+        make_words_column("why", "Their comment."),
     ),
     view="calibrations",
     indexes=(("module", "what", "position"),),

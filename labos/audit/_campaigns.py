@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from labos.audit._rows import Row, RowChanges, seconds
+from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._work_tables import CAMPAIGNS, RUNS
 from labos.core import campaigns as c
 from labos.core import runs as r
@@ -28,40 +28,40 @@ def on_submitted(rows: RowChanges, event: c.CampaignSubmitted, head: Envelope, a
         },
         event,
     )
-    agree(row, event.terms)
+    set_terms(row, event.terms)
 
 
 def on_amended(rows: RowChanges, event: c.CampaignAmended, head: Envelope, at: float) -> None:
     row = rows.change(CAMPAIGNS, event.campaign)
     if row is not None:
-        agree(row, event.terms)
+        set_terms(row, event.terms)
 
 
-def agree(row: Row, terms: c.Terms) -> None:
+def set_terms(row: Row, terms: c.Terms) -> None:
     """The campaign continues with these terms."""
     row["priority"], row["tags"] = terms.priority, list(terms.tags)
-    row["deadline_s"] = seconds(terms.deadline) if terms.deadline else None
+    row["deadline_s"] = convert_to_seconds(terms.deadline) if terms.deadline else None
 
 
 def on_paused(rows: RowChanges, event: c.CampaignPaused, head: Envelope, at: float) -> None:
-    _into(rows, event.campaign, "paused", event.why)
+    _set_status(rows, event.campaign, "paused", event.why)
 
 
 def on_resumed(rows: RowChanges, event: c.CampaignResumed, head: Envelope, at: float) -> None:
-    _into(rows, event.campaign, "open", "")
+    _set_status(rows, event.campaign, "open", "")
 
 
 def on_stopped(rows: RowChanges, event: c.CampaignStopped, head: Envelope, at: float) -> None:
-    row = _into(rows, event.campaign, "stopped", event.why)
+    row = _set_status(rows, event.campaign, "stopped", event.why)
     if row is not None:
         row["by_run"] = event.by_run
 
 
 def on_cancelled(rows: RowChanges, event: c.CampaignCancelled, head: Envelope, at: float) -> None:
-    _into(rows, event.campaign, "cancelled", event.why)
+    _set_status(rows, event.campaign, "cancelled", event.why)
 
 
-def _into(rows: RowChanges, campaign: str, status: str, why: str) -> Row | None:
+def _set_status(rows: RowChanges, campaign: str, status: str, why: str) -> Row | None:
     row = rows.change(CAMPAIGNS, campaign)
     if row is not None:
         row["status"], row["why"] = status, why

@@ -11,7 +11,7 @@ import msgspec
 
 from labos.audit._calibrations import IN_FORCE
 from labos.audit.graph import Entity, EntityKind, ProvenanceLink, well_of
-from labos.audit.liquids import source_well
+from labos.audit.liquids import find_source_well
 from labos.audit.query import ReadConnection
 
 Found = Iterator[tuple[ProvenanceLink, int]]
@@ -140,7 +140,7 @@ def find_well_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
             continue
         if action:
             yield ProvenanceLink(entity, "was filled by", Entity("action", action), position), position
-        source = source_well(labware, liquid)
+        source = find_source_well(labware, liquid)
         if source:
             yield ProvenanceLink(entity, "was filled from", Entity("well", source), position), position - 1
         for lot in msgspec.json.decode(lots or "[]", type=list[str]):

@@ -55,7 +55,7 @@ text, whole, number = _make_kind("text"), _make_kind("integer"), _make_kind("num
 flag, json, time = _make_kind("flag"), _make_kind("json"), _make_kind("time")
 
 
-def by_people(name: str, about: str) -> Column:
+def make_words_column(name: str, about: str) -> Column:
     """A text column that may contain people's words."""
     return Column(name, "text", about, by_people=True)
 
@@ -68,7 +68,7 @@ LABWARE = text("labware", "The labware's id.")
 MODULE = text("module", "The module, as `workcell/module`.")
 
 
-def view_columns(table: Table) -> tuple[Column, ...]:
+def list_view_columns(table: Table) -> tuple[Column, ...]:
     """The columns of its view; a time has two columns, a readable one and a number."""
     found: list[Column] = []
     for column in table.columns:

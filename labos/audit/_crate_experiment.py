@@ -10,14 +10,14 @@ from typing import Any
 
 import msgspec
 
-from labos.audit._crate_parts import Crate, link, local_id, safe_name, with_offset
+from labos.audit._crate_parts import Crate, make_link, make_local_id, safe_name, with_offset
 from labos.audit._crate_steps import STATUS
-from labos.audit.cloudevents import cloudevent
+from labos.audit.cloudevents import encode_cloudevent
 from labos.audit.query import ReadConnection
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.core.experiments import ExperimentNoted
 from labos.ports import LogQuery
-from labos.services.files import files_in
+from labos.services.files import iterate_files
 from labos.services.log import Log
 from labos.services.times import iso_time
 
@@ -75,19 +75,19 @@ def add_experiment(
         if record.head.type == ExperimentNoted.TYPE
     ]
     user = crate.add(
-        "Person", local_id("user", experiment.user), name=experiment.user, identifier=experiment.user
+        "Person", make_local_id("user", experiment.user), name=experiment.user, identifier=experiment.user
     )
     folder = f"experiments/{safe_name(name)}"
-    course = canonical(_course(experiment, runs, notes))
+    course = encode_canonical(_list_course(experiment, runs, notes))
     main = _add_application(crate, experiment, program, course, folder)
     crate.put(
         f"{folder}/events.jsonl",
-        b"".join(cloudevent(record) + b"\n" for record in records),
+        b"".join(encode_cloudevent(record) + b"\n" for record in records),
         name=f"Events of {name} itself, as CloudEvents; `hash` is each event's place in the lab's log",
         encodingFormat="application/x-ndjson",
     )
     made = [file for head, note in notes for file in _add_note(crate, experiment, head, note, main, user)]
-    action = local_id("experiment", name)
+    action = make_local_id("experiment", name)
     status = STATUS.get({"ended": "completed"}.get(experiment.status, experiment.status), "Active")
     is_failed = experiment.status == "ended" and experiment.why.startswith("failed")
     crate.add(
@@ -95,20 +95,20 @@ def add_experiment(
         action,
         name=f"Experiment {name}: {experiment.name}",
         description=f"The application {experiment.name}; it is {experiment.status}.",
-        instrument=link(main),
-        agent=link(user),
+        instrument=make_link(main),
+        agent=make_link(user),
         startTime=with_offset(experiment.started_at),
         endTime=with_offset(experiment.ended_at),
         actionStatus=f"http://schema.org/{'Failed' if is_failed else status}ActionStatus",
         error=experiment.why if is_failed else None,
-        result=link(*made),
+        result=make_link(*made),
     )
     _add_steps(crate, experiment, runs, main, action, user)
     crate.extend("./", "mentions", action)
     return main
 
 
-def _course(
+def _list_course(
     experiment: CrateExperiment, runs: list[CrateRun], notes: list[tuple[Any, Any]]
 ) -> dict[str, Any]:
     """The course of the application."""
@@ -135,13 +135,15 @@ def _add_application(
     path = f"{folder}/course.json"
     if program is None:
         language = crate.add("ComputerLanguage", "#labos-course", name="LabOS course of an experiment (JSON)")
-        return crate.put(path, course, kind=WORKFLOW, programmingLanguage=link(language), version="1", **told)
+        return crate.put(
+            path, course, kind=WORKFLOW, programmingLanguage=make_link(language), version="1", **told
+        )
     crate.put(path, course, **told)
     language = crate.add(
         "ComputerLanguage",
         "#python",
         name="Python",
-        url=link(crate.add("WebPage", "https://www.python.org/")),
+        url=make_link(crate.add("WebPage", "https://www.python.org/")),
     )
     return crate.put(
         f"application/{safe_name(program.name)}",
@@ -149,7 +151,7 @@ def _add_application(
         kind=WORKFLOW,
         name=experiment.name,
         encodingFormat="text/x-python",
-        programmingLanguage=link(language),
+        programmingLanguage=make_link(language),
     )
 
 
@@ -166,24 +168,24 @@ def _add_steps(
         controls.append(
             crate.add(
                 "ControlAction",
-                local_id("control-run", run.run),
+                make_local_id("control-run", run.run),
                 name=f"Run {run.run} of {experiment.experiment}",
-                instrument=link(step),
-                object=link(local_id("run", run.run)),
+                instrument=make_link(step),
+                object=make_link(make_local_id("run", run.run)),
             )
         )
     kernels = [kernel for run in runs for kernel in run.kernels]
     if controls and kernels:
         crate.add(
             "OrganizeAction",
-            local_id("execution", experiment.experiment),
+            make_local_id("execution", experiment.experiment),
             name=f"LabOS carries out {experiment.experiment}",
-            instrument=link(*kernels),
-            agent=link(user),
+            instrument=make_link(*kernels),
+            agent=make_link(user),
             startTime=with_offset(experiment.started_at),
             endTime=with_offset(experiment.ended_at),
-            object=link(*controls),
-            result=link(action),
+            object=make_link(*controls),
+            result=make_link(action),
         )
 
 
@@ -198,7 +200,7 @@ def _add_note(
         return []
     files = [
         crate.put_blob(f"published/{safe_name(file)}", digest, size, name=file)
-        for file, digest, size in files_in(facts)
+        for file, digest, size in iterate_files(facts)
     ]
     creators = facts.get("creators")
     people = [each for each in creators if isinstance(each, str)] if isinstance(creators, list) else []
@@ -206,15 +208,15 @@ def _add_note(
     words = [each for each in keywords if isinstance(each, str)] if isinstance(keywords, list) else []
     entry = crate.add(
         "CreativeWork",
-        local_id("publication", f"{experiment.experiment}@{head.position}"),
+        make_local_id("publication", f"{experiment.experiment}@{head.position}"),
         name=str(facts.get("title") or note["name"]),
         description=str(facts.get("about") or "") or None,
         keywords=words,
         datePublished=iso_time(head.recorded_at),
-        creator=link(
-            *(crate.add("Person", local_id("user", one), name=one, identifier=one) for one in people)
+        creator=make_link(
+            *(crate.add("Person", make_local_id("user", one), name=one, identifier=one) for one in people)
         ),
-        hasPart=link(*files),
+        hasPart=make_link(*files),
     )
     crate.extend("./", "mentions", entry)
     return files
@@ -227,7 +229,7 @@ def _add_computation(
     code = str(facts.get("code", ""))
     tool = crate.add(
         "SoftwareApplication",
-        local_id("function", f"{function} {code[:12]}".strip()),
+        make_local_id("function", f"{function} {code[:12]}".strip()),
         name=function,
         softwareVersion=code[:12] or "unknown",
         description=f"A function; the SHA-256 of its file was {code}." if code else "A function.",
@@ -241,22 +243,22 @@ def _add_computation(
             crate.put_blob(f"{path}.{suffix}", facts["result_file"], None, name=f"Result of {function}")
         )
     elif "result" in facts:
-        content = canonical(facts["result"])
+        content = encode_canonical(facts["result"])
         words = f"Result of {function}"
         made.append(crate.put(f"{path}.json", content, name=words, encodingFormat="application/json"))
     error = facts.get("error")
     end = with_offset(iso_time(head.recorded_at)[:23] + "Z")
     action = crate.add(
         "CreateAction",
-        local_id("computation", str(head.position)),
+        make_local_id("computation", str(head.position)),
         name=f"{function} at event {head.position}",
         description=f"Computed {facts.get('where', '')} on {facts.get('host', 'a computer')}.",
-        instrument=link(tool),
-        agent=link(user),
+        instrument=make_link(tool),
+        agent=make_link(user),
         endTime=end,
         actionStatus=f"http://schema.org/{'Failed' if error else 'Completed'}ActionStatus",
         error=str(error) if error else None,
-        result=link(*made),
+        result=make_link(*made),
     )
     crate.extend("./", "mentions", action)
     return made

@@ -48,20 +48,20 @@ class Crate:
         """Add references to a property of a described thing."""
         known = self._entities[id_].get(name, [])
         before = [each["@id"] for each in (known if isinstance(known, list) else [known])]
-        self._entities[id_][name] = link(*before, *ids)
+        self._entities[id_][name] = make_link(*before, *ids)
 
     def put(self, path: str, content: bytes, **properties: Any) -> str:
         """Add a file with this content; returns its id."""
         digest = hashlib.sha256(content).hexdigest()
-        return self._file(path, digest, content, {"contentSize": str(len(content)), **properties})
+        return self._add_file(path, digest, content, {"contentSize": str(len(content)), **properties})
 
     def put_blob(self, path: str, digest: str, size: int | None, **properties: Any) -> str:
         """Add a file whose content is a blob; returns its id. A blob is added only once, also with different
         names."""
         told = {"contentSize": None if size is None else str(size), **properties}
-        return self._file(path, digest, digest, told)
+        return self._add_file(path, digest, digest, told)
 
-    def _file(self, path: str, digest: str, content: bytes | str, properties: Entity) -> str:
+    def _add_file(self, path: str, digest: str, content: bytes | str, properties: Entity) -> str:
         known = self._paths.setdefault(digest, path)
         if known in self._files and self._entities[known].get("sha256") != digest:
             head = PurePosixPath(path)
@@ -70,27 +70,27 @@ class Crate:
         kind = properties.pop("kind", "File")
         return self.add(kind, known, sha256=digest, **properties)
 
-    def metadata(self) -> bytes:
+    def encode_metadata(self) -> bytes:
         """``ro-crate-metadata.json``; the root lists all present files."""
-        self.tell("./", hasPart=link(*self._files))
+        self.tell("./", hasPart=make_link(*self._files))
         graph = {"@context": CONTEXT, "@graph": list(self._entities.values())}
         return msgspec.json.format(msgspec.json.encode(graph), indent=2) + b"\n"
 
-    def contents(self, blobs: BlobReader) -> Iterator[tuple[str, bytes]]:
+    def read_contents(self, blobs: BlobReader) -> Iterator[tuple[str, bytes]]:
         """Path and content of each file, one at a time. The metadata are last, so that an incomplete file is
         not a crate. Raises NotFound, LogDamaged for a missing or wrong blob."""
         for path, content in self._files.items():
             yield path, content if isinstance(content, bytes) else blobs.get(content)
-        yield METADATA, self.metadata()
+        yield METADATA, self.encode_metadata()
 
 
-def link(*ids: str) -> Any:
+def make_link(*ids: str) -> Any:
     """References to other things: one, or a list; None for none."""
     each = [{"@id": id_} for id_ in dict.fromkeys(ids) if id_]
     return each[0] if len(each) == 1 else each or None
 
 
-def local_id(kind: str, name: str) -> str:
+def make_local_id(kind: str, name: str) -> str:
     """The id of a thing that is not a file: ``#user-ada``."""
     return f"#{kind}-{quote(name, safe='')}"
 

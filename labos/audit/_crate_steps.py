@@ -7,9 +7,9 @@ from typing import Any
 
 import msgspec
 
-from labos.audit._crate_parts import Crate, link, local_id, safe_name, with_offset
+from labos.audit._crate_parts import Crate, make_link, make_local_id, safe_name, with_offset
 from labos.audit.query import ReadConnection
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 
 STATUS = {
     "completed": "Completed",
@@ -71,7 +71,7 @@ def json_of(value: Any) -> Any:
 def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> Told:
     """Add an action of a module, with everything that belongs to it."""
     found = _Action(*asker.fetch(_ACTION, action)[0])
-    id_ = local_id("action", action)
+    id_ = make_local_id("action", action)
     tool = _add_driver(crate, found)
     used = [
         *_add_labware(crate, asker, json_of(found.labware) or []),
@@ -83,9 +83,14 @@ def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> 
     if result:
         path = f"runs/{doer.run}/results/{found.step}-{safe_name(found.key)}.json"
         words = f"Result of step {found.step} ({found.key}) of {doer.run}"
-        made.append(crate.put(path, canonical(result), name=words, encodingFormat="application/json"))
+        made.append(crate.put(path, encode_canonical(result), name=words, encodingFormat="application/json"))
     arguments = [
-        crate.add("PropertyValue", local_id("argument", f"{action} {name}"), name=name, value=_value(value))
+        crate.add(
+            "PropertyValue",
+            make_local_id("argument", f"{action} {name}"),
+            name=name,
+            value=_make_value(value),
+        )
         for name, value in json_of(found.args).items()
     ]
     status = STATUS.get(found.status, "Active")
@@ -95,14 +100,14 @@ def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> 
         id_,
         name=f"{doer.run} #{found.step}: {found.key or found.name}",
         description=f"{module} carries out {found.name}; it is {found.status}.",
-        instrument=link(tool),
-        agent=link(doer.user),
+        instrument=make_link(tool),
+        agent=make_link(doer.user),
         startTime=with_offset(found.requested_at),
         endTime=with_offset(found.ended_at),
         actionStatus=f"http://schema.org/{status}ActionStatus",
         error=(found.error or found.status) if status == "Failed" else None,
-        object=link(*arguments, *used),
-        result=link(*made),
+        object=make_link(*arguments, *used),
+        result=make_link(*made),
     )
     return Told(id_, _add_step(crate, doer, found, id_, tool), used, made)
 
@@ -123,8 +128,8 @@ def _add_step(crate: Crate, doer: Doer, found: _Action, action: str, tool: str) 
         "ControlAction",
         action.replace("#action-", "#control-", 1),
         name=f"Step {found.step} of {doer.run}",
-        instrument=link(step),
-        object=link(action),
+        instrument=make_link(step),
+        object=make_link(action),
     )
 
 
@@ -136,7 +141,7 @@ def _add_driver(crate: Crate, found: _Action) -> str:
         words += f" The SHA-256 of its node's description (actions, arguments, units) was {found.about}."
     module = crate.add(
         "IndividualProduct",
-        local_id("module", f"{found.module} {found.about[:12]}".strip()),
+        make_local_id("module", f"{found.module} {found.about[:12]}".strip()),
         name=found.module,
         description=words,
     )
@@ -144,7 +149,7 @@ def _add_driver(crate: Crate, found: _Action) -> str:
     simulated = ", simulated" if found.simulated else ""
     driver = crate.add(
         "SoftwareApplication",
-        local_id("driver", f"{found.module} {name} {version}{simulated}"),
+        make_local_id("driver", f"{found.module} {name} {version}{simulated}"),
         name=f"Driver {name} of {local}{simulated}",
         softwareVersion=version,
     )
@@ -160,11 +165,11 @@ def _add_labware(crate: Crate, asker: ReadConnection, names: list[str]) -> list[
         ids.append(
             crate.add(
                 "IndividualProduct",
-                local_id("labware", name),
+                make_local_id("labware", name),
                 name=f"{kind} {name}".strip(),
                 category=kind,
                 identifier=[name, barcode] if barcode else name,
-                isRelatedTo=link(_add_lot(crate, lot, "")) if lot else None,
+                isRelatedTo=make_link(_add_lot(crate, lot, "")) if lot else None,
             )
         )
     return ids
@@ -180,7 +185,7 @@ def _add_lots(crate: Crate, asker: ReadConnection, action: str) -> list[str]:
 
 def _add_lot(crate: Crate, lot: str, resource: str) -> str:
     return crate.add(
-        "Product", local_id("lot", lot), name=f"Lot {lot}", productID=lot, category=resource or None
+        "Product", make_local_id("lot", lot), name=f"Lot {lot}", productID=lot, category=resource or None
     )
 
 
@@ -203,5 +208,5 @@ def _add_files(crate: Crate, asker: ReadConnection, action: str, kind: str) -> l
     ]
 
 
-def _value(value: Any) -> str | int | float | bool:
-    return value if isinstance(value, str | int | float | bool) else canonical(value).decode()
+def _make_value(value: Any) -> str | int | float | bool:
+    return value if isinstance(value, str | int | float | bool) else encode_canonical(value).decode()

@@ -73,7 +73,7 @@ def make_all(dialect: Dialect) -> Iterator[str]:
             listed = ", ".join(f'"{column}"' for column in columns)
             yield f'CREATE INDEX "{name}" ON {table_name(table.name, dialect)} ({listed})'
         if table.searched:
-            yield from _words(table, dialect)
+            yield from _write_words_index(table, dialect)
     for table in VIEWS:
         yield _view(table, dialect)
     at = _MOMENTS[dialect].format("at_s")
@@ -120,17 +120,17 @@ def words_name(table: Table) -> str:
     return table_name(f"{table.name}_words", "sqlite")
 
 
-def vector(table: Table) -> str:
+def write_vector(table: Table) -> str:
     """PostgreSQL's search vector of a row, as in its index."""
     return f"array_to_tsvector(string_to_array(\"{table.searched}\", ' '))"
 
 
-def _words(table: Table, dialect: Dialect) -> Iterator[str]:
+def _write_words_index(table: Table, dialect: Dialect) -> Iterator[str]:
     """Statements for a word index. In SQLite triggers update it, because a replaced row is deleted."""
     if dialect == "postgresql":
         yield (
             f'CREATE INDEX "labos_{table.name}_words" ON {table_name(table.name, dialect)} '
-            f"USING gin ({vector(table)})"
+            f"USING gin ({write_vector(table)})"
         )
         yield f'ALTER INDEX {TABLE_SCHEMA}."labos_{table.name}_words" ALTER COLUMN 1 SET STATISTICS 0'
         return

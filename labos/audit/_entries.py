@@ -13,15 +13,15 @@ from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._entry_tables import ENTRIES
 from labos.audit._rows import Row, RowChanges
 from labos.audit._work_tables import ACTIONS, EXPERIMENTS, RUNS
-from labos.audit.words import all_words
+from labos.audit.words import join_words
 from labos.core import actions as a
 from labos.core import experiments as x
 from labos.core import runs as r
 from labos.core.envelope import Envelope
 from labos.core.labware import SamplesRegistered
-from labos.core.wells import well_index
-from labos.services.files import files_in
-from labos.services.results import tables
+from labos.core.wells import parse_well
+from labos.services.files import iterate_files
+from labos.services.results import iterate_tables
 
 PLACES = 1 << 20
 """The largest number of entries that one event may create."""
@@ -49,12 +49,12 @@ def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: 
     }
     searched = ("name", "title", "about", "user_id", "workcell", "workflow", "experiment", "run", "module")
     lists = ("keywords", "creators", "files")
-    row["words"] = all_words([*(row[part] for part in (*searched, *lists)), kind, also])
+    row["words"] = join_words([*(row[part] for part in (*searched, *lists)), kind, also])
     return rows.put(ENTRIES, row)
 
 
 def _add_words(row: Row, *values: Any) -> None:
-    row["words"] = all_words([row["words"], values])
+    row["words"] = join_words([row["words"], values])
 
 
 # -- experiments and runs ----------------------------------------------------------------------
@@ -131,7 +131,7 @@ def on_result(
     key = action["key"] or action["name"]
     plate = action["plate"]
     on_plate = f" of {plate}" if plate else ""
-    found = list(tables(event.result))
+    found = list(iterate_tables(event.result))
     if found:
         measured = list(dict.fromkeys(table.quantity for table in found))[:MOST_LISTED]
         labware = rows.get(LABWARE, plate) if plate else None
@@ -147,7 +147,7 @@ def on_result(
             keywords=measured,
             also=also,
         )
-    for place, (name, digest, size) in enumerate(files_in(event.result), 1):
+    for place, (name, digest, size) in enumerate(iterate_files(event.result), 1):
         _put(
             *(rows, head.position, place, _kind_of(name), digest, at),
             **about,
@@ -208,7 +208,7 @@ def on_samples_registered(
 def _place(well: str) -> int | None:
     """The place of a well's entry among those of its labware; None if it is not a well."""
     try:
-        row, column = well_index(well)
+        row, column = parse_well(well)
     except ValueError:
         return None
     return row * COLUMNS + column
@@ -236,7 +236,7 @@ def on_noted(rows: RowChanges, event: x.ExperimentNoted, head: Envelope, at: flo
         status="published",
         keywords=_texts(facts.get("keywords")),
         creators=_texts(facts.get("creators")),
-        files=_list_readings(files_in(facts)),
+        files=_list_readings(iterate_files(facts)),
         also=(event.name, facts.get("runs")),
     )
 

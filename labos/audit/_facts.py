@@ -60,21 +60,21 @@ def facts_of(asker: ReadConnection, entity: Entity, upto: int) -> dict[str, Any]
     action."""
     match entity.kind:
         case "action" | "result":
-            facts = _facts_from(_ACTION_NAMES, asker.fetch(_ACTION, entity.name))
+            facts = _make_facts(_ACTION_NAMES, asker.fetch(_ACTION, entity.name))
             facts["calibrations"] = _list_calibrations(asker, "action", entity, upto)
         case "run":
-            facts = _facts_from(_RUN_NAMES, asker.fetch(_RUN, entity.name))
+            facts = _make_facts(_RUN_NAMES, asker.fetch(_RUN, entity.name))
             facts["calibrations"] = _list_calibrations(asker, "run", entity, upto)
         case "labware":
-            facts = _facts_from(_LABWARE_NAMES, asker.fetch(_LABWARE, entity.name))
+            facts = _make_facts(_LABWARE_NAMES, asker.fetch(_LABWARE, entity.name))
         case "experiment":
-            facts = _facts_from(_EXPERIMENT_NAMES, asker.fetch(_EXPERIMENT, entity.name))
+            facts = _make_facts(_EXPERIMENT_NAMES, asker.fetch(_EXPERIMENT, entity.name))
         case "file":
-            facts = _facts_from(_FILE_NAMES, asker.fetch(_FILE, entity.name, upto))
+            facts = _make_facts(_FILE_NAMES, asker.fetch(_FILE, entity.name, upto))
         case "driver":
             facts = dict(zip(("module", "driver", "driver_version"), entity.name.split(" ", 2), strict=True))
         case "calibration":
-            facts = _facts_from(_CALIBRATION_NAMES, asker.fetch(_CALIBRATION, entity.name))
+            facts = _make_facts(_CALIBRATION_NAMES, asker.fetch(_CALIBRATION, entity.name))
         case "well":
             plate, well = well_of(entity.name)
             facts = {"labware": plate, "well": well}
@@ -83,7 +83,7 @@ def facts_of(asker: ReadConnection, entity: Entity, upto: int) -> dict[str, Any]
     return _as_of(facts, upto)
 
 
-def label(entity: Entity, facts: dict[str, Any]) -> str:
+def describe_entity(entity: Entity, facts: dict[str, Any]) -> str:
     """A short description of an entity."""
     match entity.kind:
         case "action" | "result":
@@ -116,7 +116,7 @@ def _list_calibrations(asker: ReadConnection, column: str, entity: Entity, upto:
     return [str(name) for name, _ in asker.fetch(_RELIED_ON[column], entity.name, upto)]
 
 
-def _facts_from(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:
+def _make_facts(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:
     if not rows:
         return {}
     facts = dict(zip(names, rows[0], strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.audit._rows import Row, RowChanges, seconds
+from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._work_tables import EXPERIMENTS, INTERVENTIONS, USERS
 from labos.core import experiments as x
 from labos.core import interventions as i
@@ -16,14 +16,14 @@ from labos.core.users import UserErased
 def note_actor(rows: RowChanges, head: Envelope, at: float) -> None:
     """Record that a user caused an event; modules and LabOS itself are not users."""
     if head.actor != "labos" and "/" not in head.actor:
-        _person(rows, head.actor, at)["events"] += 1
+        _change_person(rows, head.actor, at)["events"] += 1
 
 
 def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: float) -> None:
-    _person(rows, event.user, at)["runs"] += 1
+    _change_person(rows, event.user, at)["runs"] += 1
 
 
-def _person(rows: RowChanges, user: str, at: float) -> Row:
+def _change_person(rows: RowChanges, user: str, at: float) -> Row:
     person = rows.change(USERS, user)
     if person is None:
         counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
@@ -33,7 +33,7 @@ def _person(rows: RowChanges, user: str, at: float) -> Row:
 
 
 def on_erased(rows: RowChanges, event: UserErased, head: Envelope, at: float) -> None:
-    row = rows.change(USERS, event.user) or _person(rows, event.user, at)
+    row = rows.change(USERS, event.user) or _change_person(rows, event.user, at)
     row["erased_at_s"] = at
 
 
@@ -44,7 +44,7 @@ def on_asked(rows: RowChanges, event: i.InterventionRequested, head: Envelope, a
             "labware": list(event.labware),
             "choices": [choice.name for choice in event.choices],
             "asked_at_s": at,
-            "due_at_s": seconds(event.due_at) if event.due_at else None,
+            "due_at_s": convert_to_seconds(event.due_at) if event.due_at else None,
             "asked_position": head.position,
         },
         event,
@@ -57,7 +57,7 @@ def on_resolved(rows: RowChanges, event: i.InterventionResolved, head: Envelope,
         row["choice"], row["resolved_by"], row["note"] = event.choice, event.by, event.note
         row["resolved_at_s"], row["resolved_position"] = at, head.position
     if event.by == head.actor and event.by != "labos" and "/" not in event.by:
-        _person(rows, event.by, at)["answers"] += 1
+        _change_person(rows, event.by, at)["answers"] += 1
 
 
 def on_started(rows: RowChanges, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
@@ -72,7 +72,7 @@ def on_started(rows: RowChanges, event: x.ExperimentStarted, head: Envelope, at:
         },
         event,
     )
-    _person(rows, event.user, at)["experiments"] += 1
+    _change_person(rows, event.user, at)["experiments"] += 1
 
 
 def on_cancelled(

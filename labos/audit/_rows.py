@@ -30,7 +30,7 @@ def _list_said(table: str, event: str) -> tuple[str, ...]:
     return tuple(name for name in _EMPTY[table] if name in fields)
 
 
-def seconds(ns: int) -> float:
+def convert_to_seconds(ns: int) -> float:
     """A time in seconds since 1970, to the millisecond, which every database writes in the same way."""
     return ns // 1_000_000 / 1000
 

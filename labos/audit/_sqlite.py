@@ -16,7 +16,7 @@ from labos.audit._rows import Key, Row
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.tables import TABLES, VERSION, Table
 from labos.private import make_database_file
-from labos.store import sqlite_path
+from labos.store import find_sqlite_path
 
 BUSY_TIMEOUT_S = 30.0
 """How long to wait for another projector."""
@@ -52,7 +52,7 @@ class SqliteAudit(AuditDatabase):
 
     def __init__(self, url: URL) -> None:
         super().__init__(url)
-        self.path = sqlite_path(url)
+        self.path = find_sqlite_path(url)
         self._open()
 
     def _open(self) -> None:

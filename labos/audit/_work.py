@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, get_args
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
-from labos.audit._rows import Row, RowChanges, seconds
+from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._touches import labware_of
 from labos.audit._work_tables import ACTIONS, EXPERIMENTS, FILES, NODES, PLANS, PRESENT, RESULTS, RUNS, STEPS
 from labos.core import actions as a
@@ -15,8 +15,8 @@ from labos.core import runs as r
 from labos.core import steps as st
 from labos.core.envelope import Envelope
 from labos.core.model import MAIN, ON_CANCEL, AnyPart
-from labos.services.files import files_in
-from labos.services.results import labware_of_action, tables
+from labos.services.files import iterate_files
+from labos.services.results import find_labware_of_action, iterate_tables
 
 NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
 """The numbers in a table for the parts of a plan that do not belong to a step."""
@@ -46,7 +46,7 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
             "row": event.row if event.campaign else None,
             "status": "queued",
             "submitted_at_s": at,
-            "due_at_s": seconds(event.due_at) if event.due_at else None,
+            "due_at_s": convert_to_seconds(event.due_at) if event.due_at else None,
             "steps": len(steps),
             "steps_done": 0,
             "submitted_position": head.position,
@@ -118,9 +118,9 @@ def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float)
     for number in range(run["steps"]):
         step = rows.get(STEPS, event.run, number)
         if step is not None and number in event.steps:
-            _into(rows, event.run, number, "pending")
+            _set_step_status(rows, event.run, number, "pending")
         elif step is not None and step["state"] == "pending":
-            _into(rows, event.run, number, "skipped")
+            _set_step_status(rows, event.run, number, "skipped")
 
 
 def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
@@ -147,27 +147,29 @@ def on_breached(rows: RowChanges, event: st.WindowBreached, head: Envelope, at: 
 
 
 def on_retried(rows: RowChanges, event: st.StepRetried, head: Envelope, at: float) -> None:
-    _into(rows, event.run, event.step, "pending")
+    _set_step_status(rows, event.run, event.step, "pending")
 
 
 def on_skipped(rows: RowChanges, event: st.StepSkipped, head: Envelope, at: float) -> None:
-    _into(rows, event.run, event.step, "skipped", event.why)
+    _set_step_status(rows, event.run, event.step, "skipped", event.why)
 
 
 def on_unexpected(rows: RowChanges, event: st.StepUnexpected, head: Envelope, at: float) -> None:
-    _into(rows, event.run, event.step, "failed", event.why)
+    _set_step_status(rows, event.run, event.step, "failed", event.why)
 
 
 def on_recovering(rows: RowChanges, event: st.StepRecovering, head: Envelope, at: float) -> None:
-    _into(rows, event.run, event.step, "failed", event.why)
+    _set_step_status(rows, event.run, event.step, "failed", event.why)
     run = rows.get(RUNS, event.run)
     for number in range(run["steps"]) if run is not None else ():
         step = rows.get(STEPS, event.run, number)
         if step is not None and step["part"] == event.step and step["state"] == "asleep":
-            _into(rows, event.run, number, "pending")
+            _set_step_status(rows, event.run, number, "pending")
 
 
-def _into(rows: RowChanges, run: str, number: int, state: str, error: str | None = None) -> Row | None:
+def _set_step_status(
+    rows: RowChanges, run: str, number: int, state: str, error: str | None = None
+) -> Row | None:
     """Change the state of a step, and the number of done steps of its run."""
     step = rows.change(STEPS, run, number) if run else None
     if step is None:
@@ -186,7 +188,7 @@ def _into(rows: RowChanges, run: str, number: int, state: str, error: str | None
 
 
 def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at: float) -> None:
-    step = _into(rows, event.run, event.step, "in flight", "")
+    step = _set_step_status(rows, event.run, event.step, "in flight", "")
     if step is not None:
         step["attempts"] = max(step["attempts"], event.attempt)
         step["requested_at_s"], step["ended_at_s"] = at, None
@@ -210,7 +212,7 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
             "attempts": event.attempt,
             "requested_at_s": at,
             "requested_position": head.position,
-            "plate": labware_of_action(event),
+            "plate": find_labware_of_action(event),
         },
         event,
     )
@@ -231,7 +233,7 @@ def on_reported(rows: RowChanges, event: a.ActionReported, head: Envelope, at: f
 
 
 def on_unknown(rows: RowChanges, event: a.ActionUnknown, head: Envelope, at: float) -> None:
-    _into(rows, event.run, event.step, "unknown", event.why)
+    _set_step_status(rows, event.run, event.step, "unknown", event.why)
     action = rows.change(ACTIONS, event.action)
     if action is not None:
         action["status"], action["effects"], action["error"] = "unknown", "unknown", event.why
@@ -239,7 +241,7 @@ def on_unknown(rows: RowChanges, event: a.ActionUnknown, head: Envelope, at: flo
 
 def on_succeeded(rows: RowChanges, event: a.ActionSucceeded, head: Envelope, at: float) -> None:
     _end(rows, event, head, at, "succeeded", "done", "all")
-    _add_results(rows, event, head, seconds(event.ended_ns) if event.ended_ns else at)
+    _add_results(rows, event, head, convert_to_seconds(event.ended_ns) if event.ended_ns else at)
 
 
 def on_failed(rows: RowChanges, event: a.ActionFailed, head: Envelope, at: float) -> None:
@@ -269,7 +271,7 @@ def _end(
     effects: str,
     error: str = "",
 ) -> Row | None:
-    step = _into(rows, event.run, event.step, state, error)
+    step = _set_step_status(rows, event.run, event.step, state, error)
     if step is not None:
         step["ended_at_s"] = at
     action = rows.change(ACTIONS, event.action)
@@ -277,7 +279,7 @@ def _end(
         action["status"], action["effects"], action["error"] = status, effects, error
         action["ended_at_s"], action["ended_position"] = at, head.position
         ended_ns = getattr(event, "ended_ns", 0)
-        action["device_ended_at_s"] = seconds(ended_ns) if ended_ns else None
+        action["device_ended_at_s"] = convert_to_seconds(ended_ns) if ended_ns else None
     return action
 
 
@@ -289,22 +291,22 @@ def _add_results(
     if action is None or event.result is None:
         return
     action["result"] = event.result
-    for number, (name, digest, size) in enumerate(files_in(event.result)):
+    for number, (name, digest, size) in enumerate(iterate_files(event.result)):
         file = ("returned", digest, name, size, event.run, event.action)
         rows.add(FILES, head.position, number, ended, *file)
     plate = action["plate"]
     labware = rows.get(LABWARE, plate) if plate else None
     samples = labware["samples"] if labware is not None else {}
     number = 0
-    for table in tables(event.result):
+    for table in iterate_tables(event.result):
         for well, value in table.values.items():
             about = (event.run, event.step, action["key"], event.action, event.module, plate, well)
-            said = (samples.get(well, ""), table.quantity, *_value(value), table.unit)
+            said = (samples.get(well, ""), table.quantity, *_split_value(value), table.unit)
             rows.add(RESULTS, head.position, number, ended, *about, *said)
             number += 1
 
 
-def _value(value: Any) -> tuple[float | None, str]:
+def _split_value(value: Any) -> tuple[float | None, str]:
     """A measured value as a number, if possible, and as text."""
     if isinstance(value, bool):
         return None, "true" if value else "false"

@@ -25,7 +25,7 @@ def source_of(lab: str) -> str:
     return f"{NAMESPACE}{quote(lab, safe='')}"
 
 
-def cloudevent(record: Record) -> bytes:
+def encode_cloudevent(record: Record) -> bytes:
     """A record as one line of JSON. ``data`` is the stored payload, in the schema of its time
     (``eventschema``); ``hash`` is the record's hash in the chain."""
     head = record.head

@@ -17,10 +17,18 @@ from typing import Any
 import msgspec
 
 from labos.audit._crate_experiment import CrateRun, Program, add_experiment, experiment_of
-from labos.audit._crate_parts import METADATA, VERSION, Crate, link, local_id, safe_name, with_offset
+from labos.audit._crate_parts import (
+    METADATA,
+    VERSION,
+    Crate,
+    make_link,
+    make_local_id,
+    safe_name,
+    with_offset,
+)
 from labos.audit._crate_steps import STATUS, Doer, add_action, json_of
 from labos.audit.query import ReadConnection
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.core.lab import KernelStarted
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.errors import BadInput, NotFound
@@ -133,7 +141,7 @@ def make_crate(
         raise BadInput(f"{name} is a run, and has no program.", remedy="Name an experiment, or no program.")
     crate = Crate()
     about = {"@id": "./"}
-    crate.add("CreativeWork", METADATA, about=about, conformsTo=link(VERSION))
+    crate.add("CreativeWork", METADATA, about=about, conformsTo=make_link(VERSION))
     told = ", ".join(dict.fromkeys(run.workflow for run in runs))
     if experiment is not None:
         told = told or experiment.name
@@ -145,7 +153,7 @@ def make_crate(
         description=f"{kind} {name} of the lab {log.head().lab}, carried out by LabOS: its workflow, every "
         f"step with its module, driver and times, labware, lots, results and files.",
         datePublished=iso_time(now_ns),
-        license=link(_add_license(crate, license_)),
+        license=make_link(_add_license(crate, license_)),
     )
     workflows = {run.run: _add_workflow(crate, log, run) for run in runs}
     done = [_add_run(crate, asker, log, run, workflows[run.run]) for run in runs]
@@ -163,15 +171,15 @@ def make_crate(
     profiles = [PROCESS]
     if len(main) == 1 and (all(done) if experiment is None else any(done)):
         profiles += OF_ONE_WORKFLOW
-        crate.tell("./", mainEntity=link(*main))
-        crate.tell(METADATA, conformsTo=link(VERSION, OF_ONE_WORKFLOW[-1][0]))
+        crate.tell("./", mainEntity=make_link(*main))
+        crate.tell(METADATA, conformsTo=make_link(VERSION, OF_ONE_WORKFLOW[-1][0]))
     users = [run.user for run in runs] or [experiment.user for experiment in (experiment,) if experiment]
-    crate.tell("./", author=link(*(local_id("user", user) for user in users)))
+    crate.tell("./", author=make_link(*(make_local_id("user", user) for user in users)))
     for table, (words, columns, query) in _TABLES.items():
         _add_table(crate, asker, runs, table, words, columns, query)
     for id_, title, version in profiles:
         crate.add("CreativeWork", id_, name=title, version=version)
-    crate.tell("./", conformsTo=link(*(id_ for id_, _, _ in profiles)))
+    crate.tell("./", conformsTo=make_link(*(id_ for id_, _, _ in profiles)))
     return crate
 
 
@@ -197,7 +205,7 @@ def _add_workflow(crate: Crate, log: Log, run: Run) -> str:
             kind=kinds,
             name=words,
             encodingFormat="application/json",
-            programmingLanguage=link(language),
+            programmingLanguage=make_link(language),
             version=run.plan[:12],
         )
     crate.put(path, plan, name=words, encodingFormat="application/json")
@@ -209,7 +217,7 @@ def _add_workflow(crate: Crate, log: Log, run: Run) -> str:
         kind=kinds,
         name=run.workflow,
         encodingFormat="application/yaml",
-        programmingLanguage=link(language),
+        programmingLanguage=make_link(language),
         version=source[:12],
     )
 
@@ -231,16 +239,16 @@ def _plan_of(log: Log, digest: str) -> bytes:
             plan["steps"] += told["steps"]
     if not plan:
         raise NotFound(f"There is no plan {digest} in this log.", remedy="Check it: labos verify")
-    return canonical(plan)
+    return encode_canonical(plan)
 
 
 def _add_run(crate: Crate, asker: ReadConnection, log: Log, run: Run, workflow: str) -> bool:
     """Add the run and each of its actions; returns whether something was carried out."""
-    user = crate.add("Person", local_id("user", run.user), name=run.user, identifier=run.user)
-    id_ = local_id("run", run.run)
+    user = crate.add("Person", make_local_id("user", run.user), name=run.user, identifier=run.user)
+    id_ = make_local_id("run", run.run)
     payload = crate.put(
         f"runs/{run.run}/payload.json",
-        canonical(json_of(run.payload)),
+        encode_canonical(json_of(run.payload)),
         name=f"Payload of {run.run}",
         encodingFormat="application/json",
     )
@@ -257,27 +265,27 @@ def _add_run(crate: Crate, asker: ReadConnection, log: Log, run: Run, workflow: 
         id_,
         name=f"Run {run.run}: {run.workflow}",
         description=f"The workflow {run.workflow} on the workcell {run.workcell}; it is {run.status}.",
-        instrument=link(workflow),
-        agent=link(user),
+        instrument=make_link(workflow),
+        agent=make_link(user),
         startTime=with_offset(run.started_at or run.submitted_at),
         endTime=with_offset(run.ended_at),
         actionStatus=f"http://schema.org/{status}ActionStatus",
         error=(run.why or run.status) if status == "Failed" else None,
-        object=link(payload, f"plans/{run.plan[:12]}.json", *(each for a in actions for each in a.used)),
-        result=link(*(each for a in actions for each in a.made)),
+        object=make_link(payload, f"plans/{run.plan[:12]}.json", *(each for a in actions for each in a.used)),
+        result=make_link(*(each for a in actions for each in a.made)),
     )
     controls = [a.control for a in actions]
     if controls:
         crate.add(
             "OrganizeAction",
-            local_id("execution", run.run),
+            make_local_id("execution", run.run),
             name=f"LabOS carries out {run.run}",
-            instrument=link(*_add_kernels(crate, log, run)),
-            agent=link(user),
+            instrument=make_link(*_add_kernels(crate, log, run)),
+            agent=make_link(user),
             startTime=with_offset(run.started_at),
             endTime=with_offset(run.ended_at),
-            object=link(*controls),
-            result=link(id_),
+            object=make_link(*controls),
+            result=make_link(id_),
         )
     crate.extend("./", "mentions", id_, *(a.id for a in actions))
     return bool(controls)
@@ -290,7 +298,9 @@ def _add_kernels(crate: Crate, log: Log, run: Run) -> list[str]:
     later = log.select(LogQuery(types=kind, after=run.submitted_position, upto=run.ended_position))
     versions = [msgspec.json.decode(record.payload)["version"] for record in (*before, *later)]
     return [
-        crate.add("SoftwareApplication", local_id("labos", version), name="LabOS", softwareVersion=version)
+        crate.add(
+            "SoftwareApplication", make_local_id("labos", version), name="LabOS", softwareVersion=version
+        )
         for version in dict.fromkeys(versions)
     ]
 
@@ -315,4 +325,4 @@ def _add_table(
     out.writerows([int(value) if isinstance(value, bool) else value for value in row] for row in rows)
     id_ = crate.put(path, text.getvalue().encode(), name=words, encodingFormat="text/csv")
     if len(runs) == 1:
-        crate.extend(local_id("run", runs[0].run), "result", id_)
+        crate.extend(make_local_id("run", runs[0].run), "result", id_)

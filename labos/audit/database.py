@@ -19,7 +19,7 @@ from labos.audit._encode import encode_rows, encode_values
 from labos.audit._rows import Key, Row, RowChanges
 from labos.audit.tables import VERSION, Table
 from labos.errors import LogTooNew
-from labos.store import TranslatedErrors, display_name, parse_url, sqlite_path
+from labos.store import TranslatedErrors, display_name, find_sqlite_path, parse_url
 
 
 class Mark(msgspec.Struct, frozen=True):
@@ -132,22 +132,22 @@ class AuditDatabase(ABC):
         """Insert or replace rows."""
 
 
-def audit_file(log: Path) -> Path:
+def find_audit_file(log: Path) -> Path:
     """The file beside a log's file: ``labos-audit.db`` beside ``labos.db``."""
     return log.with_name(f"{log.stem}-audit.db")
 
 
-def audit_url(url: str) -> URL:
+def make_audit_url(url: str) -> URL:
     """The database of the tables for the URL of a log. Raises BadInput."""
     parsed = parse_url(url)
     if parsed.get_backend_name() != "sqlite":
         return parsed
-    return parsed.set(database=str(audit_file(sqlite_path(parsed))))
+    return parsed.set(database=str(find_audit_file(find_sqlite_path(parsed))))
 
 
 def open_audit(url: str) -> AuditDatabase:
     """Open the tables of a log for writing. Raises BadInput, StoreUnavailable."""
-    parsed = audit_url(url)
+    parsed = make_audit_url(url)
     if parsed.get_backend_name() == "sqlite":
         from labos.audit._sqlite import SqliteAudit
 

@@ -43,37 +43,37 @@ class LabDifference(msgspec.Struct, frozen=True):
     after: str
 
 
-def differences(asker: ReadConnection, first: int, last: int) -> list[LabDifference]:
+def list_differences(asker: ReadConnection, first: int, last: int) -> list[LabDifference]:
     """The differences between position ``first`` and position ``last``."""
-    changes = _compare("labware", _places(asker, first), _places(asker, last))
+    changes = _compare("labware", _find_places(asker, first), _find_places(asker, last))
     for run, workflow, user, status, *positions in asker.fetch(_RUNS, last, first):
         before, after = (_run_at(status, positions, at) for at in (first, last))
         changes += _compare(
             "run", {f"{run} ({workflow}, {user})": before}, {f"{run} ({workflow}, {user})": after}
         )
-    changes += _compare("resource", _levels(asker, first), _levels(asker, last))
+    changes += _compare("resource", _find_levels(asker, first), _find_levels(asker, last))
     for name, text, choice, by, asked, resolved in asker.fetch(_QUESTIONS, last, first):
         answered = resolved is not None and resolved <= last
         before = "open" if asked <= first else ""
         after = f"{choice}, by {by}" if answered else "open"
         changes += _compare("question", {f"{name}: {text}": before}, {f"{name}: {text}": after})
-    return changes + _compare("driver", _drivers(asker, first), _drivers(asker, last))
+    return changes + _compare("driver", _find_drivers(asker, first), _find_drivers(asker, last))
 
 
 def _compare(about: str, before: dict[str, str], after: dict[str, str]) -> list[LabDifference]:
-    names = sorted({*before, *after}, key=_natural)
+    names = sorted({*before, *after}, key=_sort_key)
     pairs = [(name, before.get(name, ""), after.get(name, "")) for name in names]
     return [LabDifference(about, name, was, is_) for name, was, is_ in pairs if was != is_]
 
 
-def _natural(name: str) -> tuple[str, int, str]:
+def _sort_key(name: str) -> tuple[str, int, str]:
     """A sort key that puts P9 before P10."""
     letters = name.rstrip("0123456789")
     digits = name[len(letters) :]
     return letters, int(digits) if digits else 0, name
 
 
-def _places(asker: ReadConnection, position: int) -> dict[str, str]:
+def _find_places(asker: ReadConnection, position: int) -> dict[str, str]:
     found = {}
     for name, kind, target, lies_on, maybe in asker.fetch(_PLACES, position):
         if maybe is not None:
@@ -84,12 +84,12 @@ def _places(asker: ReadConnection, position: int) -> dict[str, str]:
     return found
 
 
-def _levels(asker: ReadConnection, position: int) -> dict[str, str]:
+def _find_levels(asker: ReadConnection, position: int) -> dict[str, str]:
     rows = asker.fetch(_LEVELS, position)
     return {f"{module}:{name}": "" if level is None else f"{level:.10g}" for module, name, level in rows}
 
 
-def _drivers(asker: ReadConnection, position: int) -> dict[str, str]:
+def _find_drivers(asker: ReadConnection, position: int) -> dict[str, str]:
     return {module: f"{driver} {version}" for module, driver, version in asker.fetch(_DRIVERS, position)}
 
 

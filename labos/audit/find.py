@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from labos.audit._ddl import vector, words_name
+from labos.audit._ddl import words_name, write_vector
 from labos.audit._entry_tables import ENTRIES, KINDS
 from labos.audit.query import ReadConnection
 from labos.audit.words import words_of
@@ -108,7 +108,7 @@ _JSON = ("keywords", "creators", "files")
 
 def find(asker: ReadConnection, question: SearchQuery, log_position: int = 0) -> SearchResult:
     """Answer a query from the present search index. Raises BadInput for an invalid query."""
-    where, values = _conditions(asker, question)
+    where, values = _write_conditions(asker, question)
     position = asker.fetch("SELECT position FROM projection")[0][0]
     total = asker.fetch(f"SELECT count(*) FROM entries WHERE {where}", *values)[0][0]
     rows = asker.fetch(
@@ -116,12 +116,12 @@ def find(asker: ReadConnection, question: SearchQuery, log_position: int = 0) ->
         "ORDER BY CASE WHEN lower(name) = ? THEN 0 ELSE 1 END, at_s DESC, number DESC LIMIT ? OFFSET ?",
         *(*values, question.words.strip().lower(), min(question.limit, MOST_FOUND), question.offset),
     )
-    facets = _facets(asker, where, values) if question.facets else {}
+    facets = _count_facets(asker, where, values) if question.facets else {}
     behind = max(log_position - position, 0)
-    return SearchResult([_entry(row) for row in rows], total, facets, position, behind)
+    return SearchResult([_make_entry(row) for row in rows], total, facets, position, behind)
 
 
-def _entry(row: Any) -> SearchEntry:
+def _make_entry(row: Any) -> SearchEntry:
     told = dict(zip(_COLUMNS, row, strict=True))
     told["user"] = told.pop("user_id")
     for name in _JSON:
@@ -129,16 +129,16 @@ def _entry(row: Any) -> SearchEntry:
     return msgspec.convert(told, SearchEntry)
 
 
-def _conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list[Any]]:
+def _write_conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list[Any]]:
     """The conditions after WHERE, and their values."""
     for kind in question.kinds:
         if kind not in KINDS:
             raise BadInput(f"There is no kind {kind!r}.", remedy=f"Name one of {', '.join(KINDS)}.")
     parts: list[str] = []
     values: list[Any] = []
-    terms = _terms(question.words)
+    terms = _split_terms(question.words)
     if terms and asker.dialect == "postgresql":
-        parts.append(f"{vector(ENTRIES)} @@ ?::tsquery")
+        parts.append(f"{write_vector(ENTRIES)} @@ ?::tsquery")
         values.append(" & ".join(f"'{word}'{':*' if begins else ''}" for word, begins in terms))
     elif terms:
         index = words_name(ENTRIES)
@@ -159,7 +159,7 @@ def _conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list
             values += wanted
     if question.keywords:
         marks = ", ".join("?" * len(question.keywords))
-        parts.append(f"EXISTS (SELECT 1 FROM {_keywords(asker)} WHERE {_KEYWORD} IN ({marks}))")
+        parts.append(f"EXISTS (SELECT 1 FROM {_write_keywords(asker)} WHERE {_KEYWORD} IN ({marks}))")
         values += question.keywords
     if question.since:
         parts.append("at_s >= ?")
@@ -174,7 +174,7 @@ def _conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list
     return " AND ".join(parts) or "1 = 1", values
 
 
-def _terms(text: str) -> list[tuple[str, bool]]:
+def _split_terms(text: str) -> list[tuple[str, bool]]:
     """The words of a query, and whether each is only the beginning of a word. Raises BadInput."""
     found: dict[tuple[str, bool], bool] = {}
     for piece in _WORD_AND_STAR.findall(text):
@@ -191,14 +191,14 @@ def _terms(text: str) -> list[tuple[str, bool]]:
 _KEYWORD = "one.value"
 
 
-def _keywords(asker: ReadConnection) -> str:
+def _write_keywords(asker: ReadConnection) -> str:
     """The keywords of an entry, one in each row, as ``one.value``."""
     if asker.dialect == "postgresql":
         return "json_array_elements_text(keywords) AS one(value)"
     return "json_each(keywords) AS one"
 
 
-def _facets(asker: ReadConnection, where: str, values: list[Any]) -> dict[str, list[FacetValue]]:
+def _count_facets(asker: ReadConnection, where: str, values: list[Any]) -> dict[str, list[FacetValue]]:
     """The count of each value among all matching entries."""
     month = (
         "to_char(at, 'YYYY-MM')" if asker.dialect == "postgresql" else "strftime('%Y-%m', at_s, 'unixepoch')"
@@ -207,7 +207,7 @@ def _facets(asker: ReadConnection, where: str, values: list[Any]) -> dict[str, l
     found: dict[str, list[FacetValue]] = {}
     for facet in FACETS:
         value = expressions.get(facet, facet)
-        source = f"entries, {_keywords(asker)}" if facet == "keyword" else "entries"
+        source = f"entries, {_write_keywords(asker)}" if facet == "keyword" else "entries"
         rows = asker.fetch(
             f"SELECT {value}, count(*) FROM {source} WHERE ({where}) AND {value} <> '' "
             f"GROUP BY 1 ORDER BY 2 DESC, 1 LIMIT {MOST_VALUES}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.audit._facts import label
+from labos.audit._facts import describe_entity
 from labos.audit.graph import ACTIVITIES, AGENTS, Entity, Graph
 from labos.errors import BadInput
 
@@ -17,9 +17,9 @@ _SHAPES = {**dict.fromkeys(ACTIVITIES, "box"), **dict.fromkeys(AGENTS, "house")}
 def as_dot(graph: Graph) -> str:
     """For `dot -Tsvg`: activities are boxes, agents houses, everything else ellipses."""
     lines = ["digraph provenance {", "  rankdir=LR;"]
-    for entity in _things(graph):
+    for entity in _list_things(graph):
         shape = _SHAPES.get(entity.kind, "ellipse")
-        words = _quote(label(entity, graph.entities.get(str(entity), graph.facts)))
+        words = _quote(describe_entity(entity, graph.entities.get(str(entity), graph.facts)))
         lines.append(f"  {_quote(str(entity))} [label={words}, shape={shape}];")
     for link in graph.links:
         ends = f"{_quote(str(link.effect))} -> {_quote(str(link.cause))}"
@@ -39,7 +39,7 @@ def as_prov(graph: Graph, lab: str) -> str:
     document = ProvDocument()
     document.add_namespace("labos", NAMESPACE)
     document.set_default_namespace(f"{NAMESPACE}{lab}/")
-    for entity in _things(graph):
+    for entity in _list_things(graph):
         _declare(document, entity, graph.entities.get(str(entity), graph.facts))
     for link in graph.links:
         _relate(document, link.effect, link.cause, link.relation)
@@ -48,19 +48,19 @@ def as_prov(graph: Graph, lab: str) -> str:
 
 def _declare(document: Any, entity: Entity, facts: dict[str, Any]) -> None:
     told = {f"labos:{name}": _value(value) for name, value in facts.items() if value != []}
-    told = {"prov:label": label(entity, facts), "prov:type": f"labos:{entity.kind}", **told}
+    told = {"prov:label": describe_entity(entity, facts), "prov:type": f"labos:{entity.kind}", **told}
     if entity.kind in ACTIVITIES:
         began = facts.get("requested_at") or facts.get("submitted_at") or facts.get("started_at")
-        document.activity(_id(entity), began, facts.get("ended_at"), told)
+        document.activity(_make_id(entity), began, facts.get("ended_at"), told)
     elif entity.kind in AGENTS:
-        document.agent(_id(entity), told)
+        document.agent(_make_id(entity), told)
     else:
-        document.entity(_id(entity), told)
+        document.entity(_make_id(entity), told)
 
 
 def _relate(document: Any, effect: Entity, cause: Entity, relation: str) -> None:
     """The relation of PROV for the kinds of both ends; LabOS' own relation becomes the role."""
-    ends = (_id(effect), _id(cause))
+    ends = (_make_id(effect), _make_id(cause))
     role = {"prov:role": relation}
     if effect.kind in ACTIVITIES:
         if cause.kind in AGENTS:
@@ -77,14 +77,14 @@ def _relate(document: Any, effect: Entity, cause: Entity, relation: str) -> None
         document.wasDerivedFrom(*ends, other_attributes={"labos:relation": relation})
 
 
-def _things(graph: Graph) -> list[Entity]:
+def _list_things(graph: Graph) -> list[Entity]:
     found = {graph.subject: True}
     for link in graph.links:
         found[link.effect] = found[link.cause] = True
     return list(found)
 
 
-def _id(entity: Entity) -> str:
+def _make_id(entity: Entity) -> str:
     """A local name; forbidden characters are written as %XX."""
     from urllib.parse import quote
 

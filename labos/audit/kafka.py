@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from labos.audit.cloudevents import cloudevent, source_of
+from labos.audit.cloudevents import encode_cloudevent, source_of
 from labos.core.envelope import Record
 from labos.errors import BadInput, SystemFailed
 from labos.lockfile import FileLock
@@ -179,7 +179,7 @@ class KafkaSink:
             try:
                 producer.produce(
                     self._topic.name,
-                    cloudevent(record),
+                    encode_cloudevent(record),
                     self._lab,
                     PARTITION,
                     on_delivery=self._on_delivery,
@@ -209,10 +209,10 @@ class KafkaSink:
         if self._producer is None:
             from confluent_kafka import Producer
 
-            self._producer = self._client(Producer, OURS)
+            self._producer = self._make_client(Producer, OURS)
         return self._producer
 
-    def _client(self, kind: Any, settings: Mapping[str, Any]) -> Any:
+    def _make_client(self, kind: Any, settings: Mapping[str, Any]) -> Any:
         from confluent_kafka import KafkaException
 
         try:
@@ -265,8 +265,8 @@ class KafkaSink:
         from confluent_kafka.admin import AdminClient
 
         settings = {"group.id": "labos", "enable.auto.commit": False, "enable.partition.eof": True}
-        consumer = self._client(Consumer, settings)
-        admin = self._client(AdminClient, {})
+        consumer = self._make_client(Consumer, settings)
+        admin = self._make_client(AdminClient, {})
         try:
             where = TopicPartition(self._topic.name, PARTITION)
             ends: list[tuple[int, int]] = []

@@ -52,7 +52,7 @@ class Mixture(msgspec.Struct):
             self.drawn = dict(self.volumes)
             self.volumes = {origin: part * left for origin, part in self.volumes.items()}
 
-    def parts(self) -> list[ProvenancePart]:
+    def list_parts(self) -> list[ProvenancePart]:
         """The parts, the largest first. Shares are given only if all volumes are known."""
         total = self.total_ul
         exact = total > 0 and not self.unmeasured
@@ -66,25 +66,25 @@ class Mixture(msgspec.Struct):
         return sorted(found, key=lambda part: (-(part.volume_ul or 0.0), part.origin.name, part.what))
 
 
-def source_well(labware: str, liquid: str) -> str:
+def find_source_well(labware: str, liquid: str) -> str:
     """The well in the name of a liquid: ``A1`` of the same labware, or ``P3/A1``; empty if none."""
     found = _WELL.fullmatch(liquid)
     return f"{found[1] or labware}/{found[2]}" if found else ""
 
 
-def contents(asker: ReadConnection, labware: str, well: str, upto: int) -> list[ProvenancePart]:
+def trace_contents(asker: ReadConnection, labware: str, well: str, upto: int) -> list[ProvenancePart]:
     """The content of a well after the event at a position. A sample sheet replaces the content; liquid that
     is taken out of a well has the shares of the well at that time."""
-    steps = _steps_before(asker, f"{labware}/{well}", upto)
+    steps = _list_steps_before(asker, f"{labware}/{well}", upto)
     wells: dict[str, Mixture] = {name: Mixture() for name in steps}
     for _, _, name, step in sorted(
         (at, n, name, step) for name, told in steps.items() for at, n, *step in told
     ):
         _take(wells, name, *step)
-    return wells[f"{labware}/{well}"].parts()
+    return wells[f"{labware}/{well}"].list_parts()
 
 
-def _steps_before(asker: ReadConnection, wanted: str, upto: int) -> dict[str, list[Any]]:
+def _list_steps_before(asker: ReadConnection, wanted: str, upto: int) -> dict[str, list[Any]]:
     """All events of a well, and of the wells from which it was filled."""
     found: dict[str, list[Any]] = {}
     waiting = [wanted]
@@ -94,12 +94,12 @@ def _steps_before(asker: ReadConnection, wanted: str, upto: int) -> dict[str, li
             continue
         labware, _, well = name.rpartition("/")
         found[name] = asker.fetch(_STEPS, labware, well, upto)
-        waiting += [source for step in found[name] if (source := _source(labware, *step[2:5]))]
+        waiting += [source for step in found[name] if (source := _find_source(labware, *step[2:5]))]
     return found
 
 
-def _source(labware: str, kind: str, volume: float | None, liquid: str) -> str:
-    return source_well(labware, liquid) if kind == "in" else ""
+def _find_source(labware: str, kind: str, volume: float | None, liquid: str) -> str:
+    return find_source_well(labware, liquid) if kind == "in" else ""
 
 
 def _take(
@@ -112,7 +112,7 @@ def _take(
     certain: bool,
 ) -> None:
     held = wells[name]
-    source = _source(name.rpartition("/")[0], kind, volume, liquid)
+    source = _find_source(name.rpartition("/")[0], kind, volume, liquid)
     if kind == "sheet":
         wells[name] = Mixture()
         wells[name].add((Entity("sample", liquid), liquid), volume, certain=True)

@@ -17,14 +17,14 @@ from labos.audit import (
     _work,
 )
 from labos.audit._bench_tables import TOUCHES
-from labos.audit._rows import RowChanges, seconds
+from labos.audit._rows import RowChanges, convert_to_seconds
 from labos.audit._touches import list_touched
 from labos.audit._work_tables import EVENTS
 from labos.core import fold
 from labos.core.envelope import Record
 from labos.core.registry import TYPES, Event
 from labos.ports import BlobStore
-from labos.services.log import event_of
+from labos.services.log import decode_event
 
 Handler = Callable[..., None]
 
@@ -54,9 +54,9 @@ class Projection:
 
     def take(self, record: Record) -> None:
         """Process one record. Raises LogTooNew, LogDamaged."""
-        event, head, rows = event_of(record), record.head, self.rows
+        event, head, rows = decode_event(record), record.head, self.rows
         kind = type(event)
-        at = seconds(head.recorded_at)
+        at = convert_to_seconds(head.recorded_at)
         if b"\\u0000" in record.payload:
             rows.may_have_nul = True
         about = (head.position, at, head.type, head.actor, head.stream, head.correlation)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import structlog
 
-from labos.audit._rows import RowChanges, seconds
+from labos.audit._rows import RowChanges, convert_to_seconds
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.projection import Projection
 from labos.core.erasure import WordsErased
@@ -54,7 +54,7 @@ class Projector:
         if mark != self._remembered:  # another projector has been here
             self._rows.forget()
         begun = mark.position
-        with _no_search_for_cycles():
+        with _pause_cycle_search():
             while mark.position < head.position:
                 try:
                     mark = self._carry(mark, min(mark.position + BATCH, head.position), begun)
@@ -75,7 +75,7 @@ class Projector:
                     raise _WordsErased
                 self._projection.take(record)
             head = record.head
-            after = Mark(head.lab, head.position, record.hash.hex(), seconds(head.recorded_at))
+            after = Mark(head.lab, head.position, record.hash.hex(), convert_to_seconds(head.recorded_at))
             written = self._database.write(mark, after, self._rows)
         except BaseException:
             self._rows.forget()
@@ -105,7 +105,7 @@ class Projector:
 
 
 @contextmanager
-def _no_search_for_cycles() -> Iterator[None]:
+def _pause_cycle_search() -> Iterator[None]:
     """Switch off the search for reference cycles: there are many rows without cycles, and the search would
     take a third of the time."""
     was_on = gc.isenabled()

@@ -11,7 +11,7 @@ from labos.audit._causes import CAUSES
 from labos.audit._effects import EFFECTS
 from labos.audit._facts import facts_of
 from labos.audit.graph import Entity, EntityKind, Graph, ProvenanceLink, well_of
-from labos.audit.liquids import contents
+from labos.audit.liquids import trace_contents
 from labos.audit.query import ReadConnection
 from labos.errors import NotFound
 
@@ -84,7 +84,7 @@ def trace(
     waiting = [(subject, seen[subject])]
     while waiting and graph.whole:
         entity, bound = waiting.pop(0)
-        for link, limit in _next(asker, entity, bound, upto, direction):
+        for link, limit in _find_next(asker, entity, bound, upto, direction):
             other = link.cause if direction == "up" else link.effect
             if link.position <= upto and link not in links:
                 links[link] = True
@@ -98,14 +98,14 @@ def trace(
                 waiting.append((other, limit))
     graph.links = sorted(links, key=lambda link: (link.position, str(link.effect), str(link.cause)))
     if subject.kind == "well":
-        graph.contents = contents(asker, *well_of(subject.name), upto)
+        graph.contents = trace_contents(asker, *well_of(subject.name), upto)
     entities = {entity: True for link in graph.links for entity in (link.effect, link.cause)}
     graph.entities = {str(entity): facts_of(asker, entity, upto) for entity in entities}
     graph.facts = graph.entities.get(str(subject)) or facts_of(asker, subject, upto)
     return graph
 
 
-def _next(asker: ReadConnection, entity: Entity, bound: int, upto: int, direction: Direction) -> Any:
+def _find_next(asker: ReadConnection, entity: Entity, bound: int, upto: int, direction: Direction) -> Any:
     if direction == "up":
         causes = CAUSES.get(entity.kind)
         return causes(asker, entity, bound) if causes is not None else ()
@@ -113,7 +113,7 @@ def _next(asker: ReadConnection, entity: Entity, bound: int, upto: int, directio
     return effects(asker, entity, bound, upto) if effects is not None else ()
 
 
-def plain(graph: Graph) -> dict[str, Any]:
+def make_plain(graph: Graph) -> dict[str, Any]:
     """The graph for programs."""
     return {
         "subject": msgspec.to_builtins(graph.subject),

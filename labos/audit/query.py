@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import msgspec
 
 from labos.audit._ddl import VIEW_SCHEMA, Dialect
-from labos.audit.database import audit_url
+from labos.audit.database import make_audit_url
 from labos.errors import BadInput, StoreUnavailable
-from labos.store import TranslatedErrors, display_name, sqlite_path
+from labos.store import TranslatedErrors, display_name, find_sqlite_path
 
 TIME_LIMIT_S = 30.0
 FETCHED = 1000
@@ -50,9 +50,9 @@ class ReadConnection(Protocol):
 def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnection]:
     """Open the views of a log for queries; each query may take ``limit_s`` seconds. Raises StoreUnavailable
     if there are none."""
-    parsed = audit_url(url)
+    parsed = make_audit_url(url)
     if parsed.get_backend_name() == "sqlite":
-        path = sqlite_path(parsed)
+        path = find_sqlite_path(parsed)
         if not path.exists():
             raise StoreUnavailable(
                 f"There is no {display_name(parsed)}.", remedy="Make it: labos audit project"
@@ -130,7 +130,7 @@ class _SqliteAsker:
         try:
             cursor = self._connection.execute(query, values)
         except (sqlite3.Error, sqlite3.Warning) as error:
-            raise _refusal(str(error), self._limit_s) from None
+            raise _make_refusal(str(error), self._limit_s) from None
         if cursor.description is None:
             raise BadInput("That asks nothing.", remedy="Ask with SELECT.")
         return QueryResult(tuple(column[0] for column in cursor.description), self._rows(cursor))
@@ -139,7 +139,7 @@ class _SqliteAsker:
         try:
             yield from cursor
         except sqlite3.Error as error:
-            raise _refusal(str(error), self._limit_s) from None
+            raise _make_refusal(str(error), self._limit_s) from None
 
 
 # -- PostgreSQL --------------------------------------------------------------------------------
@@ -155,8 +155,8 @@ class _PostgresAsker:
         self._connection, self._limit_s = connection, limit_s
 
     def fetch(self, query: str, *values: Any) -> list[Any]:
-        found = self._connection.execute(_for_postgres(query), values)
-        return [tuple(_plain(value) for value in row) for row in found.fetchall()]
+        found = self._connection.execute(_write_for_postgres(query), values)
+        return [tuple(_write_moment(value) for value in row) for row in found.fetchall()]
 
     def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:
         rows = self._rows(query, values)
@@ -169,46 +169,46 @@ class _PostgresAsker:
         end = time.monotonic() + self._limit_s
         connection = self._connection
         if values:
-            query = _for_postgres(query)
+            query = _write_for_postgres(query)
         connection.execute("BEGIN READ ONLY")
         try:
-            self._limit(end)
+            self._set_limit(end)
             declared = f"DECLARE labos_answer NO SCROLL CURSOR FOR {query}"
             connection.execute(declared, values or None, prepare=True)
             first = True
             while True:
-                self._limit(end)
+                self._set_limit(end)
                 found = connection.execute(f"FETCH {FETCHED} FROM labos_answer")
                 if first:
                     yield [column.name for column in found.description]
                     first = False
                 rows = found.fetchall()
-                yield from ([_plain(value) for value in row] for row in rows)
+                yield from ([_write_moment(value) for value in row] for row in rows)
                 if len(rows) < FETCHED:
                     return
         except psycopg.Error as error:
-            raise _refusal(str(error).partition("\n")[0], self._limit_s) from None
+            raise _make_refusal(str(error).partition("\n")[0], self._limit_s) from None
         finally:
             if not connection.closed:
                 connection.execute("ROLLBACK")
 
-    def _limit(self, end: float) -> None:
+    def _set_limit(self, end: float) -> None:
         left_ms = max(1, round((end - time.monotonic()) * 1000))
         self._connection.execute(f"SET LOCAL statement_timeout = {left_ms}")
 
 
-def _for_postgres(query: str) -> str:
+def _write_for_postgres(query: str) -> str:
     return query.replace("%", "%%").replace("?", "%s")
 
 
-def _plain(value: Any) -> Any:
+def _write_moment(value: Any) -> Any:
     """A time in the form of SQLite's views."""
     if isinstance(value, datetime):
         return f"{value.astimezone(UTC).replace(tzinfo=None).isoformat(timespec='milliseconds')}Z"
     return value
 
 
-def _refusal(words: str, limit_s: float) -> BadInput:
+def _make_refusal(words: str, limit_s: float) -> BadInput:
     if "interrupted" in words or "statement timeout" in words:
         return BadInput(
             f"The question took longer than {limit_s:g} s.",

@@ -12,7 +12,7 @@ from typing import BinaryIO, Protocol
 
 import msgspec
 
-from labos.audit.cloudevents import cloudevent
+from labos.audit.cloudevents import encode_cloudevent
 from labos.core.envelope import Record
 from labos.errors import BadInput, SystemFailed
 from labos.private import FILE
@@ -64,7 +64,7 @@ class JsonLines:
         log."""
         try:
             for record in records:
-                line = cloudevent(record)
+                line = encode_cloudevent(record)
                 source = msgspec.json.decode(line, type=_Line).source
                 if self.source not in ("", source):
                     raise BadInput(f"{self._path} holds the events of another lab.", remedy=REMEDY)
@@ -90,8 +90,8 @@ class JsonLines:
 
     def _find_end(self) -> tuple[int, str]:
         """Position and source of the last complete line; the rest after it is cut off."""
-        end = self._after_last_newline(self._file.seek(0, os.SEEK_END))
-        begin = self._after_last_newline(end - 1) if end else 0
+        end = self._find_last_newline(self._file.seek(0, os.SEEK_END))
+        begin = self._find_last_newline(end - 1) if end else 0
         self._file.seek(begin)
         line = self._file.read(end - begin)
         try:
@@ -106,7 +106,7 @@ class JsonLines:
         self._file.seek(end)
         return found
 
-    def _after_last_newline(self, before: int) -> int:
+    def _find_last_newline(self, before: int) -> int:
         """The byte after the last newline among the first ``before`` bytes; 0 if there is none."""
         while before > 0:
             begin = max(before - CHUNK, 0)

@@ -22,10 +22,10 @@ def words_of(text: str) -> list[str]:
     return [word[:LONGEST_WORD] for word in _WORD.findall(plain)]
 
 
-def all_words(values: Iterable[Any]) -> str:
+def join_words(values: Iterable[Any]) -> str:
     """The words of all texts in these values, at any depth, each once, with a space between them."""
     found: dict[str, bool] = {}
-    for text in _texts(values):
+    for text in _iterate_texts(values):
         for word in words_of(text):
             found[word] = True
             if len(found) >= MOST_WORDS:
@@ -33,18 +33,18 @@ def all_words(values: Iterable[Any]) -> str:
     return " ".join(found)
 
 
-def _texts(value: Any) -> Iterable[str]:
+def _iterate_texts(value: Any) -> Iterable[str]:
     """All texts and numbers in a value, names of members too."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):
         for name, item in value.items():
             yield str(name)
-            yield from _texts(item)
+            yield from _iterate_texts(item)
     elif isinstance(value, bool) or value is None:
         return
     elif isinstance(value, int | float):
         yield f"{value:.10g}" if isinstance(value, float) else str(value)
     elif isinstance(value, Iterable):
         for item in value:
-            yield from _texts(item)
+            yield from _iterate_texts(item)

@@ -11,18 +11,18 @@ if TYPE_CHECKING:
     from labos.bootstrap._api import ApiSettings, open_api
     from labos.bootstrap._drivers import (
         Drivers,
-        description_path,
         descriptions,
+        find_description_path,
+        import_module_beside,
         list_installed,
         load_driver,
         load_drivers,
-        module_beside,
         shape_of,
         source_of,
     )
     from labos.bootstrap._lab import open_lab
     from labos.bootstrap._node import run_node
-    from labos.bootstrap._node_class import own_class
+    from labos.bootstrap._node_class import find_own_class
     from labos.bootstrap._notify import find_contacts, make_notifier
     from labos.bootstrap._runtime import LabRuntime
     from labos.bootstrap._secure import Guard
@@ -35,16 +35,16 @@ _HOME = {
     "Guard": "_secure",
     "LabRuntime": "_runtime",
     "LabThread": "_thread",
-    "description_path": "_drivers",
+    "find_description_path": "_drivers",
     "descriptions": "_drivers",
     "find_contacts": "_notify",
     "list_installed": "_drivers",
     "load_driver": "_drivers",
     "load_drivers": "_drivers",
-    "module_beside": "_drivers",
+    "import_module_beside": "_drivers",
     "open_api": "_api",
     "open_lab": "_lab",
-    "own_class": "_node_class",
+    "find_own_class": "_node_class",
     "run_node": "_node",
     "shape_of": "_drivers",
     "source_of": "_drivers",
@@ -58,17 +58,17 @@ __all__ = [
     "Guard",
     "LabRuntime",
     "LabThread",
-    "description_path",
     "descriptions",
     "find_contacts",
+    "find_description_path",
+    "find_own_class",
+    "import_module_beside",
     "list_installed",
     "load_driver",
     "load_drivers",
     "make_notifier",
-    "module_beside",
     "open_api",
     "open_lab",
-    "own_class",
     "run_node",
     "shape_of",
     "source_of",

@@ -14,7 +14,7 @@ import msgspec
 from labos.bootstrap._bus import BUS_PATIENCE_S, join_bus
 from labos.bootstrap._desk import read_api_key
 from labos.bootstrap._drivers import load_drivers
-from labos.bootstrap._gate import describe_listening, end_streams, expect_tls, expect_users, gate_beside
+from labos.bootstrap._gate import describe_listening, end_streams, expect_tls, expect_users, open_gate_beside
 from labos.bootstrap._secure import Guard
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.canonical import digest
@@ -62,7 +62,7 @@ class ApiRuntime:
         here = last_kernel(settings.lab.home) is not None
         self.blobs: BlobStore = LookedAtBlobs(open_blobs(settings.lab.blobs), are_all_here=here)
         drivers = load_drivers()
-        self.descriptions: Mapping[str, Description] = drivers.descriptions()
+        self.descriptions: Mapping[str, Description] = drivers.make_descriptions()
         self.broken_drivers: Mapping[str, str] = drivers.broken
         self.counts = ApiMetrics()
 
@@ -169,7 +169,7 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
         kernel.listeners.append(service.marks)
         service.marks.begin()
         stack.push_async_callback(service.marks.close)
-        gate = stack.enter_context(gate_beside(settings, accounts, kernel, api.counts.signing))
+        gate = stack.enter_context(open_gate_beside(settings, accounts, kernel, api.counts.signing))
         api.http = HttpServer(service, gate, describe_listening(settings, settings.http_port or 0))
         kernel.follow()
         stack.push_async_callback(kernel.close)

@@ -31,7 +31,7 @@ class Drivers(msgspec.Struct):
     classes: dict[str, type[Node]] = {}
     broken: dict[str, str] = {}
 
-    def descriptions(self) -> Descriptions:
+    def make_descriptions(self) -> Descriptions:
         # Not loaded by nodes: reading specs takes time and memory.
         from labos.spec.tables import Descriptions
 
@@ -47,7 +47,7 @@ def load_drivers() -> Drivers:
     found = Drivers()
     for name, entries in list_installed().items():
         try:
-            node = _only(name, entries)
+            node = _choose_only(name, entries)
             node.describe()
         except BadInput as error:
             found.broken[name] = str(error)
@@ -74,17 +74,17 @@ def load_driver(name: str) -> type[Node]:
     holds several. Raises NotFound, BadInput: also if two packages install a driver of that name."""
     path, _, wanted = name.partition(".py")
     if (wanted == "" and path != name) or wanted.startswith(":"):
-        return _in_file(Path(f"{path}.py"), wanted[1:])
+        return _load_from_file(Path(f"{path}.py"), wanted[1:])
     found = list_installed()
     if name in found:
-        return _only(name, found[name])
+        return _choose_only(name, found[name])
     raise NotFound(
         f"There is no driver {name!r}.",
         remedy=f"Installed: {', '.join(sorted(found)) or 'none'}. One in a file is named by it: shaker.py.",
     )
 
 
-def description_path(node: type[Node]) -> Path:
+def find_description_path(node: type[Node]) -> Path:
     """Where a driver describes its instrument as a thing in space: the file beside its class. Raises
     NotFound."""
     path = Path(inspect.getfile(node)).with_name(DESCRIPTION)
@@ -101,14 +101,14 @@ def shape_of(driver: str) -> DescriptionFile | None:
     from labos.spec.describing import load_description
 
     try:
-        return load_description(description_path(load_driver(driver)))
+        return load_description(find_description_path(load_driver(driver)))
     except (BadInput, NotFound, SpecError):
         return None
 
 
 def descriptions() -> Descriptions:
     """What each installed driver says of itself."""
-    return load_drivers().descriptions()
+    return load_drivers().make_descriptions()
 
 
 def source_of(entry: EntryPoint) -> str:
@@ -117,7 +117,7 @@ def source_of(entry: EntryPoint) -> str:
     return f"{package} ({entry.value})"
 
 
-def _only(name: str, entries: Sequence[EntryPoint]) -> type[Node]:
+def _choose_only(name: str, entries: Sequence[EntryPoint]) -> type[Node]:
     """The only class with a name. If there are two, the lab might plan with one and its node run the other,
     so neither is taken. Raises BadInput."""
     if len(entries) > 1:
@@ -134,7 +134,7 @@ def _only(name: str, entries: Sequence[EntryPoint]) -> type[Node]:
     return node
 
 
-def _in_file(path: Path, wanted: str) -> type[Node]:
+def _load_from_file(path: Path, wanted: str) -> type[Node]:
     if not path.is_file():
         raise NotFound(f"There is no file {path}.", remedy="Name a Python file that holds a driver.")
     module = _import_package(path.resolve())
@@ -152,7 +152,7 @@ def _in_file(path: Path, wanted: str) -> type[Node]:
     return next(iter(named.values()))
 
 
-def module_beside(node: type[Node], name: str) -> ModuleType | None:
+def import_module_beside(node: type[Node], name: str) -> ModuleType | None:
     """The module of that name in the folder of a driver's class, imported as the class was; None if there
     is no such file. Raises BadInput."""
     package = node.__module__.rpartition(".")[0]

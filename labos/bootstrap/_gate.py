@@ -122,7 +122,7 @@ def open_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iterat
             lambda: kernel.state.users,
             key,
             secure=describe_listening(settings, 0).is_secure,
-            provider=_provider(settings, kernel.clock),
+            provider=_read_provider(settings, kernel.clock),
         )
         kernel.listeners.append(_Disabled(accounts))
         metrics.watch_gate(gate)
@@ -130,7 +130,9 @@ def open_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iterat
 
 
 @contextmanager
-def gate_beside(settings: Settings, accounts_url: str, kernel: LabKernel, signing: Signing) -> Iterator[Gate]:
+def open_gate_beside(
+    settings: Settings, accounts_url: str, kernel: LabKernel, signing: Signing
+) -> Iterator[Gate]:
     """The gate of an API process: the same accounts, and no key of the lab's folder."""
     store = open_accounts(accounts_url)
     try:
@@ -139,7 +141,7 @@ def gate_beside(settings: Settings, accounts_url: str, kernel: LabKernel, signin
             accounts,
             lambda: kernel.state.users,
             secure=describe_listening(settings, 0).is_secure,
-            provider=_provider(settings, kernel.clock),
+            provider=_read_provider(settings, kernel.clock),
         )
         kernel.listeners.append(_Disabled(accounts))
         signing.watch(accounts.on_try, gate.on_refusal)
@@ -158,7 +160,7 @@ async def end_streams(api: Api) -> None:
             _log.warning("accounts_not_read", why=str(error))
 
 
-def _provider(settings: Settings, clock: Clock) -> Provider | None:
+def _read_provider(settings: Settings, clock: Clock) -> Provider | None:
     """The identity provider that the file in the lab's folder names. Raises SpecErrors, BadInput."""
     if not os.environ.get(OIDC) and not settings.providers.is_file():
         return None

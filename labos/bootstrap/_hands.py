@@ -74,7 +74,7 @@ class SimulatedHands:
         self._follow([Entry(r, decode(r.head.type, r.head.schema, r.payload)) for r in records])
 
     def _follow(self, entries: Sequence[Entry]) -> None:
-        for command in _by_command(entries):
+        for command in _group_by_command(entries):
             events = [entry.event for entry in command]
             try:
                 if command[0].record.head.actor not in self._state.modules.by_name:
@@ -196,9 +196,9 @@ class SimulatedHands:
             self._clear_away(question, list(_list_events(events, LabwareRemoved)))
         if choice not in ENDS:
             return
-        for effect in _motions(state, question):
+        for effect in _list_motions(state, question):
             world = self._find_world(effect.source)
-            plate = _astray(world, state, question, effect)
+            plate = _find_astray(world, state, question, effect)
             end = {"source": effect.source, "target": effect.target}.get(ENDS[choice])
             if plate:
                 world.carry(plate, _place(state, end) if end else "")
@@ -236,7 +236,7 @@ class SimulatedHands:
                 world.supply(device, effect.resource, level.capacity - left)
 
 
-def _by_command(entries: Sequence[Entry]) -> Iterator[list[Entry]]:
+def _group_by_command(entries: Sequence[Entry]) -> Iterator[list[Entry]]:
     """The events of one command after those of another: the first is the cause of the others."""
     command: list[Entry] = []
     for entry in entries:
@@ -268,7 +268,7 @@ def _furnish(world: World, state: LabState, cell: str) -> None:
         zones[local(name)] = spec.zone
         if name not in state.bench.shelves and not world.is_furnished(local(name)):
             world.furnish(local(name), spec.capacity)
-    for device, module in state.modules.within(cell):
+    for device, module in state.modules.list_in_cell(cell):
         zones[local(device)] = module.spec.zone
         for resource, capacity in module.spec.levels.items():
             if world.find_level(local(device), resource) is None:
@@ -288,7 +288,7 @@ def _plate_of(world: World, state: LabState, labware: LabwareId) -> str:
     return plates[place] if place < len(plates) else ""
 
 
-def _motions(state: LabState, question: Intervention) -> list[Move]:
+def _list_motions(state: LabState, question: Intervention) -> list[Move]:
     """The motions asked about whose devices are at rest: those that ended half-way, and those whose labware a
     device itself has said that it holds."""
     action = state.actions.open.get(ActionId(question.subject))
@@ -305,7 +305,7 @@ def _is_held(state: LabState, name: LabwareId) -> bool:
     return item is not None and not item.maybe and state.bench.stations[item.station].spec.kind == "gripper"
 
 
-def _astray(world: World, state: LabState, question: Intervention, effect: Move) -> str:
+def _find_astray(world: World, state: LabState, question: Intervention, effect: Move) -> str:
     """What a device still holds, has put down half-way or let fall; empty if there is nothing. What it
     carries meanwhile for somebody else is none of that."""
     device = local(question.module)

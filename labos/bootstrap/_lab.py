@@ -66,7 +66,7 @@ from labos.settings import (
     withdraw,
 )
 from labos.spec import CompiledWorkcell
-from labos.store import Damage, SqlEventStore, first_damage, open_store, show_url
+from labos.store import Damage, SqlEventStore, find_first_damage, open_store, show_url
 from labos.telemetry.otlp import check_receiver
 
 Nodes = Literal["processes", "none"]
@@ -104,12 +104,12 @@ async def open_lab(
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
-        with _folder(settings.home):  # where the lab cannot be opened, nothing is left behind
+        with _make_lab_folder(settings.home):  # where the lab cannot be opened, nothing is left behind
             store = open_store(settings.database, home=settings.home)
             stack.callback(store.close)
             refuse_lost_log(store, settings.journals, show_url(settings.database))
             known, ended = store.known_position, store.head().position
-            with _folder(settings.worlds if simulated else settings.home):
+            with _make_lab_folder(settings.worlds if simulated else settings.home):
                 kernel, writer = await _open_kernel(settings, store, follower, plan_with)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
@@ -136,7 +136,7 @@ async def open_lab(
         )
         feed = Feed()
         kernel.listeners.append(feed)
-        lab.service = LabService(lab, feed, _viewers(settings))
+        lab.service = LabService(lab, feed, _start_viewers(settings))
         lab.service.finder = Finder(settings.database, settings.blobs, settings.home)
         http_port = choose_port(settings, settings.http_port, last_ports(settings.home).http)
         lab.gate = stack.enter_context(open_gate(settings, kernel, lab.metrics))
@@ -156,7 +156,7 @@ async def open_lab(
         stack.callback(watching.cancel)
         for cell in workcells:
             await lab.apply(cell, declare=declare)
-        announce(settings.home, _info(settings, lab))
+        announce(settings.home, _make_info(settings, lab))
         stack.callback(withdraw, settings.home)
         if nodes == "processes":
             lab.start_nodes(detach=detach)
@@ -186,7 +186,7 @@ def _check_log(settings: Settings, kernel: Kernel) -> LogCheck:
     def check(tell: Callable[[int, int], None]) -> Damage | None:
         reader = open_store(settings.database, create=False, read_only=True)
         try:
-            return first_damage(reader, tell, every=CHECKED_AT_ONCE)
+            return find_first_damage(reader, tell, every=CHECKED_AT_ONCE)
         finally:
             reader.close()
 
@@ -211,7 +211,7 @@ def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
 
 
 @contextmanager
-def _folder(path: Path) -> Iterator[None]:
+def _make_lab_folder(path: Path) -> Iterator[None]:
     """Make a folder; what of it is new goes again if the block fails, as when another kernel runs the lab."""
     new = make_folder(path)[::-1]
     try:
@@ -267,7 +267,7 @@ def _is_simulated(settings: Settings) -> bool:
     return wanted
 
 
-def _viewers(settings: Settings) -> Viewers | None:
+def _start_viewers(settings: Settings) -> Viewers | None:
     """The process for those who follow the log, where a connection can be handed to another process."""
     return Viewers(settings.database) if sys.platform != "win32" else None
 
@@ -302,7 +302,7 @@ def _check_pace(settings: Settings, kernel: Kernel) -> None:
         )
 
 
-def _info(settings: Settings, lab: LabRuntime) -> KernelInfo:
+def _make_info(settings: Settings, lab: LabRuntime) -> KernelInfo:
     own_bus = 0 if settings.bus else int(lab.bus_endpoint.rpartition(":")[2])
     remember_ports(settings.home, Ports(lab.http.port, own_bus))
     return KernelInfo(

@@ -64,7 +64,7 @@ class LabMetrics:
         if meter is None:
             found.of_unattended_time.clear()
         else:
-            found.of_unattended_time.update(*meter.totals(now), meter.causes)
+            found.of_unattended_time.update(*meter.read_totals(now), meter.causes)
         told = found.text()
         found.took_s.set(kernel.clock.monotonic() - began)
         return told

@@ -17,8 +17,8 @@ import msgspec
 import structlog
 
 from labos.bootstrap._drivers import load_driver
-from labos.bootstrap._node_class import foreign_class, own_class
-from labos.bootstrap._node_security import check_lab, keep_certificate, node_security
+from labos.bootstrap._node_class import find_foreign_class, find_own_class
+from labos.bootstrap._node_security import check_lab, keep_certificate, read_node_security
 from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.structs import make_from
@@ -28,7 +28,7 @@ from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
 from labos.node.limits import REPLY_LIMIT, read
 from labos.node.node import Node, Setup
-from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest, skew_with
+from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest, explain_skew
 from labos.node.server import NodeServer
 from labos.node.world import World
 from labos.private import make_folder
@@ -102,17 +102,17 @@ async def run_node(
     shown: MetricsServer | None = None
     keeping: asyncio.Task[None] | None = None
     try:
-        joined = await ends.unless_stopped(_join_bus(settings, module, connect, certificate, secure))
+        joined = await ends.wait_unless_stopped(_join_bus(settings, module, connect, certificate, secure))
         if joined is None:
             return
         bus, security, belongs_to = joined
         known = journal.lab or belongs_to or _lab_of(settings, connect)
         check_lab(module, known, belongs_to)
-        lab = await ends.unless_stopped(find_lab(bus, module, known))
-        told = await ends.unless_stopped(_learn(bus, lab, module, security is not None)) if lab else None
+        lab = await ends.wait_unless_stopped(find_lab(bus, module, known))
+        told = await ends.wait_unless_stopped(_learn(bus, lab, module, security is not None)) if lab else None
         if lab is None or told is None:
             return
-        if skew := skew_with(told.protocol, "The lab's kernel", told.labos):
+        if skew := explain_skew(told.protocol, "The lab's kernel", told.labos):
             raise BadInput(skew)
         if simulate != told.simulated:
             ours, theirs = ("simulated", "real") if simulate else ("real", "simulated")
@@ -124,8 +124,8 @@ async def run_node(
         reached = not simulate or told.config.get("simulator") is True
         foreign = reached and told.interface not in ("", "native")
         told = with_own_settings(told, settings.node_settings, module)
-        node_class = foreign_class(module, told) if foreign else own_class(module, told, node_class)
-        node = node_class(_setup(name, workcell, settings, told, simulate, wire))
+        node_class = find_foreign_class(module, told) if foreign else find_own_class(module, told, node_class)
+        node = node_class(_make_setup(name, workcell, settings, told, simulate, wire))
         files = Files(bus, Keys(lab).files, settings.files(module))
         switch = partial(_switch_trace, Path(trace or settings.trace(module)))
         shown = _show_metrics(metrics, node_class, simulate) if metrics is not None else None
@@ -148,10 +148,10 @@ async def run_node(
         if security is not None:
             keeping = asyncio.create_task(keep_certificate(bus, security, server.is_at_work))
         asked = asyncio.create_task(server.stopping.wait())
-        await asyncio.wait({asked, ends.first_task()}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait({asked, ends.make_first_task()}, return_when=asyncio.FIRST_COMPLETED)
         asked.cancel()
         limit = finish_s if finish_s is not None else FINISH_S if simulate else None
-        await ends.unless_hurried(server.retire(), limit)
+        await ends.wait_unless_hurried(server.retire(), limit)
         _log.info("node_stopped", module=module)
     finally:
         if keeping is not None:
@@ -183,7 +183,7 @@ def _show_metrics(at: Address, node_class: type[Node], simulated: bool) -> Metri
     return MetricsServer(NodeMetrics(node_class.driver, node_class.version, simulated=simulated), *at)
 
 
-def _setup(
+def _make_setup(
     name: str, workcell: str, settings: Settings, told: SetupReply, simulate: bool, wire: bool
 ) -> Setup:
     world = None
@@ -216,7 +216,9 @@ async def _join_bus(
         try:
             if where:
                 lab = _lab_of(settings, connect)
-                security, belongs_to = node_security(settings, module, lab, where, certificate, secure=secure)
+                security, belongs_to = read_node_security(
+                    settings, module, lab, where, certificate, secure=secure
+                )
                 return await open_bus(mode="client", connect=where, security=security), security, belongs_to
             why = f"no lab runs in {settings.home}"
         except BusError as error:
@@ -326,18 +328,18 @@ class _Ends:
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._first.set)
 
-    def first_task(self) -> asyncio.Task[bool]:
+    def make_first_task(self) -> asyncio.Task[bool]:
         return self._loop.create_task(self._first.wait())
 
-    async def unless_stopped(self, work: Coroutine[Any, Any, T]) -> T | None:
+    async def wait_unless_stopped(self, work: Coroutine[Any, Any, T]) -> T | None:
         """What the work gives; None if the node is to end before."""
-        return await self._unless(self._first, work, None)
+        return await self._wait_unless(self._first, work, None)
 
-    async def unless_hurried(self, work: Coroutine[Any, Any, T], limit_s: float | None) -> T | None:
+    async def wait_unless_hurried(self, work: Coroutine[Any, Any, T], limit_s: float | None) -> T | None:
         """What the work gives; None if it takes too long or the node is asked to end once more."""
-        return await self._unless(self._second, work, limit_s)
+        return await self._wait_unless(self._second, work, limit_s)
 
-    async def _unless(
+    async def _wait_unless(
         self, event: asyncio.Event, work: Coroutine[Any, Any, T], limit_s: float | None
     ) -> T | None:
         task, asked = self._loop.create_task(work), self._loop.create_task(event.wait())

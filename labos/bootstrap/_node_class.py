@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from labos.core.model import Description
 
 
-def foreign_class(module: str, told: SetupReply) -> type[Node]:
+def find_foreign_class(module: str, told: SetupReply) -> type[Node]:
     """The adapter of a foreign node. Raises BadInput, NotFound."""
-    from labos.adapter import adapter_class
-    from labos.spec.interfaces import REMEDY, why_not_reached
+    from labos.adapter import find_adapter_class
+    from labos.spec.interfaces import REMEDY, explain_unreachable
 
-    if why := why_not_reached(told.interface):
+    if why := explain_unreachable(told.interface):
         raise BadInput(f"{module} cannot be reached: {why}", remedy=REMEDY)
     described = _describe(told) if told.about else load_driver(told.driver).describe()
-    return adapter_class(told.interface, _extend(described, told))
+    return find_adapter_class(told.interface, _extend(described, told))
 
 
-def own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -> type[Node]:
+def find_own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -> type[Node]:
     """LabOS' own node: of ``driver`` if one is given, else of the driver that the workcell names. On a
     simulated bench, what no driver knows is simulated by its description. Raises BadInput, NotFound."""
     if told.about and not told.simulated:
@@ -41,9 +41,9 @@ def own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -
             remedy="Write the `interface:` of the node that can, or leave `extends:` out.",
         )
     if told.about:
-        from labos.node.generic import generic_node
+        from labos.node.generic import make_generic_node
 
-        return generic_node(_extend(_describe(told), told))
+        return make_generic_node(_extend(_describe(told), told))
     found = (driver or load_driver(told.driver)).for_config(told.config)
     if told.extends:
         from labos.node.generic import extend_node
@@ -53,9 +53,9 @@ def own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -
 
 
 def _describe(told: SetupReply) -> Description:
-    from labos.spec.about import About, description_of, resettable
+    from labos.spec.about import About, add_reset, description_of
 
-    return resettable(description_of(About.model_validate(told.about), told.driver))
+    return add_reset(description_of(About.model_validate(told.about), told.driver))
 
 
 def _extend(description: Description, told: SetupReply) -> Description:

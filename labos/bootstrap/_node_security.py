@@ -26,7 +26,7 @@ URGENT_NS = 3600 * 10**9
 _log = structlog.get_logger(__name__)
 
 
-def node_security(
+def read_node_security(
     settings: Settings,
     module: str,
     lab: str,
@@ -42,7 +42,7 @@ def node_security(
     if certificate is None:
         if not secure and not any(endpoint.startswith(SCHEME) for endpoint in endpoints):
             return None, ""
-        certificate = _own_certificate(settings, module, lab)
+        certificate = _find_own_certificate(settings, module, lab)
     credentials = Credentials(certificate)
     credentials.check(SystemClock().now_ns())
     said = credentials.identity()
@@ -64,7 +64,7 @@ def check_lab(module: str, known: str, belongs_to: str) -> None:
         )
 
 
-def _own_certificate(settings: Settings, module: str, lab: str) -> Path:
+def _find_own_certificate(settings: Settings, module: str, lab: str) -> Path:
     authority = Authority(settings.pki)
     if not lab:
         raise NotFound(

@@ -19,10 +19,10 @@ def with_own_settings(told: SetupReply, path: Path, module: str) -> SetupReply:
         return told
     # Few computers have such a file: the others' nodes need not load what reads it.
     from labos.spec.onsite import ADDRESSES, is_secret
-    from labos.spec.source import plain, read
+    from labos.spec.source import make_plain, read
 
     source = read(path)
-    own: Any = plain(source.data.get(module, {}))
+    own: Any = make_plain(source.data.get(module, {}))
     if not isinstance(own, Mapping):
         raise source.error(
             f"{module} is not a table.", (module,), remedy="Write `key: value` lines below it."

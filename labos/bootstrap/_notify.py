@@ -59,7 +59,7 @@ async def run_notifier(
         if notifier is None:
             yield None
             return
-        kernel.failed.add_done_callback(lambda failed: notifier.kernel_stopped(str(failed.result())))
+        kernel.failed.add_done_callback(lambda failed: notifier.on_kernel_stopped(str(failed.result())))
         bell = _NotifierWaker(notifier)
         kernel.listeners.append(bell)
         notifier.start()

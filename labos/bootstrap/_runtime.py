@@ -30,7 +30,7 @@ from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel
 from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
-from labos.runtime.spawning import best_spawner
+from labos.runtime.spawning import choose_spawner
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.settings import Settings, is_alive
 from labos.spec import CompiledWorkcell
@@ -67,7 +67,7 @@ class LabRuntime:
         self.blobs = open_blobs(settings.blobs)
         self.supervised: Supervisor | None = None
         drivers = load_drivers()
-        self.descriptions: Mapping[str, Description] = drivers.descriptions()
+        self.descriptions: Mapping[str, Description] = drivers.make_descriptions()
         self.broken_drivers: Mapping[str, str] = drivers.broken
         for name, why in drivers.broken.items():
             _log.warning("driver_broken", driver=name, why=why)
@@ -108,10 +108,10 @@ class LabRuntime:
             folders = self.settings.nodes, self.settings.logs
             for folder in folders:
                 make_folder(folder)
-            spawner = best_spawner(self.settings.logs / "fork-server.log", is_alive)
+            spawner = choose_spawner(self.settings.logs / "fork-server.log", is_alive)
             self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach, spawner=spawner)
         modules = self.kernel.state.modules.by_name
-        self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in modules])
+        self.supervised.start([NodeCommand(str(name), self._make_argv(name, detach)) for name in modules])
 
     async def leave_to_standby(self) -> bool:
         """Whether this lab can be left to a standby: somebody has to stand by, and nodes that end with this
@@ -144,7 +144,7 @@ class LabRuntime:
             await asyncio.to_thread(self.guard.issue_for, list(known))
         self.start_nodes(detach=self._detach)
 
-    def _argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
+    def _make_argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
         spec = self.kernel.state.modules.by_name[module].spec
         driver = [] if "about" in spec.config else [spec.driver]  # no driver describes a foreign node
         return (
@@ -177,7 +177,7 @@ class LabRuntime:
         """Answer a starting node that asks for its module's configuration; it gets no other module's."""
         try:
             request = read(payload, _setup_request)
-            reply = self._setup(ModuleName(request.module))
+            reply = self._make_setup(ModuleName(request.module))
         except (Unreadable, StoreError) as error:
             reply = SetupReply(unknown=str(error))
         return msgspec.json.encode(reply)
@@ -192,7 +192,7 @@ class LabRuntime:
             return msgspec.json.encode(SetupReply(unknown="this key is that of another module"))
         return await self.on_setup(payload)
 
-    def _setup(self, name: ModuleName) -> SetupReply:
+    def _make_setup(self, name: ModuleName) -> SetupReply:
         state = self.kernel.state
         module = state.modules.by_name.get(name)
         if module is None:
@@ -201,8 +201,8 @@ class LabRuntime:
         return SetupReply(
             driver=module.spec.driver,
             config=told.get("config", {}),
-            poses={**told.get("poses", {}), **module.poses()},
-            poses_of=module.poses_of(),
+            poses={**told.get("poses", {}), **module.list_poses()},
+            poses_of=module.list_poses_by_type(),
             regrip=local(module.spec.regrip),
             pace=state.lab.pace,
             seed=self.settings.seed,

@@ -81,7 +81,7 @@ class Guard:
         received = self.received_list
         if received is not None and received.file.is_file():
             return received.read()
-        return self.authority.members()
+        return self.authority.read_members()
 
     @property
     def received_list(self) -> ReceivedList | None:

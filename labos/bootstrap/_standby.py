@@ -15,7 +15,7 @@ from labos.errors import BadInput, StoreUnavailable
 from labos.pki import Authority
 from labos.runtime.follower import Follower
 from labos.settings import Settings
-from labos.store import Holder, SqlEventStore, database_file, open_store
+from labos.store import Holder, SqlEventStore, find_database_file, open_store
 from labos.version import VERSION
 
 POLL_S = 0.5
@@ -97,7 +97,7 @@ class Standby:
 @asynccontextmanager
 async def open_standby(settings: Settings) -> AsyncIterator[Standby]:
     """A standby for the lab in a database. Raises BadInput where none is possible, StoreUnavailable."""
-    if database_file(settings.database) is not None:
+    if find_database_file(settings.database) is not None:
         raise BadInput(
             "A standby needs a PostgreSQL database: the lock of a kernel on SQLite goes with its process.",
             remedy="Let the system start `labos up` again when it dies, or move the log (labos backup, "

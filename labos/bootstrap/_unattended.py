@@ -11,7 +11,7 @@ import structlog
 from labos.clock import Clock
 from labos.errors import LabosError
 from labos.runtime.ledger import Entry
-from labos.services.log import Log, event_of
+from labos.services.log import Log, decode_event
 from labos.services.twh import HEARD, Meter
 
 PAGE = 500
@@ -70,7 +70,7 @@ class UnattendedMeter:
     async def _catch_up(self) -> None:
         meter, after = Meter(KEEP), 0
         try:
-            while not self._meets(after):
+            while not self._is_complete_after(after):
                 began = self._clock.monotonic()
                 loop = asyncio.get_running_loop()
                 self._page = loop.run_in_executor(None, self._read_page, meter, after)
@@ -85,7 +85,7 @@ class UnattendedMeter:
         self._recent.clear()
         self.meter = meter
 
-    def _meets(self, after: int) -> bool:
+    def _is_complete_after(self, after: int) -> bool:
         """Whether no event is missing between those that were read and those that were heard."""
         first = self._recent[0].position if self._recent else self._durable() + 1
         return after + 1 >= first
@@ -94,7 +94,7 @@ class UnattendedMeter:
         for record in self._log.read(after, after + PAGE):
             after = record.head.position
             if record.head.type in HEARD:
-                meter.add(event_of(record), record.head)
+                meter.add(decode_event(record), record.head)
             else:
                 meter.pass_time(record.head.recorded_at)
         return after

@@ -1,6 +1,6 @@
 """The message bus between kernel, nodes and applications."""
 
-from labos.bus._access import MEMBERS, access_control
+from labos.bus._access import MEMBERS, make_access_control
 from labos.bus._onlooker import Onlooker, Unheard
 from labos.bus._security import SCHEME, Security
 from labos.bus._zenoh import ZenohBus, open_bus
@@ -12,6 +12,6 @@ __all__ = [
     "Security",
     "Unheard",
     "ZenohBus",
-    "access_control",
+    "make_access_control",
     "open_bus",
 ]

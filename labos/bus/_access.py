@@ -38,20 +38,20 @@ Rule = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 """Flows, messages, keys."""
 
 
-def access_control(entries: Iterable[CertificateEntry]) -> dict[str, Any]:
+def make_access_control(entries: Iterable[CertificateEntry]) -> dict[str, Any]:
     """The part ``access_control`` of Zenoh's configuration, for certificates that are not revoked."""
     rules: list[dict[str, Any]] = []
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     for number, entry in enumerate(e for e in entries if not e.revoked_at):
         named = []
-        for flows, messages, keys in _rules(entry.identity):
+        for flows, messages, keys in _list_rules(entry.identity):
             named.append(f"r{len(rules)}")
-            rules.append(_rule(named[-1], flows, messages, keys))
+            rules.append(_make_rule(named[-1], flows, messages, keys))
         if named:
             subjects.append({"id": f"s{number}", "cert_common_names": [entry.common_name]})
             policies.append({"rules": named, "subjects": [f"s{number}"]})
-    rules.append(_rule(ALL, (IN,), ("put",), (MEMBERS,)))
+    rules.append(_make_rule(ALL, (IN,), ("put",), (MEMBERS,)))
     subjects.append({"id": ALL})
     policies.append({"rules": [ALL], "subjects": [ALL]})
     return {
@@ -63,7 +63,9 @@ def access_control(entries: Iterable[CertificateEntry]) -> dict[str, Any]:
     }
 
 
-def _rule(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+def _make_rule(
+    name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequence[str]
+) -> dict[str, Any]:
     return {
         "id": name,
         "permission": "allow",
@@ -73,7 +75,7 @@ def _rule(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequen
     }
 
 
-def _rules(who: PartyIdentity) -> Iterator[Rule]:
+def _list_rules(who: PartyIdentity) -> Iterator[Rule]:
     if who.kind == "bus":
         return
     keys = Keys(who.lab)
@@ -84,50 +86,50 @@ def _rules(who: PartyIdentity) -> Iterator[Rule]:
         case "kernel":
             yield from _list_kernel_rules(keys)
         case "api" if PROCESS_NAME.fullmatch(who.name):
-            yield from _sees(keys.kernel)
-            yield from _asks(keys.requests_of(who.name, "*"))
+            yield from _allow_seeing(keys.kernel)
+            yield from _allow_asking(keys.requests_of(who.name, "*"))
         case "viewer":
-            yield from _hears(f"{keys.root}/**", keys.events("**"))
-            yield from _sees(keys.all_alive, ANY_KERNEL)
+            yield from _allow_hearing(f"{keys.root}/**", keys.events("**"))
+            yield from _allow_seeing(keys.all_alive, ANY_KERNEL)
         case "stop":
-            yield from _asks(keys.operation("*/*", "admin"))
-            yield from _sees(keys.all_alive, ANY_KERNEL)
+            yield from _allow_asking(keys.operation("*/*", "admin"))
+            yield from _allow_seeing(keys.all_alive, ANY_KERNEL)
 
 
 def _list_node_rules(keys: Keys, module: str) -> Iterator[Rule]:
     own = keys.operation(module, "**")
     alive, named = keys.alive(module, "*"), keys.name(module, "*", "*")
-    yield from _answers(own)
+    yield from _allow_answering(own)
     yield (IN,), ("put",), (own,)
     yield (IN,), ("liveliness_token",), (alive, named)
-    yield from _sees(alive, named, ANY_KERNEL)
-    yield from _asks(keys.setup_of(module), keys.files)
+    yield from _allow_seeing(alive, named, ANY_KERNEL)
+    yield from _allow_asking(keys.setup_of(module), keys.files)
 
 
 def _list_kernel_rules(keys: Keys) -> Iterator[Rule]:
-    yield from _asks(keys.operation("*/*", "*"))
-    yield from _answers(keys.all_setups, keys.files, keys.requests_of("*", "*"))
+    yield from _allow_asking(keys.operation("*/*", "*"))
+    yield from _allow_answering(keys.all_setups, keys.files, keys.requests_of("*", "*"))
     yield (IN,), ("put",), (keys.events("*"),)
-    yield from _hears(keys.all_results, keys.all_states, MEMBERS)
+    yield from _allow_hearing(keys.all_results, keys.all_states, MEMBERS)
     yield (IN,), ("liveliness_token",), (keys.kernel,)
-    yield from _sees(keys.all_alive)
+    yield from _allow_seeing(keys.all_alive)
 
 
-def _asks(*keys: str) -> Iterator[Rule]:
+def _allow_asking(*keys: str) -> Iterator[Rule]:
     yield (IN,), ("query",), keys
     yield (OUT,), ("reply",), keys
 
 
-def _answers(*keys: str) -> Iterator[Rule]:
+def _allow_answering(*keys: str) -> Iterator[Rule]:
     yield (IN,), ("declare_queryable", "reply"), keys
     yield (OUT,), ("query",), keys
 
 
-def _hears(*keys: str) -> Iterator[Rule]:
+def _allow_hearing(*keys: str) -> Iterator[Rule]:
     yield (IN,), ("declare_subscriber",), keys
     yield (OUT,), ("put",), keys
 
 
-def _sees(*keys: str) -> Iterator[Rule]:
+def _allow_seeing(*keys: str) -> Iterator[Rule]:
     yield (IN,), ("liveliness_query", "declare_liveliness_subscriber"), keys
     yield (OUT,), ("liveliness_token",), keys

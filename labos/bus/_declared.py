@@ -91,7 +91,7 @@ class Waiting:
         self._given = 0
         self.taken = 0
 
-    def takes_more(self) -> bool:
+    def take_place(self) -> bool:
         """Whether one more may be handed over; it counts as handed over then."""
         if self._given - self.taken >= MOST_WAITING:
             return False

@@ -56,7 +56,7 @@ def config_of(mode: Mode, listen: Sequence[str], connect: Sequence[str], securit
         # Who takes nothing for that long while others wait for it is frozen too; microseconds.
         "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE_MS * 1000,
         "connect/retry": RETRY_MS,
-        **(security.settings(mode) if security is not None else {}),
+        **(security.make_settings(mode) if security is not None else {}),
     }
     for key, value in settings.items():
         try:

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from labos.bus._access import access_control
+from labos.bus._access import make_access_control
 from labos.errors import BadInput
 from labos.pki import CertificateEntry, Credentials
 
@@ -20,7 +20,7 @@ class Security(msgspec.Struct, frozen=True):
     credentials: Credentials
     members: tuple[CertificateEntry, ...] = ()
 
-    def settings(self, mode: str) -> dict[str, Any]:
+    def make_settings(self, mode: str) -> dict[str, Any]:
         """Zenoh's settings for a session of that mode."""
         of = self.credentials
         tls: dict[str, Any] = {
@@ -36,7 +36,7 @@ class Security(msgspec.Struct, frozen=True):
         found: dict[str, Any] = {f"transport/link/tls/{name}": value for name, value in tls.items()}
         found["transport/link/protocols"] = ["tls"]
         if mode == "router":
-            found["access_control"] = access_control(self.members)
+            found["access_control"] = make_access_control(self.members)
         return found
 
 

@@ -83,7 +83,7 @@ class ZenohBus:
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
         """Ask the process that serves ``key``; see ``ports.Bus``."""
-        await self._until_ready()
+        await self._wait_until_ready()
         self.traffic.queries += 1
         replies: list[Any] = []
         settled: asyncio.Future[None] = self._loop.create_future()
@@ -109,7 +109,7 @@ class ZenohBus:
                 timeout=timeout_s,
                 target=zenoh.QueryTarget.BEST_MATCHING,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                allowed_destination=self._destination(key),
+                allowed_destination=self._find_destination(key),
             )
         except zenoh.ZError as error:
             raise BusError(f"The query to {key!r} could not be sent: {reason_of(error)}.") from error
@@ -147,7 +147,7 @@ class ZenohBus:
             task.add_done_callback(finish)
 
         def on_query(query: Any) -> None:
-            if waiting.takes_more():
+            if waiting.take_place():
                 self._hand_over(start, query)
             else:  # it is finalised here: the asker learns at once
                 self.traffic.dropped += 1
@@ -161,7 +161,7 @@ class ZenohBus:
 
     async def publish(self, key: str, payload: bytes) -> None:
         """Send to all who subscribed. Waits rather than drops when the network is congested."""
-        await self._until_ready()
+        await self._wait_until_ready()
         try:
             self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
         except zenoh.ZError as error:
@@ -178,7 +178,7 @@ class ZenohBus:
             deliver(key, payload)
 
         def on_sample(sample: Any) -> None:
-            if len(sample.payload) <= LARGEST_MESSAGE and waiting.takes_more():
+            if len(sample.payload) <= LARGEST_MESSAGE and waiting.take_place():
                 self._hand_over(take, str(sample.key_expr), sample.payload.to_bytes())
             else:
                 self.traffic.dropped += 1
@@ -261,13 +261,13 @@ class ZenohBus:
             except zenoh.ZError as error:
                 _log.warning("reply_not_sent", key=key, error=str(error))
 
-    def _destination(self, key: str) -> Any:
+    def _find_destination(self, key: str) -> Any:
         """Who may answer: Zenoh picks the best of the others, but would ask its own session too."""
         ours = any(served == key and not handle.closed for served, handle in self._served)
         return zenoh.Locality.SESSION_LOCAL if ours else zenoh.Locality.REMOTE
 
     async def _declare(self, key: str, declare: Callable[[], Any]) -> Declared:
-        await self._until_ready()
+        await self._wait_until_ready()
         try:
             handle = Declared(declare, self._handles)
         except zenoh.ZError as error:
@@ -330,7 +330,7 @@ class ZenohBus:
             handle.declare_again()
         self._ready.set()
 
-    async def _until_ready(self) -> None:
+    async def _wait_until_ready(self) -> None:
         """Wait while the session is opened anew. Raises BusError if it has been closed."""
         self._check_open()
         if not self._ready.is_set():

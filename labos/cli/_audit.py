@@ -8,13 +8,13 @@ from contextlib import AbstractContextManager, contextmanager
 
 import click
 
-from labos.audit.database import AuditDatabase, audit_url, open_audit
+from labos.audit.database import AuditDatabase, make_audit_url, open_audit
 from labos.audit.projector import Projector
 from labos.audit.query import TIME_LIMIT_S, ReadConnection, open_asker
 from labos.cli._query import Where, open_database
 from labos.services.shown import ShownLog
 from labos.settings import Settings
-from labos.store import SqlEventStore, open_blobs, sqlite_path
+from labos.store import SqlEventStore, find_sqlite_path, open_blobs
 
 SHOWN_FROM = 20_000
 """So many events take long enough to say how far they are."""
@@ -58,8 +58,8 @@ def open_views_as_is(where: Where, limit_s: float) -> AbstractContextManager[Rea
 def forget_erased(where: Where) -> bool:
     """Let the tables beside the log lose words that were erased; False if there are none. Raises
     StoreUnavailable."""
-    url = audit_url(where.url)
-    if url.get_backend_name() == "sqlite" and not sqlite_path(url).exists():
+    url = make_audit_url(where.url)
+    if url.get_backend_name() == "sqlite" and not find_sqlite_path(url).exists():
         return False
     with open_projector(where) as (_, database, projector):
         if database.is_made:

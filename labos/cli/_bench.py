@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import (
     Asker,
     asker_options,
@@ -18,7 +18,7 @@ from labos.cli._out import show_json
 
 
 @click.command("observe")
-@click.argument("station", shell_complete=completes("station"))
+@click.argument("station", shell_complete=make_completer("station"))
 @click.argument("what", required=False, default="")
 @json_option_saying("Print the consequences as JSON, for programs.")
 @user_option
@@ -62,7 +62,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
 
 
 @click.command("give")
-@click.argument("labware", shell_complete=completes("labware"))
+@click.argument("labware", shell_complete=make_completer("labware"))
 @click.option(
     "--to",
     type=click.Choice(["user", "experiment", "shared"]),

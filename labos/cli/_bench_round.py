@@ -42,7 +42,7 @@ def read_words(text: str, station: str) -> list[str] | None:
     return found
 
 
-def from_options(told: Sequence[str]) -> Words:
+def parse_options(told: Sequence[str]) -> Words:
     """``STATION=WHAT`` of the command line."""
     words: Words = {}
     for text in told:
@@ -53,7 +53,7 @@ def from_options(told: Sequence[str]) -> Words:
     return words
 
 
-def from_file(path: str) -> Words:
+def read_file(path: str) -> Words:
     """A YAML or JSON file: a station and what stands there in each line."""
     from labos.spec.source import read
 

@@ -14,7 +14,7 @@ from labos.core.ids import local
 from labos.core.state import LabState
 from labos.node.world import FLOOR, World, lid_of
 from labos.services.log import fold_to
-from labos.services.truth import bench_name, differences, plates_by_labware
+from labos.services.truth import bench_name, find_plates_by_labware, list_differences
 from labos.store import SqlEventStore
 
 TRIES = 20
@@ -60,7 +60,7 @@ def read_bench(store: SqlEventStore, path: Path) -> BenchView:
 
 
 def _compare(world: World, workcell: str, state: LabState, records: list[Record]) -> BenchView:
-    plates = plates_by_labware(world, records)
+    plates = find_plates_by_labware(world, records)
     known = {plate: labware for labware, plate in plates.items()}
 
     def name_plate(plate: str) -> str:
@@ -68,10 +68,10 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
         return f"{known[plate]} ({kind})" if plate in known else kind
 
     there = world.places()
-    expected = [f"{place}: " for place in (FLOOR, *_possible(state, plates, there))]
+    expected = [f"{place}: " for place in (FLOOR, *_list_possible(state, plates, there))]
     # What a device has just finished is not told yet.
     expected += [f"{local(action.module)} did {action.name} " for action in state.actions.open.values()]
-    differs = differences(world, state, records, workcell)
+    differs = list_differences(world, state, records, workcell)
     return BenchView(
         workcell=workcell,
         position=state.position,
@@ -82,7 +82,7 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
     )
 
 
-def _possible(state: LabState, plates: dict[str, str], there: dict[str, list[str]]) -> list[str]:
+def _list_possible(state: LabState, plates: dict[str, str], there: dict[str, list[str]]) -> list[str]:
     """The stations where labware stands of which the log only says that it may stand there."""
     places = {plate: place for place, standing in there.items() for plate in standing}
     stations = state.bench.stations

@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.cli._out import show_table
 from labos.core.ids import local
-from labos.core.recurrence import SECOND_NS, in_zone, zone_of
+from labos.core.recurrence import SECOND_NS, find_zone, in_zone
 
 WIDTH = 80
 BAR = 24
@@ -25,7 +25,7 @@ def describe_owner(booking: Mapping[str, Any]) -> str:
     return f"group {booking['group']}" if booking["group"] else str(booking["user"])
 
 
-def in_words(booking: Mapping[str, Any]) -> str:
+def describe_booking(booking: Mapping[str, Any]) -> str:
     """``rpl/hidex for group chemistry from 2026-11-26 09:00 CET until 12:00, FREQ=WEEKLY``"""
     zone = booking["zone"]
     begins, ends = in_zone(booking["begins_at"], zone), in_zone(booking["ends_at"], zone)
@@ -52,15 +52,15 @@ def show_bookings(bookings: Sequence[Mapping[str, Any]]) -> None:
     show_table(("id", "target", "for", "from", "until", "", "again", "by", "why"), rows)
 
 
-def week(times: Sequence[Mapping[str, Any]], first_day: datetime, days: int, zone: str) -> Iterator[str]:
+def list_week(times: Sequence[Mapping[str, Any]], first_day: datetime, days: int, zone: str) -> Iterator[str]:
     """Each day, and each time that is booked on it: a bar of its hours (``#``, ``m`` for maintenance), then
     its clock and for whom it is. No line is wider than 80 columns."""
     yield f"{f'{first_day:%G week %V}, {zone}'[: DAY + NAME - 1]:<{DAY + NAME}}{HOURS}".rstrip()
     for number in range(days):
         day = first_day + timedelta(days=number)
-        begin = _ns(datetime(day.year, day.month, day.day, tzinfo=zone_of(zone)))
+        begin = _convert_to_ns(datetime(day.year, day.month, day.day, tzinfo=find_zone(zone)))
         after = day + timedelta(days=1)
-        end = _ns(datetime(after.year, after.month, after.day, tzinfo=zone_of(zone)))
+        end = _convert_to_ns(datetime(after.year, after.month, after.day, tzinfo=find_zone(zone)))
         name = f"{day:%a %d %b}"
         here = [time for time in times if time["begins_at"] < end and time["ends_at"] > begin]
         if not here:
@@ -72,23 +72,23 @@ def week(times: Sequence[Mapping[str, Any]], first_day: datetime, days: int, zon
 
 def _line(name: str, time: Mapping[str, Any], begin: int, end: int, zone: str) -> str:
     since, until = max(begin, time["begins_at"]), min(end, time["ends_at"])
-    clock = f"{_clock(since, zone)}-{'24:00' if until == end else _clock(until, zone)}"
+    clock = f"{_show_clock(since, zone)}-{'24:00' if until == end else _show_clock(until, zone)}"
     target = local(time["target"])
     target = target if len(target) < NAME else f"{target[: NAME - 2]}…"
-    bar = _bar(time, begin, end)
+    bar = _draw_bar(time, begin, end)
     return f"{name:<{DAY}}{target:<{NAME}}{bar} {clock} {time['booking']} {describe_owner(time)}"
 
 
-def _bar(time: Mapping[str, Any], begin: int, end: int) -> str:
+def _draw_bar(time: Mapping[str, Any], begin: int, end: int) -> str:
     hour = (end - begin) / BAR
     mark = "m" if time["maintenance"] else "#"
     spans = ((begin + n * hour, begin + (n + 1) * hour) for n in range(BAR))
     return "".join(mark if a < time["ends_at"] and b > time["begins_at"] else "." for a, b in spans)
 
 
-def _clock(at: int, zone: str) -> str:
+def _show_clock(at: int, zone: str) -> str:
     return in_zone(at, zone)[11:16]
 
 
-def _ns(at: datetime) -> int:
+def _convert_to_ns(at: datetime) -> int:
     return int(at.timestamp()) * SECOND_NS

@@ -26,7 +26,7 @@ PATIENCE_S = 0.5
 Completer = Callable[[click.Context, click.Parameter, str], "list[CompletionItem]"]
 
 
-def completes(*kinds: str) -> Completer:
+def make_completer(*kinds: str) -> Completer:
     """Offers names of these kinds: ``run``, ``experiment``, ``module``, ``station``, ``labware``,
     ``intervention``, ``workcell``, ``driver``, ``lab`` (the word); ``workflow`` and ``workcell file``, which
     LabOS brings along or which are files."""
@@ -35,7 +35,7 @@ def completes(*kinds: str) -> Completer:
         from click.shell_completion import CompletionItem
 
         try:
-            names = list(dict.fromkeys(_names(kinds, context)))
+            names = list(dict.fromkeys(_iterate_names(kinds, context)))
         except Exception:
             names = []
         found = [CompletionItem(name) for name in names if name.startswith(begun)]
@@ -46,7 +46,7 @@ def completes(*kinds: str) -> Completer:
     return complete
 
 
-def _names(kinds: Iterable[str], context: click.Context) -> Iterator[str]:
+def _iterate_names(kinds: Iterable[str], context: click.Context) -> Iterator[str]:
     from labos.spec.library import list_specs
 
     lab = _Lab(context)
@@ -91,11 +91,11 @@ class _Lab:
         from labos.core.experiments import ExperimentStarted
         from labos.core.runs import RunSubmitted
         from labos.ports import LogQuery
-        from labos.services.log import events
+        from labos.services.log import decode_events
 
         type_ = RunSubmitted.TYPE if kind == "run" else ExperimentStarted.TYPE
         with open_log(self.where) as store:
-            found = list(events(store.select(LogQuery(types=(type_,), last=RUNS_OFFERED))))
+            found = list(decode_events(store.select(LogQuery(types=(type_,), last=RUNS_OFFERED))))
         return [str(getattr(event, kind)) for event, _ in reversed(found)]
 
     def list_known(self, kind: str) -> list[str]:
@@ -118,29 +118,30 @@ class _Lab:
         except LabosError:
             return None
         kinds = {"module": "modules", "station": "stations"}
-        found = {kind: _short([item["name"] for item in state[many]]) for kind, many in kinds.items()}
+        found = {kind: _shorten_names([item["name"] for item in state[many]]) for kind, many in kinds.items()}
         found |= {
-            kind: _ids(state[many]) for kind, many in (("labware",) * 2, ("intervention", "interventions"))
+            kind: _list_ids(state[many])
+            for kind, many in (("labware",) * 2, ("intervention", "interventions"))
         }
         return {**found, "workcell": list(state["lab"]["workcells"])}
 
     def _read(self) -> dict[str, list[str]]:
         """From the log of a lab that no kernel runs."""
         from labos.cli._query import open_log
-        from labos.services.history import state_at
+        from labos.services.history import fold_state_at
 
         with open_log(self.where) as store:
-            state = state_at(store)
+            state = fold_state_at(store)
         return {
-            "module": _short(list(map(str, state.modules.by_name))),
-            "station": _short(list(map(str, state.bench.stations))),
+            "module": _shorten_names(list(map(str, state.modules.by_name))),
+            "station": _shorten_names(list(map(str, state.bench.stations))),
             "labware": list(map(str, state.bench.labware)),
             "intervention": list(map(str, state.interventions.open)),
             "workcell": list(map(str, state.lab.workcells)),
         }
 
 
-def _short(names: list[str]) -> list[str]:
+def _shorten_names(names: list[str]) -> list[str]:
     """Without their workcells, where that leaves no doubt."""
     from labos.core.ids import local
 
@@ -148,5 +149,5 @@ def _short(names: list[str]) -> list[str]:
     return [local(name) if many[local(name)] == 1 else name for name in names]
 
 
-def _ids(items: list[dict[str, Any]]) -> list[str]:
+def _list_ids(items: list[dict[str, Any]]) -> list[str]:
     return [str(item["id"]) for item in items]

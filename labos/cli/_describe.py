@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command("describe")
-@click.argument("driver", shell_complete=completes("driver"))
+@click.argument("driver", shell_complete=make_completer("driver"))
 @click.option("--variant", default="", metavar="NAME", help="Another size of the instrument.")
 @click.option("--urdf", metavar="FOLDER", help="Write a URDF and its meshes into this folder.")
 @json_option
@@ -34,10 +34,10 @@ def describe_command(driver: str, variant: str, urdf: str | None, as_json: bool)
     labos driver describe ur --variant ur3e --urdf models
     labos driver describe ./shaker/labos_shaker/description.yaml
     """
-    from labos.spec.describing import load_description, plain_of
-    from labos.spec.describing import variant as variant_of
+    from labos.spec.describing import apply_variant as variant_of
+    from labos.spec.describing import load_description, make_plain
 
-    file = load_description(_path(driver))
+    file = load_description(_find_path(driver))
     if variant:
         file = variant_of(file, variant)
     if urdf is not None:
@@ -48,29 +48,29 @@ def describe_command(driver: str, variant: str, urdf: str | None, as_json: bool)
             for path in written:
                 click.echo(f"wrote {path}")
     elif as_json:
-        show_json(plain_of(file))
+        show_json(make_plain(file))
     else:
         _show(file)
 
 
-def _path(driver: str) -> Path:
+def _find_path(driver: str) -> Path:
     """The description's file. Raises NotFound, BadInput."""
     if driver.endswith((".yaml", ".yml")):
         return Path(driver)
-    from labos.bootstrap import description_path, load_driver
+    from labos.bootstrap import find_description_path, load_driver
 
-    return description_path(load_driver(driver))
+    return find_description_path(load_driver(driver))
 
 
 def _write(folder: Path, name: str, file: DescriptionFile) -> list[Path]:
-    from labos.spec.urdf import meshes, urdf_of
+    from labos.spec.urdf import make_meshes, write_urdf
 
     folder.mkdir(parents=True, exist_ok=True)
     robot = folder / f"{name}.urdf"
-    robot.write_text(urdf_of(file, name), encoding="utf-8")
-    for mesh, content in meshes().items():
+    robot.write_text(write_urdf(file, name), encoding="utf-8")
+    for mesh, content in make_meshes().items():
         (folder / mesh).write_bytes(content)
-    return [robot, *(folder / mesh for mesh in meshes())]
+    return [robot, *(folder / mesh for mesh in make_meshes())]
 
 
 def _show(file: DescriptionFile) -> None:
@@ -80,16 +80,16 @@ def _show(file: DescriptionFile) -> None:
     click.echo(f"footprint: {size} mm, {foot.height_mm:g} mm high ({foot.basis})")
     if file.reach is not None:
         reach = file.reach
-        rail = f", {reach.rail_axis} {_span(reach.rail_mm)} mm on a rail" if reach.rail_mm else ""
+        rail = f", {reach.rail_axis} {_show_span_of(reach.rail_mm)} mm on a rail" if reach.rail_mm else ""
         click.echo(
-            f"reach: {_span(reach.radius_mm)} mm from the axis of {reach.on},"
-            f" {_span(reach.height_mm)} mm high{rail} ({reach.basis})"
+            f"reach: {_show_span_of(reach.radius_mm)} mm from the axis of {reach.on},"
+            f" {_show_span_of(reach.height_mm)} mm high{rail} ({reach.basis})"
         )
     for name, grip in file.grips.items():
         note = f", {grip.note}" if grip.note else ""
-        click.echo(f"grip {name}: {_span(grip.width_mm)} mm{note} ({grip.basis})")
+        click.echo(f"grip {name}: {_show_span_of(grip.width_mm)} mm{note} ({grip.basis})")
     for name, limit in file.limits.items():
-        click.echo(f"limit {name}: {_limit(limit)}")
+        click.echo(f"limit {name}: {_show_limit(limit)}")
     for name, entry in file.variants.items():
         click.echo(f"variant {name}: {entry.instrument or file.instrument}")
     _show_parts(file)
@@ -103,7 +103,7 @@ def _show(file: DescriptionFile) -> None:
 
 def _show_parts(file: DescriptionFile) -> None:
     rows = [
-        (name, part.on, _three(part.at_mm), _moves(part.moves), part.basis)
+        (name, part.on, _show_three(part.at_mm), _describe_moves(part.moves), part.basis)
         for name, part in file.parts.items()
     ]
     click.echo()
@@ -113,14 +113,14 @@ def _show_parts(file: DescriptionFile) -> None:
 def _show_stations(file: DescriptionFile) -> None:
     if not file.stations:
         return
-    from labos.spec.describing import places_at
+    from labos.spec.describing import locate_places
 
-    at = places_at(file)
+    at = locate_places(file)
     rows = [
         (
             _show_range(name, entry),
             entry.kind,
-            _where(name, entry, at),
+            _describe_place(name, entry, at),
             entry.approach,
             entry.basis,
             entry.note,
@@ -131,11 +131,11 @@ def _show_stations(file: DescriptionFile) -> None:
     show_table(("station", "kind", "at", "approach", "from", "note"), rows)
 
 
-def _where(name: str, entry: PlaceEntry, at: Mapping[str, Frame]) -> str:
+def _describe_place(name: str, entry: PlaceEntry, at: Mapping[str, Frame]) -> str:
     """Where a station is in the instrument's own frame; the first one of a row."""
     for key, each in entry.each.items():
         name = name.replace(f"{{{key}}}", str(each.from_to[0]))
-    return _three(at[name].at)
+    return _show_three(at[name].at)
 
 
 def _show_range(name: str, entry: PlaceEntry) -> str:
@@ -144,23 +144,23 @@ def _show_range(name: str, entry: PlaceEntry) -> str:
     return name
 
 
-def _moves(moves: MovesEntry | None) -> str:
+def _describe_moves(moves: MovesEntry | None) -> str:
     if moves is None:
         return ""
     what = "mm" if moves.slide_mm is not None else "°"
     along = "along" if moves.slide_mm is not None else "about"
     like = f", as {moves.like}" if moves.like else ""
-    return f"{_span(moves.limits)} {what} {along} {_three(moves.axis)}{like} ({moves.basis})"
+    return f"{_show_span_of(moves.limits)} {what} {along} {_show_three(moves.axis)}{like} ({moves.basis})"
 
 
-def _span(pair: list[float]) -> str:
+def _show_span_of(pair: list[float]) -> str:
     return f"{pair[0]:g} to {pair[1]:g}"
 
 
-def _three(values: list[float] | tuple[float, float, float]) -> str:
+def _show_three(values: list[float] | tuple[float, float, float]) -> str:
     return ", ".join(f"{round(value, 1) + 0.0:g}" for value in values)
 
 
-def _limit(limit: float | str | list[float]) -> str:
+def _show_limit(limit: float | str | list[float]) -> str:
     values = limit if isinstance(limit, list) else [limit]
     return ", ".join(value if isinstance(value, str) else f"{value:g}" for value in values)

@@ -21,15 +21,15 @@ def show_expected(times: Mapping[str, int] | None, now_ns: int) -> str:
         return ""
     early, expected, late = (times[name] for name in ("earliest_at", "expected_at", "latest_at"))
     if late <= now_ns:
-        return _clock(expected, now_ns)  # it has happened
-    return f"about {_clock(expected, now_ns)} ({_clock(early, now_ns)}–{_clock(late, now_ns)})"
+        return _show_clock(expected, now_ns)  # it has happened
+    return f"about {_show_clock(expected, now_ns)} ({_show_clock(early, now_ns)}–{_show_clock(late, now_ns)})"
 
 
 def show_range(times: Mapping[str, int] | None, now_ns: int) -> str:
     """``14:05–14:30``; empty if it is not in sight."""
     if times is None:
         return ""
-    return f"{_clock(times['earliest_at'], now_ns)}–{_clock(times['latest_at'], now_ns)}"
+    return f"{_show_clock(times['earliest_at'], now_ns)}–{_show_clock(times['latest_at'], now_ns)}"
 
 
 def describe_learning(count: int) -> str:
@@ -47,7 +47,7 @@ def describe_learning(count: int) -> str:
     )
 
 
-def _clock(ns: int, now_ns: int) -> str:
+def _show_clock(ns: int, now_ns: int) -> str:
     at, now = (datetime.fromtimestamp(each / 1e9).astimezone() for each in (ns, now_ns))
     short = abs(ns - now_ns) < 600e9
     return f"{at:{'' if at.date() == now.date() else '%m-%d '}%H:%M{':%S' if short else ''}}"
@@ -60,7 +60,7 @@ def show_runs(found: Mapping[str, Any]) -> None:
     rows = [
         (
             run["run"],
-            _workflow(run),
+            _describe_workflow(run),
             run["user"],
             show_expected(run["starts"], now) or "not in sight",
             show_expected(run["ends"], now) or "not in sight",
@@ -90,10 +90,10 @@ def show_due(run: Mapping[str, Any], now_ns: int) -> str:
     if not run["due_at"]:
         return ""
     kept = tell_whether_kept(run["due_at"], TimeRange(**run["ends"]) if run["ends"] else None)
-    return f"{_clock(run['due_at'], now_ns)}: {kept}"
+    return f"{_show_clock(run['due_at'], now_ns)}: {kept}"
 
 
-def _workflow(run: Mapping[str, Any]) -> str:
+def _describe_workflow(run: Mapping[str, Any]) -> str:
     """A run's workflow, with the modules that it is expected to choose."""
     chosen = ", ".join(dict.fromkeys(run["modules"].values()))
     return f"{run['workflow']} ({chosen})" if chosen else str(run["workflow"])

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 CLOSING = "Closing: waiting for actions in progress, for 30 s at most (Ctrl-C again: at once)."
 
 
-def workcell_file(name: str) -> Path:
+def find_workcell_file(name: str) -> Path:
     """A workcell file by path, or a packaged one by name. Raises NotFound."""
     path = Path(name)
     if path.is_file():
@@ -45,7 +45,7 @@ def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> Compi
     from labos.spec.uses import read_uses
 
     uses = None if workflows is None else read_uses(workflows)
-    cell = load_workcell(workcell_file(name), descriptions(), uses)
+    cell = load_workcell(find_workcell_file(name), descriptions(), uses)
     for finding in cell.findings:
         click.echo(f"labos: {finding}", err=True)
     return cell
@@ -73,7 +73,7 @@ def check_first(
 
 
 @contextlib.contextmanager
-def orderly() -> Iterator[None]:
+def end_in_order() -> Iterator[None]:
     """Be ended by SIGTERM as by Ctrl-C."""
     if sys.platform == "win32":
         yield
@@ -127,7 +127,7 @@ def need_lab_of(where: Where) -> LabClient:
     return LabClient(where.lab) if where.lab else need_lab(str(where.home))
 
 
-def stands_at(client: LabClient, names: Sequence[str]) -> dict[str, str]:
+def find_stations(client: LabClient, names: Sequence[str]) -> dict[str, str]:
     """Where labware stands that was just put there: a person who named a hotel learns the shelf."""
     standing = client.state()["labware"] if any(names) else []
     return {item["id"]: item["station"] for item in standing if item["id"] in names and item["station"]}

@@ -16,12 +16,12 @@ from labos.services.times import show_span, show_time
 ENDED_SHOWN = 8
 
 
-def picture(state: dict[str, Any], ended: dict[str, str]) -> Group:
+def draw_picture(state: dict[str, Any], ended: dict[str, str]) -> Group:
     """``ended`` are the runs that have ended, by id, each in one line."""
     return Group(
         Panel(_runs(state, ended), title="Runs", title_align="left"),
-        Panel(_plates(state), title="Plates", title_align="left"),
-        _modules(state),
+        Panel(_draw_plates(state), title="Plates", title_align="left"),
+        _draw_modules(state),
         *(Text(f"{q['id']}: {q['text']}", style="bold red") for q in state["interventions"]),
     )
 
@@ -31,16 +31,16 @@ def _runs(state: dict[str, Any], ended: dict[str, str]) -> Table:
     for run in list(ended)[-ENDED_SHOWN:]:
         table.add_row(run, "", "", "", f"[green]{escape(ended[run])}")
     for run in state["runs"]:
-        doing = ", ".join(_step(step) for step in run["doing"])
+        doing = ", ".join(_show_step(step) for step in run["doing"])
         waits = "; ".join(dict.fromkeys(wait["why"] for wait in run["waits"]))
         bar = ProgressBar(total=run["steps"], completed=run["done"], width=16)
         words = escape(doing) if doing else f"[yellow]waits: {escape(waits or 'its turn')}"
-        words += _due(run)
+        words += _show_due(run)
         table.add_row(run["id"], run["workflow"], run["user"], bar, words)
     return table
 
 
-def _due(run: dict[str, Any]) -> str:
+def _show_due(run: dict[str, Any]) -> str:
     """When a run is due, in red if that cannot be kept any more."""
     if not run["due_at"]:
         return ""
@@ -49,12 +49,12 @@ def _due(run: dict[str, Any]) -> str:
     return f"[dim], due {show_time(run['due_at'])[:16]}[/]{late}"
 
 
-def _step(step: dict[str, Any]) -> str:
+def _show_step(step: dict[str, Any]) -> str:
     left = f", {show_span(step['left_s'])} left" if step["left_s"] else ""
     return f"{step['key']} ({step['module']}{left})"
 
 
-def _plates(state: dict[str, Any]) -> Table:
+def _draw_plates(state: dict[str, Any]) -> Table:
     table = Table.grid(padding=(0, 2))
     for item in state["labware"]:
         place = item["station"] or "perhaps " + " or ".join(item["maybe"])
@@ -65,7 +65,7 @@ def _plates(state: dict[str, Any]) -> Table:
     return table
 
 
-def _modules(state: dict[str, Any]) -> Text:
+def _draw_modules(state: dict[str, Any]) -> Text:
     text = Text()
     colors = {"IDLE": "dim", "BUSY": "cyan", "ERROR": "bold red", "GONE": "red"}
     for module in state["modules"]:

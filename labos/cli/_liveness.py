@@ -14,20 +14,20 @@ from labos.core.modules import Module
 from labos.core.state import LabState
 from labos.errors import NotFound, StoreUnavailable
 from labos.ports import Head
-from labos.services.history import state_at
+from labos.services.history import fold_state_at
 from labos.services.times import show_time
 from labos.settings import Settings, find_kernel
-from labos.store import lease_holder
+from labos.store import find_lease_holder
 
 
-def lab_now(url: str, head: Head) -> int:
+def find_lab_now(url: str, head: Head) -> int:
     """The present (UTC ns) where a kernel lives; else the last event, for nothing went on since."""
     return max(now_ns(), head.recorded_at) if has_kernel(url) else head.recorded_at
 
 
 def has_kernel(url: str) -> bool:
     """Whether a kernel runs the lab of a database; one that answers over HTTP does."""
-    return url.startswith(("http://", "https://")) or bool(lease_holder(url))
+    return url.startswith(("http://", "https://")) or bool(find_lease_holder(url))
 
 
 def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
@@ -48,19 +48,21 @@ def open_questions(home: str | None) -> list[dict[str, Any]]:
 
         with need_lab(home) as client:
             return list(client.state(waits=False)["interventions"])
-    from labos.http.views import question_view
+    from labos.http.views import make_question_view
 
-    state = last_state(settings)
-    return [msgspec.to_builtins(question_view(state, asked)) for asked in state.interventions.open.values()]
+    state = read_last_state(settings)
+    return [
+        msgspec.to_builtins(make_question_view(state, asked)) for asked in state.interventions.open.values()
+    ]
 
 
-def last_state(settings: Settings) -> LabState:
+def read_last_state(settings: Settings) -> LabState:
     """The state that the log of a lab without a kernel ends with, said to be that. Raises NotFound where
     there is no log."""
     try:
         with open_log(Where(settings.home, settings.database)) as store:
             say_if_dead(settings.database, store.head())
-            return state_at(store)
+            return fold_state_at(store)
     except StoreUnavailable as error:
         raise NotFound(
             f"No lab runs in {settings.home}, and its log cannot be read ({error.message.rstrip('.')}).",

@@ -45,7 +45,7 @@ class Narrator:
         """Committed events up to now; if there is none yet, those that come within ``wait_s``. Raises
         LabUnreachable when the lab is gone."""
         for data in self.client.events(self.after, wait_s=wait_s):
-            head = _envelope(data)
+            head = _decode_envelope(data)
             self.after = head.position
             event = decode(head.type, head.schema, msgspec.json.encode(data["payload"]))
             self.names.learn(event)
@@ -144,6 +144,6 @@ def describe_step(step: dict[str, Any]) -> str:
     return f"{words}, about {show_span(left)} left" if left else words
 
 
-def _envelope(data: dict[str, Any]) -> Envelope:
+def _decode_envelope(data: dict[str, Any]) -> Envelope:
     known = {name: data[name] for name in Envelope.__struct_fields__ if name in data}
     return Envelope(**{"lab": "", "digest": "", **known})

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import cert_option, home_option, json_option, pki_option
 from labos.cli._out import tell
 from labos.errors import BadInput, SystemFailed
@@ -15,7 +15,7 @@ from labos.version import VERSION
 
 
 @click.command("install")
-@click.argument("module", shell_complete=completes("module"), metavar="WORKCELL/MODULE")
+@click.argument("module", shell_complete=make_completer("module"), metavar="WORKCELL/MODULE")
 @click.option(
     "--connect",
     required=True,

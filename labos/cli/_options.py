@@ -23,7 +23,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 SPEED_HELP = "Speed-up factor: simulated time divided by real time."
 
 
-def without_password(context: click.Context, option: click.Parameter, url: str | None) -> str | None:
+def refuse_password(context: click.Context, option: click.Parameter, url: str | None) -> str | None:
     """Everybody on this computer can read what a command was started with. Raises BadInput."""
     from urllib.parse import parse_qs, urlsplit
 
@@ -48,7 +48,7 @@ database_option = click.option(
     "--database",
     metavar="URL",
     help="sqlite:///file or postgresql://… (LABOS_DATABASE_URL; a file in the home folder).",
-    callback=without_password,
+    callback=refuse_password,
 )
 ENDED_SHOWN = 20
 """So many that have ended are listed, unless all are asked for."""

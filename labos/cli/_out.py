@@ -11,7 +11,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.core.wells import by_well
+from labos.core.wells import sort_by_well
 from labos.services.times import with_iso_times
 
 LONGEST_WORD = 32
@@ -79,4 +79,4 @@ def show_line(value: Any) -> None:
 
 def _encode(value: Any) -> bytes:
     plain = with_iso_times(msgspec.to_builtins(value))
-    return msgspec.json.encode(by_well(plain, others_sorted=True))
+    return msgspec.json.encode(sort_by_well(plain, others_sorted=True))

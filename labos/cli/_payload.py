@@ -53,9 +53,9 @@ def _one(text: str) -> dict[str, Any]:
 
 
 def _table(text: str, name: str) -> dict[str, Any]:
-    from labos.spec.source import parse, plain
+    from labos.spec.source import make_plain, parse
 
-    data = plain(parse(text, name).data)
+    data = make_plain(parse(text, name).data)
     if not isinstance(data, dict):
         raise SpecError("The payload is not a table of keys and values.", file=name)
     return data

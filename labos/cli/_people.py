@@ -51,6 +51,6 @@ def subject_of(said: str) -> str:
     return said if said.startswith((user_subject(""), group_subject(""))) else user_subject(said)
 
 
-def in_words(roles: Mapping[str, str]) -> str:
+def describe_roles(roles: Mapping[str, str]) -> str:
     """``operator in rpl, submitter``: a role without a workcell is one of the whole lab."""
     return ", ".join(role if scope == WHOLE_LAB else f"{role} in {scope}" for scope, role in roles.items())

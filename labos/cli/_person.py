@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, read_result, wait_option, why_option
 from labos.cli._out import show_json
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command("cancel")
-@click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
+@click.argument("target", shell_complete=make_completer("run", "experiment", "module", "workcell", "lab"))
 @wait_option("Wait until all cancelled runs have ended.", default=False)
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there are `on_cancel` steps.")
 @why_option("The reason, for the log.")
@@ -49,7 +49,7 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
             what = "is already being cancelled" if is_one else "has nothing to cancel"
-            click.echo(f"{_capital(_target_name(done))} {what}.{_describe_reason(done)}")
+            click.echo(f"{_capitalise_first(_target_name(done))} {what}.{_describe_reason(done)}")
         elif done["kind"] != "run":
             click.echo(f"{_target_name(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
         for end in ends:
@@ -85,7 +85,7 @@ def _target_name(done: dict[str, Any]) -> str:
 
 
 @click.command("pause")
-@click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
+@click.argument("target", shell_complete=make_completer("run", "experiment", "module", "workcell", "lab"))
 @why_option()
 @asker_options
 def pause(target: str, why: str, asker: Asker) -> None:
@@ -101,7 +101,7 @@ def pause(target: str, why: str, asker: Asker) -> None:
 
 
 @click.command("resume")
-@click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
+@click.argument("target", shell_complete=make_completer("run", "experiment", "module", "workcell", "lab"))
 @asker_options
 def resume(target: str, asker: Asker) -> None:
     """Resume TARGET: a run, an experiment, a module, a workcell, or the whole `lab`.
@@ -119,10 +119,10 @@ def _change(verb: str, target: str, asker: Asker, why: str = "") -> None:
     was = " already" if done["already"] else ""
     state = f"is paused{was}" if verb == "pause" else f"goes on{was}"
     facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
-    asker.tell(f"{_capital(_target_name(done))} {state}.{_describe_reason(done)}", facts)
+    asker.tell(f"{_capitalise_first(_target_name(done))} {state}.{_describe_reason(done)}", facts)
 
 
-def _capital(text: str) -> str:
+def _capitalise_first(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
@@ -132,7 +132,7 @@ def _describe_reason(done: dict[str, Any]) -> str:
 
 
 @click.command("resolve")
-@click.argument("intervention", shell_complete=completes("intervention"), required=False)
+@click.argument("intervention", shell_complete=make_completer("intervention"), required=False)
 @click.argument("choice", required=False)
 @why_option("A note for the log.")
 @click.option(
@@ -170,7 +170,7 @@ def resolve(intervention: str | None, choice: str | None, why: str, result: str 
 
 
 @click.command("place")
-@click.argument("station", shell_complete=completes("station"))
+@click.argument("station", shell_complete=make_completer("station"))
 @click.argument("labware")
 @asker_options
 def place(station: str, labware: str, asker: Asker) -> None:
@@ -179,17 +179,17 @@ def place(station: str, labware: str, asker: Asker) -> None:
     \b
     labos place camera_module.plate_station plate96
     """
-    from labos.cli._lab import stands_at
+    from labos.cli._lab import find_stations
 
     with asker.lab() as client:
         name = client.place(station, labware, asker.user)
-        where = stands_at(client, [name]).get(name, station)
+        where = find_stations(client, [name]).get(name, station)
     facts = {"labware": name, "type": labware, "station": where}
     asker.tell(f"{name or labware} stands at {where}.", facts)
 
 
 @click.command("barcode")
-@click.argument("labware", shell_complete=completes("labware"))
+@click.argument("labware", shell_complete=make_completer("labware"))
 @click.argument("barcode")
 @click.option("--replace", is_flag=True, help="Replace an earlier barcode, because the label was changed.")
 @asker_options
@@ -205,7 +205,7 @@ def barcode(labware: str, barcode: str, replace: bool, asker: Asker) -> None:
 
 
 @click.command("out-of-service")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @why_option("The reason, for users whose runs wait.", required=True)
 @click.option(
     "--until",
@@ -230,7 +230,7 @@ def out_of_service(module: str, why: str, until: str | None, asker: Asker) -> No
 
 
 @click.command("in-service")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @asker_options
 def in_service(module: str, asker: Asker) -> None:
     """Put MODULE back in service: runs that wait for it continue.

@@ -45,7 +45,7 @@ def sign_in(client: LabClient, way: Way, port: int, **token: Any) -> dict[str, A
         return _with_device(client, **token)
     if way == "code":
         begun = client.begin_sign_in(port or free_port())
-        expected = _way_back(client, begun)
+        expected = _find_way_back(client, begun)
         click.echo(
             f"Open this address in a browser, and sign in there:\n\n  {begun['address']}\n\n"
             "The browser cannot show the last page. Copy the address of that page, and paste it here.",
@@ -54,7 +54,7 @@ def sign_in(client: LabClient, way: Way, port: int, **token: Any) -> dict[str, A
         return _finish(client, begun, _read_pasted(begun, expected), **token)
     with _Listener(port) as listener:
         begun = client.begin_sign_in(listener.server_port)
-        listener.expect(_way_back(client, begun), begun["state"])
+        listener.expect(_find_way_back(client, begun), begun["state"])
         click.echo(f"Sign in on the page that opens, or at:\n\n  {begun['address']}\n", err=True)
         threading.Thread(target=_open, args=(begun["address"],), daemon=True).start()
         return _finish(client, begun, listener.wait(PATIENCE_S), **token)
@@ -92,7 +92,7 @@ def _with_device(client: LabClient, **token: Any) -> dict[str, Any]:
             raise _give_up()
 
 
-def _way_back(client: LabClient, begun: Mapping[str, Any]) -> str:
+def _find_way_back(client: LabClient, begun: Mapping[str, Any]) -> str:
     """Where the browser comes back to, as the provider was told. Raises NotSignedIn if that is not where
     somebody comes back who signs in to this lab: another one would get the answer."""
     _expect_page(begun["address"])

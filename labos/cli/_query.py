@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from labos.cli._options import json_option as json_option
-from labos.cli._options import without_password
+from labos.cli._options import refuse_password
 from labos.cli._remote import folder_or_database, is_given, needs_folder
 from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
@@ -44,16 +44,16 @@ class Where(msgspec.Struct, frozen=True):
         return (
             self.lab
             or self.database
-            or str(kernel_file(self.home).get("database", ""))
-            or own_database(self.home)
+            or str(read_kernel_file(self.home).get("database", ""))
+            or name_own_database(self.home)
         )
 
 
-def own_database(home: Path) -> str:
+def name_own_database(home: Path) -> str:
     return f"sqlite:///{home / 'labos.db'}"
 
 
-def kernel_file(home: Path) -> dict[str, Any]:
+def read_kernel_file(home: Path) -> dict[str, Any]:
     """What the present or last kernel of this home left behind; empty if it cannot be read."""
     try:
         found = msgspec.json.decode((home / KERNEL_FILE).read_bytes())
@@ -76,7 +76,7 @@ def log_options(command: F) -> F:
         envvar="LABOS_DATABASE_URL",
         metavar="URL",
         help="The lab's database [default: that of the lab's kernel, else labos.db in its home].",
-        callback=without_password,
+        callback=refuse_password,
         is_eager=True,  # before --home, which may be left out then
     )(wrap)
     return click.option(  # type: ignore[return-value]
@@ -104,7 +104,7 @@ def open_log(where: Where, *, stored: bool = False) -> Iterator[Log]:
 
 
 @contextmanager
-def contents(where: Where) -> Iterator[BlobReader]:
+def open_contents(where: Where) -> Iterator[BlobReader]:
     """The files that results name, from where the lab keeps them."""
     if where.lab:
         with LabClient(where.lab) as client:

@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, now_ns, open_database, own_database
+from labos.cli._query import Where, name_own_database, now_ns, open_database
 from labos.core.ids import LabId
 from labos.core.structs import make_from
 from labos.errors import LabosError, LogDamaged
@@ -54,7 +54,7 @@ def rehearse(
     with tempfile.TemporaryDirectory(prefix="labos-rehearsal-", dir=scratch) as there:
         home = Path(there) / "lab"
         home.mkdir(0o700)
-        done = put_back(Where(home, own_database(home)))
+        done = put_back(Where(home, name_own_database(home)))
     behind, compared = _compare(where, done)
     found = make_from(
         RestoreRehearsal,

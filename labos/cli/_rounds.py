@@ -31,9 +31,9 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
         told_now = _ask_station(name, stations[name], f"  {name}: {', '.join(things)}")
         if told_now is not None:
             now[name] = told_now
-    while (other := _other(stations, hotels)) is not None:
+    while (other := _find_other(stations, hotels)) is not None:
         now[other[0]] = other[1]
-    changes = _changes(stations, now)
+    changes = _list_changes(stations, now)
     click.echo(
         "\n".join(f"  {name}: {' and '.join(told) or EMPTY}" for name, told in now.items()) or "Nothing."
     )
@@ -44,18 +44,18 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
 def _ask_station(name: str, station: Mapping[str, Any], text: str) -> list[str] | None:
     """What stands at a station now; None if it is as before."""
     while True:
-        told = _words(click.prompt(text, default=KEPT))
+        told = _split_words(click.prompt(text, default=KEPT))
         if told in ([KEPT], ["k"], list(station["labware"])):
             return None
         if told in ([EMPTY], ["e"]):
             return []
-        problem = _problem(name, station, told)
+        problem = _find_problem(name, station, told)
         if not problem:
             return told
         click.echo(f"  {problem}")
 
 
-def _other(
+def _find_other(
     stations: Mapping[str, Mapping[str, Any]], hotels: Mapping[str, int]
 ) -> tuple[str, list[str]] | None:
     """Another station where something stands now, and what; None if there is none. ``hotels`` are those
@@ -65,20 +65,20 @@ def _other(
         if not text.strip():
             return None
         name, equals, what = (part.strip() for part in text.partition("="))
-        told = [] if what == EMPTY else _words(what)
+        told = [] if what == EMPTY else _split_words(what)
         if not equals or not (told or what == EMPTY):
             click.echo("  Write STATION=WHAT, such as wc.shelf=P7.")
         elif name in hotels:
             click.echo(f"  {name} has shelves: {name}.1 to {name}.{hotels[name]}. Name one of them.")
         elif name not in stations:
             click.echo(f"  There is no station {name!r} here. Known: {', '.join(sorted(stations))}.")
-        elif problem := _problem(name, stations[name], told):
+        elif problem := _find_problem(name, stations[name], told):
             click.echo(f"  {problem}")
         else:
             return name, told
 
 
-def _problem(name: str, station: Mapping[str, Any], told: Sequence[str]) -> str:
+def _find_problem(name: str, station: Mapping[str, Any], told: Sequence[str]) -> str:
     """Why that cannot stand there, as far as it can be told here."""
     if told and (station["kind"] in COUNTED or station["stock"]):
         return (
@@ -92,7 +92,7 @@ def _problem(name: str, station: Mapping[str, Any], told: Sequence[str]) -> str:
     return ""
 
 
-def _changes(stations: Mapping[str, Mapping[str, Any]], now: Mapping[str, Sequence[str]]) -> Changes:
+def _list_changes(stations: Mapping[str, Mapping[str, Any]], now: Mapping[str, Sequence[str]]) -> Changes:
     """A station whose labware only went elsewhere needs no word of its own."""
     named = {labware for told in now.values() for labware in told}
     changes: Changes = []
@@ -106,5 +106,5 @@ def _changes(stations: Mapping[str, Mapping[str, Any]], now: Mapping[str, Sequen
     return changes
 
 
-def _words(text: str) -> list[str]:
+def _split_words(text: str) -> list[str]:
     return [word for word in re.split(r"[,\s]+", text.strip()) if word]

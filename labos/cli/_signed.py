@@ -19,7 +19,7 @@ def trust_of(
     home: Path, public_keys: Sequence[str], witnesses: Sequence[str] = (), tsa: Path | None = None
 ) -> Trust:
     """The keys that were given, else the lab's own. Raises BadInput if there are none."""
-    keys = read_given_keys(public_keys) or SigningKeys(home).public()
+    keys = read_given_keys(public_keys) or SigningKeys(home).list_public_keys()
     if not keys:
         raise BadInput(
             "No public key was given to check the signatures.",
@@ -31,7 +31,7 @@ def trust_of(
 def compare_signed(log: Log, path: Path, home: Path, public_keys: Sequence[str]) -> CheckpointComparison:
     """How the log stands to the signed checkpoints in a file or folder. Raises BadInput, LogDamaged."""
     trust = trust_of(home, public_keys)
-    trusted = TrustedKeys(trust.keys, SigningKeys(home).rotations())
+    trusted = TrustedKeys(trust.keys, SigningKeys(home).read_rotations())
     return compare(log, read_tree_heads(path, trusted))
 
 

@@ -8,7 +8,7 @@ from labos.errors import NotFound
 from labos.spec import find_spec, list_specs
 
 
-def spec_path(kind: str, name: str) -> Path:
+def find_spec_path(kind: str, name: str) -> Path:
     """A file if there is one of that path, else the packaged spec of that name. Raises NotFound."""
     path = Path(name)
     if path.is_file():

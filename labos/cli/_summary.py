@@ -50,10 +50,10 @@ def show_summary(summary: Summary) -> None:
     ]
     show_table(("user", "runs completed", "actions", "module time"), users, title="Users")
     click.echo()
-    click.echo(sentence(summary))
+    click.echo(describe_summary(summary))
 
 
-def sentence(summary: Summary) -> str:
+def describe_summary(summary: Summary) -> str:
     """Time without human intervention in one sentence."""
     twh = summary.twh.lab
     longest = twh.longest.worked_ns / 1e9

@@ -7,7 +7,7 @@ import re
 from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 
-from labos.core.recurrence import SECOND_NS, zone_of
+from labos.core.recurrence import SECOND_NS, find_zone
 from labos.errors import BadInput
 from labos.services.times import parse_time, parse_until
 
@@ -27,7 +27,7 @@ EVERY = {
 _EVERY_SO_MANY = re.compile(r"(\d{1,3}) (day|week|month|year)s?")
 
 
-def local_zone() -> str:
+def find_local_zone() -> str:
     """The name of this computer's time zone, as far as it can be found; else UTC."""
     named = os.environ.get("TZ", "").lstrip(":")
     if not named:
@@ -36,7 +36,7 @@ def local_zone() -> str:
         except OSError:
             named = ""
     try:
-        zone_of(named)
+        find_zone(named)
     except ValueError:
         return "UTC"
     return named or "UTC"
@@ -45,9 +45,9 @@ def local_zone() -> str:
 def expect_zone(name: str | None) -> str:
     """The time zone of that name; this computer's if none is named. Raises BadInput."""
     if name is None:
-        return local_zone()
+        return find_local_zone()
     try:
-        zone_of(name)
+        find_zone(name)
     except ValueError:
         raise BadInput(
             f"{name!r} is not a time zone.", remedy="Write one like Europe/Zurich, or UTC."
@@ -62,14 +62,14 @@ def parse_when(text: str, now: int, zone: str, *, after: int = 0) -> int:
     length = _LENGTH.fullmatch(said)
     if length:
         return parse_until(length[1], after or now)
-    where = zone_of(zone)
+    where = find_zone(zone)
     day, _, clock = said.rpartition(" ")
-    at = _clock(clock)
+    at = _parse_clock(clock)
     today = datetime.fromtimestamp((after or now) // SECOND_NS, where)
     if at is not None and not day:
         found = _to_ns(today.date(), at, zone)
         return found if found > (after or now) else _to_ns(today.date() + timedelta(days=1), at, zone)
-    named = _day(day or said, datetime.fromtimestamp(now // SECOND_NS, where).date())
+    named = _parse_day(day or said, datetime.fromtimestamp(now // SECOND_NS, where).date())
     if named is not None and (at is not None or not day):
         return _to_ns(named, at or time(), zone)
     try:
@@ -78,14 +78,14 @@ def parse_when(text: str, now: int, zone: str, *, after: int = 0) -> int:
         raise BadInput(error.message, remedy=EXAMPLES) from None
 
 
-def _clock(text: str) -> time | None:
+def _parse_clock(text: str) -> time | None:
     found = _CLOCK.fullmatch(text)
     if found is None or int(found[1]) > 23 or int(found[2]) > 59:
         return None
     return time(int(found[1]), int(found[2]))
 
 
-def _day(text: str, today: date) -> date | None:
+def _parse_day(text: str, today: date) -> date | None:
     """Today, tomorrow, or the next day of that name."""
     if text in ("today", "tomorrow"):
         return today + timedelta(days=text == "tomorrow")
@@ -94,7 +94,7 @@ def _day(text: str, today: date) -> date | None:
 
 
 def _to_ns(day: date, clock: time, zone: str) -> int:
-    local = datetime.combine(day, clock, zone_of(zone))
+    local = datetime.combine(day, clock, find_zone(zone))
     return int(local.astimezone(UTC).timestamp()) * SECOND_NS
 
 

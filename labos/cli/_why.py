@@ -19,12 +19,12 @@ def show_why(found: Losses, shown: list[Twh]) -> None:
     """The account of each scope on a line, then the causes of the first of them, then what comes next."""
     accounts = [account_of(found, twh) for twh in shown]
     columns = ("scope", "had work", "at work", "lost", "of it for a person", "most of it to")
-    show_table(columns, [_account(each) for each in accounts])
+    show_table(columns, [_list_cells(each) for each in accounts])
     first = accounts[0]
     click.echo()
     show_table(
         ("cause", "module", "class", "lost", "share", "waits for"),
-        [_loss(first, loss) for loss in first.losses],
+        [_list_loss_cells(first, loss) for loss in first.losses],
         title=f"Losses of {_name(first)}",
     )
     click.echo()
@@ -36,7 +36,7 @@ def show_why(found: Losses, shown: list[Twh]) -> None:
 
 
 def why_as_json(found: Losses, shown: list[Twh]) -> None:
-    scopes = [{**as_plain(twh), "why": _plain(account_of(found, twh))} for twh in shown]
+    scopes = [{**make_plain_twh(twh), "why": _make_plain(account_of(found, twh))} for twh in shown]
     touches = [msgspec.to_builtins(touch) for touch in found.next_touches]
     show_json({"pace": found.twh.pace, "scopes": scopes, "next_touches": touches})
 
@@ -49,7 +49,7 @@ def account_of(found: Losses, twh: Twh) -> LossAccount:
     return known[twh.kind].get(twh.name) or LossAccount(twh.kind, twh.name, 0, 0, 0, ())
 
 
-def as_plain(twh: Twh) -> dict[str, object]:
+def make_plain_twh(twh: Twh) -> dict[str, object]:
     """For programs: nanoseconds and seconds."""
     plain: dict[str, object] = msgspec.to_builtins(twh)
     for name, stretch in (("current", twh.current), ("longest", twh.longest)):
@@ -57,7 +57,7 @@ def as_plain(twh: Twh) -> dict[str, object]:
     return plain
 
 
-def _plain(each: LossAccount) -> dict[str, object]:
+def _make_plain(each: LossAccount) -> dict[str, object]:
     return {
         "span_s": each.span_ns / 1e9,
         "at_work_s": each.at_work_ns / 1e9,
@@ -78,17 +78,17 @@ def _name(each: LossAccount) -> str:
     return "the lab" if each.kind == "lab" else f"{each.kind} {each.name}"
 
 
-def _account(each: LossAccount) -> tuple[str, ...]:
-    most = _cause(each.losses[0]) if each.losses else ""
+def _list_cells(each: LossAccount) -> tuple[str, ...]:
+    most = _name_cause(each.losses[0]) if each.losses else ""
     times = (each.span_ns, each.at_work_ns, each.lost_ns, each.for_a_person_ns)
     return (f"{each.kind} {each.name}".strip(), *(show_span(ns / 1e9) for ns in times), most)
 
 
-def _cause(loss: Loss) -> str:
+def _name_cause(loss: Loss) -> str:
     return f"{local(loss.cause.module)} {loss.cause.what}".strip()
 
 
-def _loss(each: LossAccount, loss: Loss) -> tuple[str, ...]:
+def _list_loss_cells(each: LossAccount, loss: Loss) -> tuple[str, ...]:
     cause = loss.cause
     share = f"{100 * loss.lost_ns / each.span_ns:.1f} %"
     named = cause.what if cause.kind in ("error", "other") else f"{cause.kind}: {cause.what}"

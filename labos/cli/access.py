@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, why_option
 from labos.errors import BadInput, NotFound, Refused
 
@@ -19,7 +19,7 @@ LOOK_S = 0.2
 
 
 @click.command("access", short_help="Reach into a workcell while its runs wait.")
-@click.argument("workcell", shell_complete=completes("workcell"))
+@click.argument("workcell", shell_complete=make_completer("workcell"))
 @why_option("The reason; users whose runs wait can read it. With --done: a comment.")
 @click.option("--no-park", is_flag=True, help="Leave the arms where they are.")
 @click.option(
@@ -78,14 +78,14 @@ def command(
             client.leave(workcell, asker.user, told, why)
             changes = [{"station": station, "what": what} for station, what in told]
             facts = {"workcell": workcell, "granted": False, "changed": changes}
-            asker.tell(_goes_on(workcell, told), facts)
+            asker.tell(_describe_going_on(workcell, told), facts)
             return
         parking = client.enter(workcell, asker.user, why, park=not no_park)
         if not asker.as_json:
             click.echo(f"No new action starts in {workcell}.")
             if parking:
                 click.echo(f"Arms go home: {', '.join(parking)}.")
-        _until_granted(client, workcell, timeout)
+        _wait_until_granted(client, workcell, timeout)
         state = client.state(waits=False)
     access = state["lab"]["access"].get(workcell)
     doubtful = access["perhaps_moving"] if access is not None else []
@@ -113,7 +113,7 @@ def command(
     _guide(state, workcell)
 
 
-def _goes_on(workcell: str, told: list[tuple[str, str]]) -> str:
+def _describe_going_on(workcell: str, told: list[tuple[str, str]]) -> str:
     if told:
         return f"{workcell} continues."
     return (
@@ -146,11 +146,11 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
                 raise
             click.echo(f"labos: {refused}\nNone of your answers was recorded. Please answer again:", err=True)
             continue
-        click.echo(_goes_on(workcell, told))
+        click.echo(_describe_going_on(workcell, told))
         return
 
 
-def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
+def _wait_until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
     """Raises NotFound when the time is over; the workcell stays held."""
     give_up = time.monotonic() + timeout_s
     said: list[str] = []

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._out import show_json, show_table, terminal_width
 from labos.cli._query import Where, json_option, log_options
 
@@ -30,7 +30,7 @@ class Offer(msgspec.Struct, frozen=True):
 @click.command("actions")
 @click.argument(
     "name",
-    shell_complete=completes("module", "driver"),
+    shell_complete=make_completer("module", "driver"),
     required=False,
     default="",
     metavar="[MODULE|DRIVER]",
@@ -53,13 +53,13 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
     labos actions pf400 --drivers         a driver, even if a module has the same name
     labos actions --workcell cell.yaml    the actions of all modules of a file
     """
-    offers = list(_offers(where, file, drivers=drivers))
+    offers = list(_list_offers(where, file, drivers=drivers))
     if name:
         offers = _find_offers(offers, list(_list_drivers()), name)
     if action:
-        offers = [_only(offer, action) for offer in offers]
+        offers = [_keep_only(offer, action) for offer in offers]
     if as_json:
-        show_json([_plain(offer) for offer in offers])
+        show_json([_make_plain(offer) for offer in offers])
     elif name:
         for offer in offers:
             _show(offer)
@@ -71,22 +71,22 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
 # -- whose ---------------------------------------------------------------------------------------
 
 
-def _offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]:
+def _list_offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]:
     from labos.core.ids import local
     from labos.spec.about import find_description
 
-    modules = [] if drivers else _modules(where, file)
+    modules = [] if drivers else _list_modules(where, file)
     if not modules:
         yield from _list_drivers()
         return
-    known = _descriptions()
+    known = _load_descriptions()
     for module in modules:
         found = find_description(module, known)
         if found is not None:
             yield Offer(local(module.name), module.driver, found.description, _sort_actions(found))
 
 
-def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
+def _list_modules(where: Where, file: str | None) -> list[ModuleSpec]:
     """Those of the file, or those of the lab; none where there is no lab yet."""
     if file is not None:
         from labos.cli._lab import read_workcell
@@ -94,13 +94,13 @@ def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
         return list(read_workcell(file).workcell.modules)
     from labos.cli._query import open_log
     from labos.errors import StoreUnavailable
-    from labos.services.history import position_at
+    from labos.services.history import find_position_at
     from labos.services.log import fold_to
     from labos.services.times import Moment
 
     try:
         with open_log(where) as store:
-            state = fold_to(store, position_at(store, Moment()))
+            state = fold_to(store, find_position_at(store, Moment()))
             return [module.spec for module in state.modules.by_name.values()]
     except StoreUnavailable:
         if where.database:
@@ -109,11 +109,11 @@ def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
 
 
 def _list_drivers() -> Iterator[Offer]:
-    for name, found in sorted(_descriptions().items()):
+    for name, found in sorted(_load_descriptions().items()):
         yield Offer(name, name, found.description, _sort_actions(found))
 
 
-def _descriptions() -> Any:
+def _load_descriptions() -> Any:
     from labos.bootstrap import descriptions
 
     return descriptions()
@@ -141,11 +141,11 @@ def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[O
 
 
 def _names_of(driver: str) -> set[str]:
-    found = _descriptions()[driver]
+    found = _load_descriptions()[driver]
     return {driver.lower(), *(model.lower() for model in found.models)}
 
 
-def _only(offer: Offer, action: str) -> Offer:
+def _keep_only(offer: Offer, action: str) -> Offer:
     from labos.errors import NotFound
     from labos.spec.findings import near
 
@@ -159,7 +159,7 @@ def _only(offer: Offer, action: str) -> Offer:
 # -- how it is shown -----------------------------------------------------------------------------
 
 
-def _plain(offer: Offer) -> dict[str, Any]:
+def _make_plain(offer: Offer) -> dict[str, Any]:
     told: dict[str, Any] = msgspec.to_builtins(offer)
     for spec in told["actions"]:
         for arg in spec["args"]:
@@ -173,16 +173,16 @@ def _show(offer: Offer) -> None:
     for spec in offer.actions:
         formatter = click.HelpFormatter(width=terminal_width(WIDTH))
         formatter.write("\n")
-        formatter.write_text(f"{spec.name}: {_about(spec)}")
+        formatter.write_text(f"{spec.name}: {_describe_action(spec)}")
         if spec.args:
             with formatter.indentation():
-                formatter.write_dl([(arg.name, _takes(arg)) for arg in spec.args], col_max=26)
+                formatter.write_dl([(arg.name, _describe_argument(arg)) for arg in spec.args], col_max=26)
         click.echo(formatter.getvalue(), nl=False)
 
 
-def _about(spec: ActionSpec) -> str:
+def _describe_action(spec: ActionSpec) -> str:
     words = [f"{spec.description.rstrip('.')}." if spec.description else ""]
-    words.append(f"About {_seconds(spec.duration_s)}." if spec.duration_s else "")
+    words.append(f"About {_show_seconds(spec.duration_s)}." if spec.duration_s else "")
     if spec.duration_from:
         words.append(f"Its duration depends on {spec.duration_from}.")
     if spec.aliases:
@@ -196,25 +196,25 @@ def _about(spec: ActionSpec) -> str:
     return " ".join(filter(None, words)) or "No description."
 
 
-def _seconds(duration_s: float) -> str:
+def _show_seconds(duration_s: float) -> str:
     return f"{duration_s / 60:g} min" if duration_s >= 120 and duration_s % 30 == 0 else f"{duration_s:g} s"
 
 
-def _takes(arg: Arg) -> str:
+def _describe_argument(arg: Arg) -> str:
     from labos.core.arguments import describe_arg
 
     words = describe_arg(arg)
     if arg.default in (None, ""):
         words += "" if arg.required and arg.default is None else ", may be left out"
     else:
-        words += f", {_value(arg.default)} if not given"
+        words += f", {_show_value(arg.default)} if not given"
     words += f": {arg.description.rstrip('.')}" if arg.description else ""
     if arg.aliases:
         words += f" (also {', '.join(arg.aliases)})"
     return f"{words}."
 
 
-def _value(value: Any) -> str:
+def _show_value(value: Any) -> str:
     """As a workflow file has it."""
     from labos.core.arguments import shorten
 

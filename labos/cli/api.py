@@ -13,8 +13,8 @@ from labos.cli._options import (
     database_option,
     home_option,
     pki_option,
+    refuse_password,
     web_options,
-    without_password,
 )
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     "--accounts",
     metavar="URL",
     envvar="LABOS_ACCOUNTS_URL",
-    callback=without_password,
+    callback=refuse_password,
     help="The database with passwords, tokens and sessions (LABOS_ACCOUNTS_URL; that of the log). Needed "
     "where --database is a read-only replica.",
 )
@@ -74,7 +74,7 @@ def command(
     labos api --process web --bus tls/kernel.example.org:7447 --cert api.web --host 0.0.0.0 --behind-proxy
     """
     from labos.bootstrap import ApiSettings
-    from labos.cli._lab import orderly
+    from labos.cli._lab import end_in_order
     from labos.settings import Settings, keep_private
     from labos.telemetry.logs import configure_logs
 
@@ -88,7 +88,7 @@ def command(
         authority=pki,
         **as_set,
     )
-    with orderly():
+    with end_in_order():
         try:
             asyncio.run(_serve(ApiSettings(settings, name, accounts or "")))
         except KeyboardInterrupt:

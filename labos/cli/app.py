@@ -160,12 +160,12 @@ class Lazy(Suggesting):
     spoils no other."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in COMMANDS if find_spec(_module(name)) is not None]
+        return [name for name in COMMANDS if find_spec(_name_module(name)) is not None]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS or find_spec(_module(cmd_name)) is None:
+        if cmd_name not in COMMANDS or find_spec(_name_module(cmd_name)) is None:
             return None
-        module = import_module(_module(cmd_name))
+        module = import_module(_name_module(cmd_name))
         found = getattr(module, cmd_name.replace("-", "_") if cmd_name in _ONE_FILE else "command")
         assert isinstance(found, click.Command)
         return found
@@ -179,7 +179,7 @@ class Lazy(Suggesting):
                 formatter.write_dl(rows)
 
 
-def _module(name: str) -> str:
+def _name_module(name: str) -> str:
     return f"labos.cli.{_FILES.get(name, name)}"
 
 
@@ -235,9 +235,9 @@ def main(argv: list[str] | None = None) -> int:
 def _show_error(error: LabosError) -> None:
     """``{error, remedy, code, details}``; the codes are those of HTTP."""
     from labos.cli._out import show_json
-    from labos.http.problems import plain_error
+    from labos.http.problems import describe_error
 
-    show_json(plain_error(error))
+    show_json(describe_error(error))
 
 
 def _show_misuse(error: click.ClickException) -> None:

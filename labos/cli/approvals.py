@@ -51,7 +51,14 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
         click.echo("Nothing waits for an approval.")
     else:
         rows = [
-            (p["subject"], p["kind"], p["name"], p["user"], show_time(p["requested_at"]), _why(p))
+            (
+                p["subject"],
+                p["kind"],
+                p["name"],
+                p["user"],
+                show_time(p["requested_at"]),
+                _describe_reasons(p),
+            )
             for p in told
         ]
         show_table(("id", "kind", "name", "user", "since", "because"), rows)
@@ -77,16 +84,16 @@ def _show_forecast(told: dict[str, Any], subject: str) -> None:
     campaigns = [each for each in found["campaigns"] if each["campaign"] == subject]
     for campaign in campaigns:
         for what, text in show_campaign(campaign, found["now_at"]):
-            click.echo(f"{what + ':':<12} {_plain(text)}")
+            click.echo(f"{what + ':':<12} {_strip_control(text)}")
     if not campaigns:
         show_ways(found)
     for kind, item in told["consumables"].items():
         left = "not counted" if item["left"] is None else f"{item['left']:g} left"
-        click.echo(f"uses up:     {item['needed']:g} {_plain(kind)} ({left})")
+        click.echo(f"uses up:     {item['needed']:g} {_strip_control(kind)} ({left})")
     show_change(found)
 
 
-def _why(proposal: dict[str, Any]) -> str:
+def _describe_reasons(proposal: dict[str, Any]) -> str:
     return "; ".join(why["text"] for why in proposal["why"])
 
 
@@ -98,25 +105,27 @@ def _show(told: dict[str, Any]) -> None:
         "kind": proposal["kind"],
         "user": proposal["user"] if proposal["by"] == proposal["user"] else f"{proposal['by']}",
         "since": show_time(proposal["requested_at"]),
-        "because": _why(proposal),
+        "because": _describe_reasons(proposal),
         "rows": str(demand["rows"] or ""),
         "steps": str(demand["steps"] or ""),
         "module time": show_span(demand["module_time_s"]) if demand["module_time_s"] else "",
         "modules": ", ".join(f"{name} {show_span(time)}" for name, time in demand["modules"].items()),
         "consumables": ", ".join(f"{amount:g} {kind}" for kind, amount in demand["consumables"].items()),
         "dangerous": ", ".join(demand["dangers"]),
-        **(_terms(terms) if terms else {}),
+        **(_describe_terms(terms) if terms else {}),
         "digest": proposal["digest"][:DIGEST_SHOWN],
         "approved before": proposal["before"] or "no earlier request with this name",
     }
-    show_table(("what", proposal["subject"]), [(what, _plain(text)) for what, text in lines.items() if text])
+    show_table(
+        ("what", proposal["subject"]), [(what, _strip_control(text)) for what, text in lines.items() if text]
+    )
     for difference in told["differences"]:
-        click.echo(f"{_plain(difference['part'])} differs:")
+        click.echo(f"{_strip_control(difference['part'])} differs:")
         for line in difference["lines"]:
-            click.echo(f"  {_plain(line)}")
+            click.echo(f"  {_strip_control(line)}")
 
 
-def _terms(terms: dict[str, Any]) -> dict[str, str]:
+def _describe_terms(terms: dict[str, Any]) -> dict[str, str]:
     budget = terms["budget"]
     return {
         "priority": str(terms["priority"]),
@@ -127,7 +136,7 @@ def _terms(terms: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _plain(text: str) -> str:
+def _strip_control(text: str) -> str:
     """What somebody else has written, without what a terminal would obey."""
     return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
 

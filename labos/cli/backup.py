@@ -8,7 +8,7 @@ import click
 import msgspec
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
+from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
 from labos.services.retention import note_retention
 from labos.settings import Settings
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
@@ -70,7 +70,7 @@ def command(
     LabOS needs them to recognise a log that was restored from an older copy.
     """
     key = key_of(key_file) if key_file else b""
-    known = kernel_file(where.home)
+    known = read_kernel_file(where.home)
     with open_database(where) as store:
         made = backup(
             store,

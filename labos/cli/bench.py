@@ -44,7 +44,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
 
     told: dict[str, list[str]] = {}
     for text in stations:
-        for name, types in [_read(text)] if "=" in text else _in_file(text):
+        for name, types in [_read(text)] if "=" in text else _read_contents_file(text):
             if name in told:
                 raise BadInput(f"The station {name} is given twice.", remedy="Declare it once.")
             told[name] = types
@@ -132,7 +132,7 @@ def round_(
     After the last station, the check is complete. Runs that were active end. Their labware stays where you
     reported it and belongs to their users. Waiting runs are paused (labos resume R7, labos cancel R7).
     """
-    from labos.cli._bench_round import ask, from_file, from_options, say, show, show_not_known, show_refused
+    from labos.cli._bench_round import ask, parse_options, read_file, say, show, show_not_known, show_refused
     from labos.cli._lab import need_lab_of
     from labos.cli._out import show_json
 
@@ -143,9 +143,9 @@ def round_(
                 "This log has not lost its end: no check of the bench is needed.",
                 remedy="You can report a single station at any time: labos observe STATION WHAT",
             )
-        words = {**(from_file(path) if path else {}), **from_options(told)}
+        words = {**(read_file(path) if path else {}), **parse_options(told)}
         if simulated:
-            words = {**_bench_contents(where), "rest": None, **words}
+            words = {**_read_bench_contents(where), "rest": None, **words}
         question = view["intervention"]
         if not words and not as_json:
             show(view)
@@ -179,11 +179,11 @@ def round_(
         raise SystemExit(1)
 
 
-def _bench_contents(where: Where) -> dict[str, list[str] | None]:
+def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:
     """What the simulated benches of this lab really hold."""
     from labos.node.world import World
     from labos.services.log import fold_to
-    from labos.services.truth import bench_contents
+    from labos.services.truth import list_bench_contents
 
     benches = [] if where.lab else sorted((where.home / "world").glob("*.db"))
     if not benches:
@@ -198,7 +198,7 @@ def _bench_contents(where: Where) -> dict[str, list[str] | None]:
     for path in benches:
         world = World(str(path))
         try:
-            seen = bench_contents(world, state, records)
+            seen = list_bench_contents(world, state, records)
         finally:
             world.close()
         found |= {name: told for name, told in seen.items() if workcell_of(name) == path.stem}
@@ -216,7 +216,7 @@ def _read(text: str) -> tuple[str, list[str]]:
     return name.strip(), types
 
 
-def _in_file(path: str) -> list[tuple[str, list[str]]]:
+def _read_contents_file(path: str) -> list[tuple[str, list[str]]]:
     from labos.spec.source import read
 
     if not Path(path).is_file():

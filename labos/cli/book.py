@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 import click
 
-from labos.cli._bookings import in_words, show_bookings
-from labos.cli._complete import completes
+from labos.cli._bookings import describe_booking, show_bookings
+from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
 from labos.cli._out import show_json
@@ -69,7 +69,7 @@ def command() -> None:
 
 
 @command.command("add", short_help="Book a module or a workcell.")
-@click.argument("target", shell_complete=completes("module"))
+@click.argument("target", shell_complete=make_completer("module"))
 @_booking_options
 def add(
     target: str,
@@ -182,7 +182,7 @@ def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
     labos book cancel B3 --on 2026-12-24 --why holiday
     """
     with asker.lab() as client:
-        begins_at = _time_on(client, booking, on) if on else 0
+        begins_at = _find_time_on(client, booking, on) if on else 0
         client.cancel_booking(booking, asker.user, begins_at=begins_at, why=why or "")
     told = f"{booking} is cancelled{f' on {on}' if on else ''}."
     asker.tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True})
@@ -205,7 +205,7 @@ def show(booking: str, asker: Asker) -> None:
         show_bookings([found])
 
 
-def _time_on(client: Any, booking: str, on: str) -> int:
+def _find_time_on(client: Any, booking: str, on: str) -> int:
     """When a booking begins on a day (UTC ns). Raises BadInput."""
     from labos.cli._query import now_ns
     from labos.cli._when import parse_when
@@ -225,4 +225,4 @@ def _time_on(client: Any, booking: str, on: str) -> int:
 
 def _tell(found: dict[str, Any], asker: Asker) -> None:
     over = f" It was made over {', '.join(found['over'])}." if found["over"] else ""
-    asker.tell(f"{found['id']}: {in_words(found)}.{over}", found)
+    asker.tell(f"{found['id']}: {describe_booking(found)}.{over}", found)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import click
 
 from labos.cli._bookings import show_bookings
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, lab_and_json
 from labos.cli._out import show_json
 
 
 @click.command("bookings", short_help="List bookings.")
-@click.argument("target", required=False, default="", shell_complete=completes("module"))
+@click.argument("target", required=False, default="", shell_complete=make_completer("module"))
 @lab_and_json
 def command(target: str, asker: Asker) -> None:
     """List current and future bookings, each with its next time: all, or those of TARGET, a module or a

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._out import tell
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.errors import NotFound, SystemFailed
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
-from labos.services.trust.places import newest_in
+from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER
 from labos.settings import Settings
 from labos.store import create_file, open_blobs
 
 
 @click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")
-@click.argument("subject", metavar="ID", shell_complete=completes("run", "experiment"))
+@click.argument("subject", metavar="ID", shell_complete=make_completer("run", "experiment"))
 @click.option(
     "-o",
     "--output",
@@ -72,7 +72,7 @@ def make_bundle_of(
 ) -> tuple[bytes, AboutBundle]:
     """The bundle of a run, an experiment or a campaign, on a checkpoint or the newest one of the lab, with
     what people wrote or without. Raises NotFound, Refused, LogDamaged."""
-    path = checkpoint or newest_in(where.home / FOLDER)
+    path = checkpoint or find_newest(where.home / FOLDER)
     if path is None:
         raise NotFound("This lab has no signed checkpoint yet.", remedy="Make one: labos checkpoint")
     try:
@@ -82,6 +82,6 @@ def make_bundle_of(
             f"The checkpoint {path} cannot be read: {error.strerror or error}.",
             remedy="Name one that labos checkpoint has made: a file that ends in .note.",
         ) from None
-    beside = Attachments(parse_note(note), stamp, SigningKeys(where.home).rotations(), words)
+    beside = Attachments(parse_note(note), stamp, SigningKeys(where.home).read_rotations(), words)
     with open_database(where) as store:
         return make_bundle(store, open_blobs(Settings.make(where.home, where.url).blobs), subject, beside)

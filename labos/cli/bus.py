@@ -60,7 +60,7 @@ def command(
     labos bus --secure --listen tls/0.0.0.0:7447 --address bus.example.org --home /var/lib/labos
     """
     from labos.bootstrap import Guard
-    from labos.cli._lab import orderly
+    from labos.cli._lab import end_in_order
     from labos.pki import PartyIdentity
     from labos.settings import Settings, keep_private
     from labos.telemetry.logs import configure_logs
@@ -73,7 +73,7 @@ def command(
         own = cert.absolute() if cert is not None else None
         guard = Guard(PartyIdentity("bus"), settings, runs_bus=True, own=own)
     where = listen or (f"{'tls' if guard is not None else 'tcp'}/{LISTEN}",)
-    with orderly():
+    with end_in_order():
         try:
             asyncio.run(_carry(where, guard))
         except KeyboardInterrupt:

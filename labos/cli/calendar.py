@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, lab_and_json
 from labos.cli._out import show_json
 
@@ -13,7 +13,7 @@ DAYS = 7
 
 @click.command("calendar", short_help="Show the bookings of a week.")
 @click.argument(
-    "target", required=False, default="", metavar="[MODULE|WORKCELL]", shell_complete=completes("module")
+    "target", required=False, default="", metavar="[MODULE|WORKCELL]", shell_complete=make_completer("module")
 )
 @click.option("--week", "day", metavar="DAY", help="The week of this day; the present week if not given.")
 @click.option(
@@ -32,10 +32,10 @@ def command(target: str, day: str | None, days: int, zone: str | None, ical: boo
     """
     from datetime import datetime, timedelta
 
-    from labos.cli._bookings import week
+    from labos.cli._bookings import list_week
     from labos.cli._query import now_ns
     from labos.cli._when import expect_zone, parse_when
-    from labos.core.recurrence import SECOND_NS, zone_of
+    from labos.core.recurrence import SECOND_NS, find_zone
 
     where, now = expect_zone(zone), now_ns()
     with asker.lab() as client:
@@ -43,7 +43,7 @@ def command(target: str, day: str | None, days: int, zone: str | None, ical: boo
             click.echo(client.calendar_file(target).decode(), nl=False)
             return
         meant = datetime.fromtimestamp(
-            (parse_when(day, now, where) if day else now) // SECOND_NS, zone_of(where)
+            (parse_when(day, now, where) if day else now) // SECOND_NS, find_zone(where)
         )
         monday = (meant - timedelta(days=meant.weekday())).replace(hour=0, minute=0, second=0)
         end = monday + timedelta(days=days)
@@ -52,5 +52,5 @@ def command(target: str, day: str | None, days: int, zone: str | None, ical: boo
     if asker.as_json:
         show_json(found)
         return
-    for line in week(found["times"], monday, days, where):
+    for line in list_week(found["times"], monday, days, where):
         click.echo(line)

@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, why_option
 from labos.errors import BadInput
 
 
 @click.command("calibrate")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @click.option(
     "--what",
     default="",

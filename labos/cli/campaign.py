@@ -27,9 +27,9 @@ from labos.core.viewer import Visibility
 from labos.services.campaigns import (
     CampaignHistory,
     RowHistory,
-    campaign_histories,
-    campaign_history,
-    campaign_rows,
+    list_campaign_histories,
+    list_campaign_rows,
+    read_campaign_history,
 )
 from labos.services.times import show_span, show_time
 
@@ -119,12 +119,12 @@ def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None
     other users."""
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = [s for s in campaign_histories(store).values() if archived or not s.archived]
+        told = [s for s in list_campaign_histories(store).values() if archived or not s.archived]
     ended = [story.campaign.id for story in told if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in told if story.campaign.id not in hidden]
     if as_json:
-        show_json([_plain(story) for story in shown])
+        show_json([_make_plain(story) for story in shown])
         return
     titles = ("id", "name", "user", "status", "rows", "submitted", "took")
     show_table(titles, [_row(story) for story in shown])
@@ -140,9 +140,9 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
     """Show the progress and the terms of a campaign. If the lab is running, show also when the campaign is
     expected to end (not with --json: use `labos forecast`)."""
     with open_log(where) as store:
-        story = campaign_history(store, campaign)
+        story = read_campaign_history(store, campaign)
     if as_json:
-        show_json(_plain(story))
+        show_json(_make_plain(story))
         return
     found, terms = story.campaign, story.campaign.terms
     budget = terms.budget
@@ -151,7 +151,7 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
         "user": found.user,
         "workflow": f"{found.workflow} in {found.workcell}",
         "status": f"{story.status} ({found.why})" if found.why else story.status,
-        "rows": _counts(story),
+        "rows": _describe_counts(story),
         "submitted": show_time(found.submitted_at),
         "completed": show_time(story.ended_at),
         "priority": str(terms.priority),
@@ -179,12 +179,12 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
 def report(where: Where, campaign: str, as_csv: bool, as_json: bool) -> None:
     """Show the rows of a campaign with their values, runs and results."""
     with open_log(where) as store:
-        rows = campaign_rows(store, campaign)
+        rows = list_campaign_rows(store, campaign)
     if as_json:
         show_json(rows)
         return
-    values = [_flat(row.payload) for row in rows]
-    results = [_flat(row.results) for row in rows]
+    values = [_flatten_table(row.payload) for row in rows]
+    results = [_flatten_table(row.results) for row in rows]
     keys = list(dict.fromkeys(key for row in values for key in row))
     given = list(dict.fromkeys(key for row in results for key in row))
     titles = ("row", "run", "status", "took", *keys, *given, "why")
@@ -319,7 +319,7 @@ def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
     return dict(show_campaign(known[0], found["now_at"])) if known else {}
 
 
-def _plain(story: CampaignHistory) -> dict[str, Any]:
+def _make_plain(story: CampaignHistory) -> dict[str, Any]:
     """For programs: without what only the fold needs."""
     found: dict[str, Any] = msgspec.to_builtins(story.campaign)
     for key in ("reads", "results", "met_by", "spent_ns", "first_started_at"):
@@ -328,7 +328,7 @@ def _plain(story: CampaignHistory) -> dict[str, Any]:
     return {**found, **more, "visibility": story.visibility, "archived": story.archived}
 
 
-def _counts(story: CampaignHistory) -> str:
+def _describe_counts(story: CampaignHistory) -> str:
     found = story.campaign
     kinds = {
         "completed": found.completed,
@@ -346,7 +346,7 @@ def _row(story: CampaignHistory) -> tuple[str, ...]:
     found = story.campaign
     took = show_span((story.ended_at - found.submitted_at) / 1e9) if story.ended_at else ""
     submitted = show_time(found.submitted_at)
-    return found.id, found.name, found.user, story.status, _counts(story), submitted, took
+    return found.id, found.name, found.user, story.status, _describe_counts(story), submitted, took
 
 
 def _begin(row: RowHistory) -> tuple[str, ...]:
@@ -354,11 +354,11 @@ def _begin(row: RowHistory) -> tuple[str, ...]:
     return str(row.row + 1), row.run, row.status, span
 
 
-def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flatten_table(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict):
-            found.update(_flat(value, f"{prefix}{key}."))
+            found.update(_flatten_table(value, f"{prefix}{key}."))
         else:
             found[f"{prefix}{key}"] = value
     return found

@@ -101,11 +101,11 @@ def command(
 
 def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json: bool) -> None:
     """Until Ctrl-C. A database that is away is waited for; a log that was rewritten ends it."""
-    from labos.cli._lab import orderly
+    from labos.cli._lab import end_in_order
 
     pause = threading.Event()
     last_ns = 0
-    with orderly():
+    with end_in_order():
         try:
             while True:
                 try:

@@ -13,13 +13,13 @@ from labos.errors import Refused
 from labos.services.times import iso_time, show_time
 from labos.store import (
     DatabaseStatus,
-    database_bytes,
-    database_status,
+    find_lease_holder,
     forget_end,
     grant_writer,
-    lease_holder,
+    measure_database,
     migrate,
     raise_epoch,
+    read_database_status,
     scrub_words,
     show_url,
 )
@@ -45,8 +45,8 @@ def command() -> None:
 def status(where: Where, as_json: bool) -> None:
     """Show revision, size, end of the log, and whether a kernel runs. Exit code 1 if this version of LabOS
     cannot use the database as it is."""
-    found = database_status(where.url)
-    facts = _facts(where, found)
+    found = read_database_status(where.url)
+    facts = _list_facts(where, found)
     if as_json:
         show_json(facts)
     else:
@@ -69,12 +69,12 @@ def status(where: Where, as_json: bool) -> None:
 def upgrade(where: Where, as_json: bool) -> None:
     """Upgrade an older or empty database to this version of LabOS. The command is refused while a kernel
     runs. It never changes a database of a newer LabOS."""
-    found = database_status(where.url)
+    found = read_database_status(where.url)
     if found.state == "current":
         told = f"The {found.name} is already at revision {found.revision}."
         tell(told, {"before": found.revision, "revision": found.revision}, as_json=as_json)
         return
-    owner = lease_holder(where.url)
+    owner = find_lease_holder(where.url)
     if owner:
         raise Refused(
             f"A kernel ({owner}) is running on the {found.name}.",
@@ -96,7 +96,7 @@ def record_restored(where: Where, as_json: bool) -> None:
     next kernel has a higher epoch than the nodes have ever seen. It starts no action until a person has
     checked the bench (labos bench round). The former end of the log no longer counts. The command is
     refused while a kernel runs."""
-    found = database_status(where.url)
+    found = read_database_status(where.url)
     if found.state != "current":
         raise Refused(f"{found.name}: {_describe_status(found)}.", remedy="No epoch has to be exceeded.")
     before, after = raise_epoch(where.url, now_ns())
@@ -147,17 +147,17 @@ def url(where: Where, as_json: bool) -> None:
     tell(show_url(where.url), {"url": show_url(where.url)}, as_json=as_json)
 
 
-def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
+def _list_facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "name": found.name,
         "url": show_url(where.url),
         "state": found.state,
         "revision": found.revision,
         "expected": found.expected,
-        "kernel": lease_holder(where.url),
+        "kernel": find_lease_holder(where.url),
     }
     if found.state != "missing":
-        facts["bytes"] = database_bytes(where.url)
+        facts["bytes"] = measure_database(where.url)
     if found.state == "current":
         with open_log(where) as store:
             head = store.head()

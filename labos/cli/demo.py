@@ -50,15 +50,15 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     labos demo --speed 1000 --home /tmp/demo
     """
     from labos.bootstrap import LabThread, descriptions
-    from labos.cli._lab import CLOSING, orderly, read_workcell
+    from labos.cli._lab import CLOSING, end_in_order, read_workcell
     from labos.settings import Settings, keep_private
 
-    folder = Path(home) if home else _fresh_folder()
+    folder = Path(home) if home else _find_fresh_folder()
     keep_private()
     settings = Settings.make(folder, database, name="demo", speed=speed, simulate=True, seed=seed)
     _expect_new(settings, given=database is not None)
     cell = read_workcell("rpl")
-    what = {name: _first_sentence(known.description) for name, known in descriptions().items()}
+    what = {name: _cut_first_sentence(known.description) for name, known in descriptions().items()}
     click.echo(
         f"The RPL workcell, {len(cell.workcell.modules)} simulated modules, {speed:g} times real time:"
     )
@@ -67,12 +67,12 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     click.echo(
         "The modules start. Ada submits two PCR runs, Bo an application that picks a colour. Please wait …"
     )
-    with orderly():
+    with end_in_order():
         try:
             with LabThread(settings, [cell]) as lab:
                 try:
                     results, code = _show(lab, settings, seed)
-                    _account(settings, results)
+                    _show_account(settings, results)
                     if keep:
                         click.echo(f"\nThe lab continues at {lab.url} until Ctrl-C.")
                         while not lab.failed.wait(0.5):
@@ -81,7 +81,7 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
                     click.echo(f"\n{CLOSING}")
                     raise
         except KeyboardInterrupt:
-            click.echo(f"\nInterrupted. Continue with: labos up --home {_short_path(settings.home)}")
+            click.echo(f"\nInterrupted. Continue with: labos up --home {_cut_path(settings.home)}")
             raise click.exceptions.Exit(130) from None
     if lab.failure is not None:
         raise lab.failure
@@ -89,7 +89,7 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
         raise click.exceptions.Exit(1)
 
 
-def _first_sentence(text: str) -> str:
+def _cut_first_sentence(text: str) -> str:
     first = " ".join(text.split()).partition(". ")[0]
     return f"{first.rstrip('.')}."
 
@@ -113,9 +113,9 @@ def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult
 
 def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]:
     from labos.private import make_folder
-    from labos.spec.library import specs_folder
+    from labos.spec.library import find_specs_folder
 
-    script = specs_folder() / "apps" / "first_color_picker.py"
+    script = find_specs_folder() / "apps" / "first_color_picker.py"
     make_folder(settings.logs)
     with (settings.logs / "color_picker.log").open("ab") as log:
         return subprocess.Popen(
@@ -133,7 +133,7 @@ def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]
 def _show_progress(url: str) -> Iterator[None]:
     """Show what happens as long as the block lasts: a picture in a terminal, else lines."""
     over = threading.Event()
-    watch = _paint if sys.stdout.isatty() else _tell
+    watch = _show_live if sys.stdout.isatty() else _tell
     watcher = threading.Thread(target=watch, args=(url, over), name="watcher", daemon=True)
     watcher.start()
     try:
@@ -151,10 +151,10 @@ def _tell(url: str, over: threading.Event) -> None:
         Narrator(client, client.health()["position"]).follow(over)
 
 
-def _paint(url: str, over: threading.Event) -> None:
+def _show_live(url: str, over: threading.Event) -> None:
     from rich.live import Live
 
-    from labos.cli._live import picture
+    from labos.cli._live import draw_picture
     from labos.client import LabClient
 
     alive: dict[str, dict[str, Any]] = {}
@@ -166,10 +166,10 @@ def _paint(url: str, over: threading.Event) -> None:
             for run in alive.keys() - now.keys():
                 ended[run] = f"{alive[run]['workflow']} of {alive[run]['user']} {client.status(run).status}"
             alive = now
-            live.update(picture(state, ended))
+            live.update(draw_picture(state, ended))
 
 
-def _account(settings: Settings, results: list[RunResult]) -> None:
+def _show_account(settings: Settings, results: list[RunResult]) -> None:
     """What the lab has done, from its log alone; and what to ask it next."""
     from labos.cli._summary import show_summary
     from labos.services.summary import summarise
@@ -182,7 +182,7 @@ def _account(settings: Settings, results: list[RunResult]) -> None:
         store.close()
     click.echo()
     show_summary(summary)
-    home = _short_path(settings.home)
+    home = _cut_path(settings.home)
     click.echo("\nThe log is kept. Query it:")
     for ask in (
         f"labos runs --home {home}",
@@ -196,13 +196,13 @@ def _account(settings: Settings, results: list[RunResult]) -> None:
         click.echo(f"  {ask}")
 
 
-def _short_path(folder: Path) -> str:
+def _cut_path(folder: Path) -> str:
     """The folder as one would type it here."""
     here = Path.cwd()
     return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
 
 
-def _fresh_folder() -> Path:
+def _find_fresh_folder() -> Path:
     from labos.settings import Settings
 
     base = Settings.make().home
@@ -217,7 +217,7 @@ def _expect_new(settings: Settings, *, given: bool) -> None:
     if (settings.home / "kernel.json").exists() or (settings.home / "labos.db").exists():
         raise BadInput(
             f"{settings.home} already holds a lab.",
-            remedy=f"Continue it with `labos up --home {_short_path(settings.home)}`, or name a new folder.",
+            remedy=f"Continue it with `labos up --home {_cut_path(settings.home)}`, or name a new folder.",
         )
     if given:
         from labos.store import open_store

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import click
 
-from labos.audit.difference import differences
+from labos.audit.difference import list_differences
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import show_json, show_table
 from labos.cli._query import AT_HELP, Where, as_moment, json_option, log_options
 from labos.errors import BadInput
-from labos.services.history import position_at
+from labos.services.history import find_position_at
 from labos.services.times import Moment
 
 
@@ -29,10 +29,10 @@ def command(where: Where, first: Moment, last: Moment, as_json: bool) -> None:
     labos diff --since 2026-05-04T10:30 --until 2026-05-04T18:00
     """
     with open_log_and_views(where) as (store, asker):
-        begin, end = position_at(store, first), position_at(store, last)
+        begin, end = find_position_at(store, first), find_position_at(store, last)
         if begin > end:
             raise BadInput("--since is later than --until.", remedy="Exchange the two times.")
-        changes = differences(asker, begin, end)
+        changes = list_differences(asker, begin, end)
     if as_json:
         show_json({"since": begin, "until": end, "changes": changes})
         return

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import find_user, json_option, lab_options, user_option, wait_option
 from labos.errors import BadInput
 
@@ -51,7 +51,7 @@ def _options(command: F) -> F:
 
 
 @click.command("do")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @click.argument("action")
 @click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]...")
 @_options
@@ -71,7 +71,7 @@ def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> 
 
 
 @click.command("reset")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @_options
 def reset(module: str, **options: Any) -> None:
     """Reset MODULE after an error. Same as `labos do MODULE reset`.
@@ -86,7 +86,7 @@ def reset(module: str, **options: Any) -> None:
 
 
 @click.command("home")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @_options
 def home(module: str, **options: Any) -> None:
     """Move MODULE to its home position. Same as `labos do MODULE home`. Not every module has one.
@@ -157,8 +157,8 @@ def _carry_out(
 
 def _queue(job: Any, home: str | None, *, as_json: bool) -> None:
     from labos.cli._lab import need_lab
-    from labos.cli.run import places_of, submit
+    from labos.cli.run import parse_places, submit
 
     with need_lab(home) as client:
-        run = submit(client, job, job.workcell, places_of(job.placed))
+        run = submit(client, job, job.workcell, parse_places(job.placed))
     click.echo(f'{{"run": "{run}"}}' if as_json else run)

@@ -27,13 +27,13 @@ from labos.services.doctor import (
     check_space,
     check_sync,
 )
-from labos.services.history import state_at
+from labos.services.history import fold_state_at
 from labos.services.retention import check_retention
 from labos.services.times import show_time
-from labos.services.trust.places import newest_in
+from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER
 from labos.settings import KernelInfo, Settings, find_kernel, is_free, last_kernel, last_ports
-from labos.store import database_file, database_status, lease_holder, show_url
+from labos.store import find_database_file, find_lease_holder, read_database_status, show_url
 from labos.version import VERSION
 
 MARKS = {"ok": "ok     ", "warning": "WARNING", "fault": "FAULT  "}
@@ -58,47 +58,47 @@ def command(where: Where, as_json: bool) -> None:
     """
     found = list(_examine(where))
     if as_json:
-        show_json({"well": not _faults(found), "findings": found})
+        show_json({"well": not _count_faults(found), "findings": found})
     else:
         for finding in found:
             click.echo(f"{MARKS[finding.state]} {finding.told}")
             if finding.remedy:
                 click.echo(f"{' ' * 8}{finding.remedy}")
         warnings = sum(finding.state == "warning" for finding in found)
-        click.echo(f"{len(found)} checks: {_faults(found)} faults, {warnings} warnings.")
-    if _faults(found):
+        click.echo(f"{len(found)} checks: {_count_faults(found)} faults, {warnings} warnings.")
+    if _count_faults(found):
         raise SystemExit(FAILED)
 
 
-def _faults(found: list[DoctorFinding]) -> int:
+def _count_faults(found: list[DoctorFinding]) -> int:
     return sum(finding.state == "fault" for finding in found)
 
 
 def _examine(where: Where) -> Iterator[DoctorFinding]:
     kernel = find_kernel(where.home)
-    yield _database(where)
+    yield _check_database(where)
     if not where.home.is_dir():
         told = f"There is no folder {where.home}."
         yield DoctorFinding("home", "fault", told, "Name the lab's folder (--home), or start a lab: labos up")
         return
-    file = database_file(where.url)
+    file = find_database_file(where.url)
     disk = file.parent if file is not None and file.parent.is_dir() else where.home
     yield from _examine_safely("disk space", lambda: check_space(disk))
     yield from _examine_safely("disk sync", lambda: check_sync(disk))
     authority = Authority(Settings.make(where.home).pki)
-    private = [where.home, *(where.home / name for name in PRIVATE), *authority.private_files()]
+    private = [where.home, *(where.home / name for name in PRIVATE), *authority.list_private_files()]
     yield from _examine_safely("permissions", lambda: check_permissions(private))
-    yield from _certificates(authority)
-    yield from _ports(where.home, kernel)
+    yield from _check_lab_certificates(authority)
+    yield from _check_ports(where.home, kernel)
     if kernel is None:
-        yield _no_kernel(where)
+        yield _explain_no_kernel(where)
     else:
-        yield from _kernel(where.home, kernel)
-    yield _checkpoint(where.home)
+        yield from _check_kernel(where.home, kernel)
+    yield _check_checkpoint(where.home)
     yield check_rehearsal(where.home, now_ns())
     if (retention := check_retention(where.home, now_ns())) is not None:
         yield retention
-    yield from _state(where)
+    yield from _check_state(where)
 
 
 def _examine_safely(name: str, look: Callable[[], DoctorFinding]) -> Iterator[DoctorFinding]:
@@ -111,9 +111,9 @@ def _examine_safely(name: str, look: Callable[[], DoctorFinding]) -> Iterator[Do
         )
 
 
-def _database(where: Where) -> DoctorFinding:
+def _check_database(where: Where) -> DoctorFinding:
     try:
-        found = database_status(where.url)
+        found = read_database_status(where.url)
     except LabosError as error:
         told = f"The database {show_url(where.url)} cannot be used: {error.message}"
         return DoctorFinding("database", "fault", told, error.remedy)
@@ -131,21 +131,21 @@ def _database(where: Where) -> DoctorFinding:
     return DoctorFinding("database", "fault", told, "Install the newer LabOS that wrote it.")
 
 
-def _state(where: Where) -> Iterator[DoctorFinding]:
+def _check_state(where: Where) -> Iterator[DoctorFinding]:
     """Whether actions take as long as planned and calibrations are valid, where there is a log that can be
     read."""
     try:
-        if database_status(where.url).state != "current":
+        if read_database_status(where.url).state != "current":
             return
         with open_log(where) as store:
-            state = state_at(store)
+            state = fold_state_at(store)
     except LabosError:
         return  # what is wrong with the log is told elsewhere
     yield check_durations(find_drifts(state.lengths, state.lab.pace))
     yield from check_calibrations(state, now_ns())
 
 
-def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFinding]:
+def _check_ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFinding]:
     ports = last_ports(home)
     if kernel is None:
         for name, port in (("HTTP", ports.http), ("bus", ports.bus)):
@@ -157,7 +157,7 @@ def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFinding]:
     endpoint = urlsplit(kernel.bus.replace("/", "://", 1))
     try:
         socket.create_connection((endpoint.hostname or "", endpoint.port or 0), timeout=2.0).close()
-        yield _bus(kernel.bus, endpoint.hostname or "")
+        yield _check_bus(kernel.bus, endpoint.hostname or "")
     except (OSError, ValueError) as error:
         told = f"The bus does not answer at {kernel.bus}: {error}."
         yield DoctorFinding(
@@ -165,7 +165,7 @@ def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFinding]:
         )
 
 
-def _bus(where: str, host: str) -> DoctorFinding:
+def _check_bus(where: str, host: str) -> DoctorFinding:
     from labos.http.server import is_own_address
 
     told = f"The bus answers at {where}."
@@ -175,7 +175,7 @@ def _bus(where: str, host: str) -> DoctorFinding:
     return DoctorFinding("bus", "warning", told, "labos up --secure; see docs/secure-bus.md.")
 
 
-def _certificates(authority: Authority) -> Iterator[DoctorFinding]:
+def _check_lab_certificates(authority: Authority) -> Iterator[DoctorFinding]:
     if not authority.exists:
         return
     try:
@@ -184,9 +184,9 @@ def _certificates(authority: Authority) -> Iterator[DoctorFinding]:
         yield DoctorFinding("certificates", "fault", f"They cannot be checked: {error.message}", error.remedy)
 
 
-def _no_kernel(where: Where) -> DoctorFinding:
+def _explain_no_kernel(where: Where) -> DoctorFinding:
     try:
-        owner = lease_holder(where.url)
+        owner = find_lease_holder(where.url)
     except LabosError:
         owner = ""
     if owner:
@@ -203,7 +203,7 @@ def _no_kernel(where: Where) -> DoctorFinding:
     return DoctorFinding("kernel", "ok", "No kernel runs this lab. The last one ended normally.")
 
 
-def _kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
+def _check_kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
     from labos.client import LabClient
 
     try:
@@ -215,7 +215,7 @@ def _kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
             "kernel", "fault", f"The kernel at {kernel.url} says: {error.message}", error.remedy
         )
         return
-    yield _health(kernel, health)
+    yield _check_health(kernel, health)
     for driver, why in health.get("broken_drivers", {}).items():
         told = f"The driver {driver} cannot be loaded: {why}"
         yield DoctorFinding(
@@ -224,7 +224,7 @@ def _kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
     yield from check_nodes(heard, VERSION)
 
 
-def _health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
+def _check_health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
     check = health.get("log_check") or {}
     if check.get("damage"):
         told = f"The log is damaged. {check['damage']}"
@@ -246,8 +246,8 @@ def _health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
     )
 
 
-def _checkpoint(home: Path) -> DoctorFinding:
-    newest = newest_in(home / FOLDER)
+def _check_checkpoint(home: Path) -> DoctorFinding:
+    newest = find_newest(home / FOLDER)
     if newest is None:
         told = "No checkpoint of the log was signed yet. Without one, other people cannot verify the log."
         return DoctorFinding(

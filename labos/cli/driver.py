@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._describe import describe_command
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option
@@ -33,7 +33,7 @@ command.add_command(describe_command)
 
 
 @command.command("torture")
-@click.argument("driver", shell_complete=completes("driver"))
+@click.argument("driver", shell_complete=make_completer("driver"))
 @click.option("--check", "only", multiple=True, metavar="NAME", help="Run only this check.")
 @click.option(
     "--at-least",
@@ -120,7 +120,7 @@ def new_command(name: str, as_json: bool) -> None:
     if folder.exists():
         raise BadInput(f"{folder} already exists.", remedy="Use another name.")
     _refuse_if_taken(package)
-    files = _skeleton(folder, package)
+    files = _make_skeleton(folder, package)
     for path, text in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
@@ -145,7 +145,7 @@ def _refuse_if_taken(name: str) -> None:
         )
 
 
-def _skeleton(folder: Path, name: str) -> dict[Path, str]:
+def _make_skeleton(folder: Path, name: str) -> dict[Path, str]:
     """What to write. The package does not bear the bare name, which may be taken."""
     words = {
         "PACKAGE": f"labos_{name}",

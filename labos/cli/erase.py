@@ -74,10 +74,10 @@ def command(
             done = client.erase_words(because, asker.user, records=list(records), user=author or "")
     if done["erased"] and not lab_of(asker.home):
         forget_erased(Where(Settings.make(asker.home).home))
-    asker.tell(_sentence(done), done)
+    asker.tell(_describe_erasure(done), done)
 
 
-def _sentence(done: dict[str, Any]) -> str:
+def _describe_erasure(done: dict[str, Any]) -> str:
     if done["erasure"]:
         return (
             f"{done['erasure']} waits for a second person, by the lab's policy: "

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, cert_option
 
 PATIENCE_S = 2.0
@@ -18,7 +18,7 @@ PATIENCE_S = 2.0
 
 @click.command("estop")
 @click.argument(
-    "target", shell_complete=completes("module", "workcell"), required=False, metavar="[MODULE|WORKCELL]"
+    "target", shell_complete=make_completer("module", "workcell"), required=False, metavar="[MODULE|WORKCELL]"
 )
 @click.option("--all", "everything", is_flag=True, help="Stop every module of the lab.")
 @click.option(
@@ -89,13 +89,13 @@ def _stop(
     if not connect and last is None:
         raise NotFound(f"No lab has run in {folder}.", remedy="Name its --home, or the bus with --connect.")
     if connect or last is None:
-        return _past_the_kernel(connect, cert, target, by)
+        return _stop_without_kernel(connect, cert, target, by)
     if cert is None and last.bus.startswith("tls/"):
         cert = Authority(Settings.make(home).pki).credentials(PartyIdentity("kernel", lab=last.lab)).folder
-    return _past_the_kernel((last.bus,), cert, target, by, last.lab)
+    return _stop_without_kernel((last.bus,), cert, target, by, last.lab)
 
 
-def _past_the_kernel(
+def _stop_without_kernel(
     connect: Sequence[str], cert: Path | None, target: str, by: str, lab: str = "*"
 ) -> dict[str, Any]:
     import msgspec

@@ -8,7 +8,7 @@ from labos.cli._liveness import say_if_dead
 from labos.cli._options import ENDED_SHOWN, all_option, json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, log_options, open_log
-from labos.services.experiments import ExperimentHistory, experiment_histories
+from labos.services.experiments import ExperimentHistory, list_experiment_histories
 from labos.services.times import show_span, show_time
 
 
@@ -27,7 +27,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = list(experiment_histories(store).values())
+        told = list(list_experiment_histories(store).values())
     ended = [story.id for story in told if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in told if story.id not in hidden]

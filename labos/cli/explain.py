@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._liveness import has_kernel, say_if_dead
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
-from labos.cli.runs import took
+from labos.cli.runs import show_duration
 from labos.core.ids import RunId, local
 from labos.core.interventions import Intervention
-from labos.core.runs import modules_open
+from labos.core.runs import find_open_modules
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.services.due import tell_due
-from labos.services.experiments import experiment_histories
-from labos.services.history import state_at
+from labos.services.experiments import list_experiment_histories
+from labos.services.history import fold_state_at
 from labos.services.runs import RunHistory, run_history
 from labos.services.times import show_span, show_time
-from labos.services.waits import reasons
+from labos.services.waits import list_reasons
 
 
 @click.command("explain", short_help="Explain why a run is waiting.")
-@click.argument("run", shell_complete=completes("run", "experiment"), metavar="RUN|EXPERIMENT")
+@click.argument("run", shell_complete=make_completer("run", "experiment"), metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:
@@ -36,12 +36,12 @@ def command(where: Where, run: str, as_json: bool) -> None:
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        inside = experiment_histories(store).get(run) if run.startswith("E") else None
+        inside = list_experiment_histories(store).get(run) if run.startswith("E") else None
         named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
-        stories, state = [run_history(store, name) for name in named], state_at(store)
+        stories, state = [run_history(store, name) for name in named], fold_state_at(store)
         lives = has_kernel(where.url)
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
-    now_of = [_now(state, story, now, lives) for story in stories]
+    now_of = [_describe_now(state, story, now, lives) for story in stories]
     told = [
         {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
     ]
@@ -57,49 +57,51 @@ def command(where: Where, run: str, as_json: bool) -> None:
         click.echo(f"{story.id} ({story.workflow}, {story.user}) is {story.status}.")
         for sentence in waits:
             click.echo(f"- {sentence}")
-        click.echo(so_far(story))
+        click.echo(describe_progress(story))
 
 
-def _now(state: LabState, story: RunHistory, now: int, lives: bool) -> list[str]:
-    waits = sentences(state, story, now)
+def _describe_now(state: LabState, story: RunHistory, now: int, lives: bool) -> list[str]:
+    waits = list_sentences(state, story, now)
     if not lives and not story.over:
         waits.append("no kernel runs this lab now, so no step starts: labos up WORKCELL")
     return waits
 
 
-def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
+def list_sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
     """What a run does and waits for."""
     if story.over:
         when = (
-            f"It ended at {show_time(story.ended_at)}, after {took(story, now)}." if story.started_at else ""
+            f"It ended at {show_time(story.ended_at)}, after {show_duration(story, now)}."
+            if story.started_at
+            else ""
         )
         ended = "was cancelled" if story.status == "cancelled" else story.status
         why = f"It {ended}: {story.why}" if story.why else ""
-        return [*(text for text in (why, when) if text), *questions(state, story.id)]
+        return [*(text for text in (why, when) if text), *list_questions(state, story.id)]
     found = [
         f"#{step.index} {step.key!r} is {_describe_action(step.state)} on {local(step.module)} since "
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
         + (f": {step.error}" if step.error else "")
-        + _usual(state, story, step.index)
-        + _setup(state, story, step.index)
+        + _describe_usual(state, story, step.index)
+        + _describe_setup(state, story, step.index)
         + _companions(state, story, step.index)
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
     if story.why:
         found.append(f"it is {story.status}: {story.why}")
-    asked = questions(state, story.id)
+    asked = list_questions(state, story.id)
     found += asked
     run = state.runs.get(RunId(story.id))
     if run is None:
         return found
-    for reason in reasons(state, run, now):
+    for reason in list_reasons(state, run, now):
         who = " It continues after a person or a device has acted." if reason.blocked and not asked else ""
         remedy = f" {reason.remedy}" if reason.remedy else ""
         found.append(
             f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why.rstrip('.')}.{who}{remedy}"
         )
-    for key, names in modules_open(state.runs, run).items() if not run.has_started else ():
+    for key, names in find_open_modules(state.runs, run).items() if not run.has_started else ():
         found.append(f"{key!r} may be done by {' or '.join(map(local, names))}")
     if run.status == "queued":
         before = sum(other.position < run.position for other in state.runs.queued.values())
@@ -111,7 +113,7 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
     return found
 
 
-def _usual(state: LabState, story: RunHistory, index: int) -> str:
+def _describe_usual(state: LabState, story: RunHistory, index: int) -> str:
     """How long a step takes as a rule, where that is not what was planned."""
     run = state.runs.get(RunId(story.id))
     steps = state.runs.plan_of(run).steps if run is not None else ()
@@ -124,7 +126,7 @@ def _usual(state: LabState, story: RunHistory, index: int) -> str:
     return f"; it usually takes {show_span(usual_s)}, planned {show_span(planned_s)}"
 
 
-def _setup(state: LabState, story: RunHistory, index: int) -> str:
+def _describe_setup(state: LabState, story: RunHistory, index: int) -> str:
     """How long the module of a step under way is set up for it first."""
     for action in state.actions.open.values():
         if (action.run, action.step) == (story.id, index):
@@ -144,16 +146,16 @@ def _companions(state: LabState, story: RunHistory, index: int) -> str:
     return ""
 
 
-def questions(state: LabState, run: str) -> list[str]:
+def list_questions(state: LabState, run: str) -> list[str]:
     """What the lab asks a person because of a run, and how it is answered."""
     return [
-        f"a person has to answer {question.id}: {question.text} " + _how(question)
+        f"a person has to answer {question.id}: {question.text} " + _explain_how(question)
         for question in state.interventions.open.values()
         if question.run == run
     ]
 
 
-def _how(question: Intervention) -> str:
+def _explain_how(question: Intervention) -> str:
     if question.kind == PlannedWork.KIND:
         return f"labos confirm {question.id}"
     return "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
@@ -163,7 +165,7 @@ def _describe_action(state: str) -> str:
     return "under way" if state == "in flight" else "in an unknown state"
 
 
-def so_far(story: RunHistory) -> str:
+def describe_progress(story: RunHistory) -> str:
     """How far the run has come, in a sentence."""
     text = f"So far {story.done} of {story.in_play} steps are done"
     last = max((step for step in story.steps if step.ended_at), key=lambda s: s.ended_at, default=None)

@@ -12,21 +12,21 @@ from pathlib import Path
 import click
 
 from labos.audit._crate_experiment import Program
-from labos.audit.cloudevents import cloudevent
+from labos.audit.cloudevents import encode_cloudevent
 from labos.audit.crate import make_crate, runs_of
 from labos.audit.kafka import SCHEME, KafkaSink, KafkaTopic, read_settings
 from labos.audit.sinks import JsonLines, Sink
 from labos.cli._audit import open_log_and_views
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._out import tell
-from labos.cli._query import Where, as_moment, contents, json_option, log_options, now_ns, open_log
+from labos.cli._query import Where, as_moment, json_option, log_options, now_ns, open_contents, open_log
 from labos.cli.bundle import make_bundle_of
 from labos.errors import BadInput, SystemFailed
 from labos.ports import LogQuery
 from labos.private import create_file, make_folder
 from labos.services.filters import check_types
-from labos.services.history import position_at
+from labos.services.history import find_position_at
 from labos.services.log import Log
 from labos.services.times import Moment
 
@@ -53,7 +53,7 @@ def command() -> None:
 
 
 @command.command("crate")
-@click.argument("name", metavar="RUN|EXPERIMENT", shell_complete=completes("run"))
+@click.argument("name", metavar="RUN|EXPERIMENT", shell_complete=make_completer("run"))
 @click.option(
     "--to",
     "target",
@@ -105,8 +105,8 @@ def crate(
         data, _ = make_bundle_of(where, run)
         words = f"The events of {run} with their proof: labos verify --bundle {run}.zip"
         made.put(f"bundles/{run}.zip", data, name=words, encodingFormat="application/zip")
-    with contents(where) as blobs:
-        files = _write(target, made.contents(blobs))
+    with open_contents(where) as blobs:
+        files = _write(target, made.read_contents(blobs))
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
     tell(f"{target} holds {count} in {files} files.", facts, as_json=as_json)
@@ -240,7 +240,7 @@ def events(
             end = log.head().position
             if end > seen:
                 for record in log.select(LogQuery(after=seen, upto=end, types=families)):
-                    click.echo(cloudevent(record))
+                    click.echo(encode_cloudevent(record))
                 seen = end
             if not follow:
                 return
@@ -306,4 +306,4 @@ def _start(log: Log, moment: Moment) -> int:
     """The position after which to begin. Raises BadInput for one that the log does not have."""
     if moment == Moment() or moment.position == 0:
         return 0
-    return position_at(log, moment)
+    return find_position_at(log, moment)

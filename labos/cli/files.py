@@ -7,24 +7,24 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import (
     Where,
     at_option,
-    contents,
     json_option,
     log_options,
     now_ns,
+    open_contents,
     open_database,
     open_log,
 )
 from labos.core.texts import CONTROL
 from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader
-from labos.services.files import ResultFile, files_of
-from labos.services.history import position_at
+from labos.services.files import ResultFile, list_files
+from labos.services.history import find_position_at
 from labos.services.retention import note_retention
 from labos.services.times import Moment, show_time
 from labos.services.verification import find_unused_blobs
@@ -40,7 +40,7 @@ SHORT = 12
 
 
 @click.command("files", short_help="List or fetch files that steps have returned.")
-@click.argument("run", shell_complete=completes("run"), required=False, default="")
+@click.argument("run", shell_complete=make_completer("run"), required=False, default="")
 @click.argument("file", required=False, default="", metavar="[FILE]")
 @click.option(
     "-o",
@@ -96,13 +96,13 @@ def command(
     with open_log(where) as store:
         if moment == Moment():
             say_if_dead(where.url, store.head(), last_known=False)
-        found = files_of(store, run, position_at(store, moment))
+        found = list_files(store, run, find_position_at(store, moment))
     if file:
         found = _find_files(found, run, file)
     if to is not None:
         if not run:
             raise click.UsageError("Name the run with the files to fetch.")
-        with contents(where) as blobs:
+        with open_contents(where) as blobs:
             written = _fetch(blobs, found, to, one=bool(file))
         if as_json:
             show_json({"written": written})

@@ -9,7 +9,7 @@ import click
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
 from labos.cli._out import show_json, show_table
-from labos.cli._people import in_words
+from labos.cli._people import describe_roles
 
 _name = click.argument("name", metavar="GROUP")
 _member = click.argument("member", metavar="USER")
@@ -60,7 +60,7 @@ def list_groups(asker: Asker) -> None:
         show_json(found)
         return
     rows = [
-        (group["name"], f"{group['weight']:g}", ", ".join(group["members"]), in_words(group["roles"]))
+        (group["name"], f"{group['weight']:g}", ", ".join(group["members"]), describe_roles(group["roles"]))
         for group in found
     ]
     show_table(("group", "weight", "members", "roles"), rows)

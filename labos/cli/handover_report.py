@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._liveness import lab_now, say_if_dead
+from labos.cli._liveness import find_lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.services.describe import owner_name
-from labos.services.handover import Handover, OpenRun, handover
+from labos.services.handover import Handover, OpenRun, read_handover
 from labos.services.times import parse_time, show_span, show_time
 
 SHIFT = "-8h"
@@ -35,19 +35,19 @@ def command(where: Where, since: str, as_json: bool) -> None:
     began = parse_time(since, now_ns())
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        found = handover(store, began, max(lab_now(where.url, store.head()), began))
+        found = read_handover(store, began, max(find_lab_now(where.url, store.head()), began))
     if as_json:
         show_json(found)
         return
     click.echo(f"{found.lab}: from {show_time(found.since)} to {show_time(found.until)}")
-    _runs(found)
-    _people(found)
-    _bench(found)
+    _show_runs(found)
+    _show_people(found)
+    _show_bench(found)
     click.echo()
-    click.echo(_by_itself(found))
+    click.echo(_describe_unattended(found))
 
 
-def _runs(found: Handover) -> None:
+def _show_runs(found: Handover) -> None:
     click.echo()
     rows = [_run(run) for run in (*found.running, *found.queued)]
     more = found.queued_in_all - len(found.queued)
@@ -67,7 +67,7 @@ def _run(run: OpenRun) -> tuple[str, ...]:
     return run.run, run.workflow, run.user, run.status, steps, what + stuck
 
 
-def _people(found: Handover) -> None:
+def _show_people(found: Handover) -> None:
     click.echo()
     click.echo("Waits for a person")
     for asked in found.questions:
@@ -83,7 +83,7 @@ def _people(found: Handover) -> None:
         click.echo("  nothing")
 
 
-def _bench(found: Handover) -> None:
+def _show_bench(found: Handover) -> None:
     if found.labware:
         click.echo()
         rows = [
@@ -110,7 +110,7 @@ def _bench(found: Handover) -> None:
         click.echo("  no resource that the present runs need")
 
 
-def _by_itself(found: Handover) -> str:
+def _describe_unattended(found: Handover) -> str:
     twh = found.twh
     lab_time = ""
     if found.pace != 1:

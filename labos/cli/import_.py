@@ -16,7 +16,7 @@ from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
 from labos.spec.findings import ASSUMED, make_finding
 from labos.spec.library import SUFFIXES
-from labos.spec.references import texts_in
+from labos.spec.references import iterate_texts
 
 if TYPE_CHECKING:
     from labos.core.model import Description
@@ -105,27 +105,27 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
 
 def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) -> ImportOutcome:
     """Read everything before anything is written. Raises NotFound."""
-    from labos.spec.dialects import find_kind, no_spec
+    from labos.spec.dialects import find_kind, make_unknown_error
     from labos.spec.importing import Imported, Moved, import_spec
     from labos.spec.source import read
-    from labos.spec.uses import read_uses, workflows_by_workcell
+    from labos.spec.uses import read_uses, sort_workflows_by_workcell
 
     outcome = ImportOutcome()
     taken: set[Path] = set()
     inside = path.resolve() in output.resolve().parents
     sources: list[tuple[Path, Path, Source]] = []
-    for file, under in _files(path):
+    for file, under in _iterate_files(path):
         if inside and file.resolve().is_relative_to(output.resolve()):
             continue  # written the last time
         try:
             source = read(file, last_wins=True)
             if find_kind(source) is None and path.is_dir():
-                outcome.skipped.append(LeftFile(str(file), [make_finding(no_spec(source))]))
+                outcome.skipped.append(LeftFile(str(file), [make_finding(make_unknown_error(source))]))
                 continue
             sources.append((file, under, source))
         except SpecError as error:
             outcome.refused.append(LeftFile(str(file), [make_finding(error)]))
-    users = workflows_by_workcell([source for _, _, source in sources])
+    users = sort_workflows_by_workcell([source for _, _, source in sources])
     moved: dict[str, list[Moved]] = {}
     files: dict[str, Imported] = {}
     for file, _, source in sorted(sources, key=lambda each: each[2].file not in users):  # workcells first
@@ -146,7 +146,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
         if source.file not in files:
             continue
         found = files[source.file]
-        target = _free(output / under, taken)
+        target = _choose_free_name(output / under, taken)
         text = found.text or file.read_text("utf-8-sig")
         outcome.written.append(
             WrittenFile(
@@ -166,7 +166,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
 def _find_named_files(workflow: Source, root: Path, output: Path) -> Iterator[CopiedFile]:
     """The files of the folder that a workflow names in its arguments."""
     here = Path(workflow.file).resolve().parent
-    for text in sorted(set(texts_in(workflow.data))):
+    for text in sorted(set(iterate_texts(workflow.data))):
         if "\n" in text or len(text) > LONGEST_PATH:
             continue
         with contextlib.suppress(OSError, ValueError):
@@ -175,7 +175,7 @@ def _find_named_files(workflow: Source, root: Path, output: Path) -> Iterator[Co
                 yield CopiedFile(str(file), str(output / file.relative_to(root)))
 
 
-def _files(path: Path) -> Iterator[tuple[Path, Path]]:
+def _iterate_files(path: Path) -> Iterator[tuple[Path, Path]]:
     """Each YAML file and its path below the folder. Raises NotFound."""
     if path.is_file():
         yield path, Path(path.name)
@@ -188,7 +188,7 @@ def _files(path: Path) -> Iterator[tuple[Path, Path]]:
         raise NotFound(f"There is no file or folder {str(path)!r}.", remedy="Check its path.")
 
 
-def _free(target: Path, taken: set[Path]) -> Path:
+def _choose_free_name(target: Path, taken: set[Path]) -> Path:
     """A name of its own for each file, also where two differ only in ``.yaml`` and ``.yml``."""
     number, found = 1, target.with_suffix(".yaml")
     while found in taken:
@@ -228,7 +228,7 @@ def _show(outcome: ImportOutcome) -> dict[str, Any]:
 
 def _tell(outcome: ImportOutcome) -> None:
     rows = [
-        (file.target, f"{file.kind} ({file.dialect})", _holds(file.counts), str(len(file.assumed)))
+        (file.target, f"{file.kind} ({file.dialect})", _describe_counts(file.counts), str(len(file.assumed)))
         for file in outcome.written
     ]
     if rows:
@@ -260,7 +260,7 @@ def _tell_assumed(outcome: ImportOutcome) -> None:
         click.echo(f"  … and {len(told) - MOST_TOLD} more; each is a comment in its file.")
 
 
-def _holds(counts: dict[str, int]) -> str:
+def _describe_counts(counts: dict[str, int]) -> str:
     return ", ".join(
         f"{count} {what.removesuffix('s') if count == 1 else what}" for what, count in counts.items() if count
     )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, json_option, read_result, why_option
 from labos.cli._query import Where, log_options, open_log
 from labos.core.topics import PlannedWork
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.command("inbox")
 @click.option(
     "--module",
-    shell_complete=completes("module"),
+    shell_complete=make_completer("module"),
     metavar="NAME",
     help="Only the work of this operator module.",
 )
@@ -36,12 +36,12 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
     """
     from labos.cli._liveness import say_if_dead
     from labos.cli._out import show_json, show_table
-    from labos.services.interventions import intervention_histories
+    from labos.services.interventions import list_intervention_histories
     from labos.services.times import show_time
 
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = [story for story in intervention_histories(store).values() if story.open]
+        told = [story for story in list_intervention_histories(store).values() if story.open]
     entries = [
         story
         for story in sorted(told, key=lambda story: story.due_at)
@@ -83,7 +83,7 @@ def _as_json(story: InterventionHistory) -> dict[str, Any]:
 
 
 @click.command("confirm")
-@click.argument("intervention", shell_complete=completes("intervention"))
+@click.argument("intervention", shell_complete=make_completer("intervention"))
 @click.option(
     "--not-done", is_flag=True, help="The work cannot be done, and nothing was moved: the run ends."
 )

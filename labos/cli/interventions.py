@@ -7,12 +7,17 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._liveness import lab_now, say_if_dead
+from labos.cli._liveness import find_lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.state import LabState
-from labos.services.history import state_at
-from labos.services.interventions import WITHDRAWN, InterventionHistory, intervention_histories, whereabouts
+from labos.services.history import fold_state_at
+from labos.services.interventions import (
+    WITHDRAWN,
+    InterventionHistory,
+    describe_whereabouts,
+    list_intervention_histories,
+)
 from labos.services.times import show_span, show_time
 
 
@@ -32,12 +37,12 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = list(intervention_histories(store).values())
-        now = lab_now(where.url, store.head())
-        places = _places(state_at(store)) if any(story.open for story in told) else {}
+        told = list(list_intervention_histories(store).values())
+        now = find_lab_now(where.url, store.head())
+        places = _find_places(fold_state_at(store)) if any(story.open for story in told) else {}
     shown = [story for story in told if everything or story.open]
     if as_json:
-        show_json([_plain(story, places) for story in shown])
+        show_json([_make_plain(story, places) for story in shown])
         return
     answered = [story for story in shown if not story.open]
     if answered:
@@ -54,9 +59,11 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
         click.echo(f"{more} more {'is' if more == 1 else 'are'} answered: labos interventions --all")
 
 
-def _places(state: LabState) -> dict[str, str]:
+def _find_places(state: LabState) -> dict[str, str]:
     """Where the labware of each question is now, as far as the lab knows."""
-    return {name: whereabouts(state, question) for name, question in state.interventions.open.items()}
+    return {
+        name: describe_whereabouts(state, question) for name, question in state.interventions.open.items()
+    }
 
 
 def _tell(story: InterventionHistory, now: int, place: str) -> None:
@@ -83,5 +90,5 @@ def _row(story: InterventionHistory) -> tuple[str, ...]:
     )
 
 
-def _plain(story: InterventionHistory, places: dict[str, str]) -> dict[str, Any]:
+def _make_plain(story: InterventionHistory, places: dict[str, str]) -> dict[str, Any]:
     return {**msgspec.to_builtins(story), "open": story.open, "now": places.get(story.id, "")}

@@ -8,8 +8,15 @@ from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.core.ids import local
-from labos.services.history import state_at
-from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLeft, inventory, list_shortfalls
+from labos.services.history import fold_state_at
+from labos.services.inventory import (
+    Inventory,
+    ResourceLeft,
+    StackLeft,
+    WasteLeft,
+    count_inventory,
+    list_shortfalls,
+)
 from labos.services.times import iso_time, show_time
 
 
@@ -29,32 +36,35 @@ def command(where: Where, as_json: bool) -> None:
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        state = state_at(store)
+        state = fold_state_at(store)
     now = max(now_ns(), state.recorded_at)
-    found = inventory(state, now, iso_time(now)[:10])
+    found = count_inventory(state, now, iso_time(now)[:10])
     if as_json:
-        show_json({"position": state.position, "time": iso_time(now), **_plain(found)})
+        show_json({"position": state.position, "time": iso_time(now), **_make_plain(found)})
         return
     show_table(
         ("resource", "left", "of", "still needed", "lots", "runs out"),
-        [_resource(left) for left in found.resources],
+        [_list_resource_cells(left) for left in found.resources],
         title=f"At {show_time(now)}; {found.runs_looked_at} open runs",
     )
     click.echo()
     show_table(
         ("stack", "left", "of", "still needed", "top to bottom", "runs out"),
-        [_stack(left) for left in found.stacks],
+        [_list_stack_cells(left) for left in found.stacks],
     )
     if found.wastes:
         click.echo()
-        show_table(("waste", "room", "of", "still to come", "full"), [_waste(left) for left in found.wastes])
+        show_table(
+            ("waste", "room", "of", "still to come", "full"),
+            [_list_waste_cells(left) for left in found.wastes],
+        )
     first = list_shortfalls(found)
     if first:
         name, out = first[0]
-        click.echo(f"\nFirst: {_short(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
+        click.echo(f"\nFirst: {_shorten_name(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
 
 
-def _plain(found: Inventory) -> dict[str, object]:
+def _make_plain(found: Inventory) -> dict[str, object]:
     return {
         "resources": found.resources,
         "stacks": found.stacks,
@@ -63,7 +73,7 @@ def _plain(found: Inventory) -> dict[str, object]:
     }
 
 
-def _resource(left: ResourceLeft) -> tuple[str, ...]:
+def _list_resource_cells(left: ResourceLeft) -> tuple[str, ...]:
     unit = f" {left.unit}" if left.unit else ""
     lots = [
         f"{lot.lot or 'no lot'}: {lot.left:g}"
@@ -81,7 +91,7 @@ def _resource(left: ResourceLeft) -> tuple[str, ...]:
     )
 
 
-def _stack(left: StackLeft) -> tuple[str, ...]:
+def _list_stack_cells(left: StackLeft) -> tuple[str, ...]:
     pieces = [f"{c.count} × {c.type}" + (f" (lot {c.lot})" if c.lot else "") for c in left.contents]
     out = left.runs_out
     return (
@@ -94,11 +104,11 @@ def _stack(left: StackLeft) -> tuple[str, ...]:
     )
 
 
-def _waste(left: WasteLeft) -> tuple[str, ...]:
+def _list_waste_cells(left: WasteLeft) -> tuple[str, ...]:
     out = left.runs_out
     when = f"{show_time(out.at)}, run {out.run}" if out else ""
     return (local(left.station), str(left.room), str(left.capacity), str(left.promised), when)
 
 
-def _short(name: str) -> str:
+def _shorten_name(name: str) -> str:
     return local(name).replace(":", " ")

@@ -59,7 +59,7 @@ def show(where: Where, witness: bool, as_json: bool) -> None:
         text = keys.read_signing_key(witness=True).public.text
         tell(text, {"public_key": text}, as_json=as_json)
         return
-    known = keys.public()
+    known = keys.list_public_keys()
     if not known:
         raise NotFound("This lab has no key.", remedy="Make one: labos key create")
     if as_json:
@@ -77,7 +77,7 @@ def rotate(where: Where, as_json: bool) -> None:
     size = read_tree(where.home).size
     keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
-    public = keys.public()[-1]
+    public = keys.list_public_keys()[-1]
     if as_json:
         show_json({"public_key": public.text, "size": size})
         return

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_log
 from labos.core.ids import local
 from labos.errors import NotFound
-from labos.services.describe import owner_name, short
-from labos.services.history import position_at
-from labos.services.labware import LabwareHistory, labware_histories, labware_history
+from labos.services.describe import owner_name, shorten_value
+from labos.services.history import find_position_at
+from labos.services.labware import LabwareHistory, list_labware_histories, read_labware_history
 from labos.services.times import Moment, show_span, show_time
 
 
 @click.command("labware", short_help="List labware, or show the history of one piece.")
-@click.argument("labware", shell_complete=completes("labware"), required=False, metavar="[ID]")
+@click.argument("labware", shell_complete=make_completer("labware"), required=False, metavar="[ID]")
 @click.option(
     "--gone/--here",
     default=None,
@@ -45,11 +45,11 @@ def command(
     labos labware --barcode LB0815   the piece with this barcode
     """
     with open_log(where) as store:
-        upto = position_at(store, moment)
+        upto = find_position_at(store, moment)
         if moment == Moment():
             say_if_dead(where.url, store.head())
-        found = {} if labware else labware_histories(store, upto)
-        story = labware_history(store, labware, upto) if labware else None
+        found = {} if labware else list_labware_histories(store, upto)
+        story = read_labware_history(store, labware, upto) if labware else None
     if labware:
         if story is None:
             raise NotFound(f"There is no labware {labware!r} in this log.", remedy="List it: labos labware")
@@ -79,7 +79,7 @@ def command(
 
 
 def _tell(story: LabwareHistory) -> None:
-    values = ", ".join(f"{name} = {short(value)}" for name, value in story.variables.items())
+    values = ", ".join(f"{name} = {shorten_value(value)}" for name, value in story.variables.items())
     last = "last " if story.gone else ""
     click.echo(f"{story.id} ({story.type}): {story.place}; {last}of {owner_name(story.owner)}")
     if story.barcode:
@@ -105,7 +105,7 @@ def _tell(story: LabwareHistory) -> None:
         (
             show_time(change.at),
             change.what,
-            change.value if change.what == "owner" else short(change.value),
+            change.value if change.what == "owner" else shorten_value(change.value),
             change.by,
             str(change.proof.position),
             change.proof.hash[:16],

@@ -95,7 +95,7 @@ def login(
     if user and (device or code):
         raise click.UsageError("--device and --code cannot be combined with --user.")
     label = f"labos login on {socket.gethostname()}"
-    with _lab(url, home) as client:
+    with _find_lab(url, home) as client:
         place = client.token_place
         try:
             if user:
@@ -105,14 +105,16 @@ def login(
         except NotFound:
             if device or code:
                 raise
-            found = _by_password(client, find_user(user or os.environ.get("LABOS_USER")), label, scope, days)
+            found = _sign_in_by_password(
+                client, find_user(user or os.environ.get("LABOS_USER")), label, scope, days
+            )
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
     tell(f"You are signed in as {found['user']} at {place}, until {until}.", facts, as_json=as_json)
 
 
-def _by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
+def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
     from labos.cli._secret import ask_password
 
     password = ask_password(f"Password of {name}")
@@ -128,20 +130,20 @@ def logout(url: str, home: str | None, as_json: bool) -> None:
     from labos.client._token import find_kept_token, keep_token
     from labos.errors import NotSignedIn
 
-    with _lab(url, home) as client:
+    with _find_lab(url, home) as client:
         place = client.token_place
         if not (kept := find_kept_token(place)):
             tell(
                 f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
             )
             return
-    with suppress(NotSignedIn), _lab(url, home, kept) as client:  # whatever LABOS_TOKEN says
+    with suppress(NotSignedIn), _find_lab(url, home, kept) as client:  # whatever LABOS_TOKEN says
         client.sign_out()  # else it was good no more
     keep_token(place, "")
     tell(f"You are signed out of {place}.", {"place": place, "signed_out": True}, as_json=as_json)
 
 
-def _lab(url: str, home: str | None, token: str = "") -> LabClient:
+def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
     """The lab at an address, or the one that other commands would ask. Raises BadInput for what is none."""
     from labos.cli._lab import need_lab
     from labos.client import LabClient

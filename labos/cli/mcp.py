@@ -54,7 +54,7 @@ def command(
     LABOS_URL=https://lab:8710 LABOS_TOKEN=… labos mcp --behalf ada
     LABOS_URL=https://lab:8710 labos mcp --http-port 8711
     """
-    from labos.cli._lab import orderly
+    from labos.cli._lab import end_in_order
     from labos.cli._remote import is_given, lab_of
     from labos.errors import BadInput
     from labos.http.server import Listening
@@ -78,5 +78,5 @@ def command(
     from labos.mcp.http import serve
 
     listening = Listening(host, http_port, names, tls_cert, tls_key, behind_proxy)
-    with orderly():
+    with end_in_order():
         serve(lab_of(home), home, listening, lambda url: click.echo(f"Agents reach the lab at {url}"))

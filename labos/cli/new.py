@@ -53,11 +53,11 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
         )
     if kind == "app" and not stem.replace("-", "_").isidentifier():
         raise BadInput(f"{stem!r} cannot be a program's name.", remedy="Use letters, digits, '_' and '-'.")
-    files = _files(kind, path.parent, stem)
+    files = _make_files(kind, path.parent, stem)
     there = [str(file) for file in files if file.exists()]
     if there and not force:
         raise BadInput(f"There already is {', '.join(there)}.", remedy="Use another name, or add --force.")
-    schemas = _schemas(kind, path.parent)
+    schemas = _make_schemas(kind, path.parent)
     for file, text in {**schemas, **files}.items():
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -75,28 +75,28 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
         click.echo(f"  {line}")
 
 
-def _files(kind: str, folder: Path, name: str) -> dict[Path, str]:
+def _make_files(kind: str, folder: Path, name: str) -> dict[Path, str]:
     """What to write, the most important first."""
     if kind == "app":
         return {
             folder / f"{name}.py": _skeleton("app.py", name),
-            folder / f"{name}.yaml": _modeline("workflow") + _skeleton("workflow.yaml", name),
+            folder / f"{name}.yaml": _make_modeline("workflow") + _skeleton("workflow.yaml", name),
         }
-    return {folder / f"{name}.yaml": _modeline(kind) + _skeleton(f"{kind}.yaml", name)}
+    return {folder / f"{name}.yaml": _make_modeline(kind) + _skeleton(f"{kind}.yaml", name)}
 
 
 def _skeleton(file: str, name: str) -> str:
     return (SKELETONS / file).read_text(encoding="utf-8").replace("NAME", name)
 
 
-def _modeline(kind: str) -> str:
+def _make_modeline(kind: str) -> str:
     from labos.spec.schema import MODELINE
 
     return f"{MODELINE}{(SCHEMAS / f'{kind}.schema.json').as_posix()}\n"
 
 
-def _schemas(kind: str, folder: Path) -> dict[Path, str]:
-    from labos.cli.schema import schema_text
+def _make_schemas(kind: str, folder: Path) -> dict[Path, str]:
+    from labos.cli.schema import write_schema
 
     kind = "workflow" if kind == "app" else kind
-    return {folder / SCHEMAS / f"{kind}.schema.json": schema_text(kind)}
+    return {folder / SCHEMAS / f"{kind}.schema.json": write_schema(kind)}

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
 from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
@@ -160,7 +160,7 @@ def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, 
 
 
 @command.command("trace")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @click.option("--off", is_flag=True, help="Stop recording.")
 @asker_options
 def trace_command(module: str, off: bool, asker: Asker) -> None:
@@ -291,16 +291,16 @@ def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_jso
     labos node about wei_ros_node /std_ns/arm --config ros_python=/opt/lab/ros_python --config ros_domain=7
     """
     from labos.adapter import describe_foreign
-    from labos.spec.about import about_of
+    from labos.spec.about import make_about
     from labos.spec.emit import to_yaml
-    from labos.spec.interfaces import config_at
+    from labos.spec.interfaces import make_config_at
 
-    config = config_at(interface, address)
+    config = make_config_at(interface, address)
     if auth:
         config["node_auth" if interface.startswith("madsci") else "rest_node_auth"] = auth
     config |= dict(map(_read_setting, more))
     described = asyncio.run(describe_foreign(interface, config))
-    module = {"interface": interface, "config": config, "about": about_of(described)}
+    module = {"interface": interface, "config": config, "about": make_about(described)}
     if as_json:
         show_json(module)
         return

@@ -8,10 +8,10 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._exit import FAILED
 from labos.cli._options import json_option
-from labos.cli._query import Where, kernel_file, log_options, open_log
+from labos.cli._query import Where, log_options, open_log, read_kernel_file
 from labos.core.ids import local
 from labos.errors import NotFound
 
@@ -25,7 +25,7 @@ REMEDIES = {
 
 
 @click.command("nodes")
-@click.argument("modules", nargs=-1, metavar="[MODULE]...", shell_complete=completes("module"))
+@click.argument("modules", nargs=-1, metavar="[MODULE]...", shell_complete=make_completer("module"))
 @click.option(
     "--check",
     is_flag=True,
@@ -55,9 +55,9 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
         _check(where, modules, as_json=as_json)
         return
     if not where.lab and find_kernel(where.home) is None:
-        if not where.database and not (where.home / "labos.db").exists() and not kernel_file(where.home):
+        if not where.database and not (where.home / "labos.db").exists() and not read_kernel_file(where.home):
             raise NotFound(f"No lab runs in {where.home}.", remedy="Start one with `labos up`.")
-        known = _last_known(where)
+        known = _list_last_known(where)
     else:
         with need_lab_of(where) as client:
             known = [_drop_old_name(one) for one in client.state(waits=False)["modules"]]
@@ -65,9 +65,9 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
         show_json(known)
         return
     columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
-    if any(map(_valid_until, known)):  # most labs record none
+    if any(map(_find_valid_until, known)):  # most labs record none
         columns.append("calibrated until")
-        rows = [(*row, _valid_until(module)) for row, module in zip(rows, known, strict=True)]
+        rows = [(*row, _find_valid_until(module)) for row, module in zip(rows, known, strict=True)]
     show_table(columns, rows)
 
 
@@ -102,28 +102,28 @@ def _list_columns(one: dict[str, Any]) -> tuple[str, ...]:
     if checked is None:
         return (one["module"], one["answer"], "", "", "", "", "")
     driver = f"{checked['driver']} {checked['version']}{' (simulated)' if checked['simulated'] else ''}"
-    sees = ", ".join(f"{name} {value}" for name, value in _flat(checked["sees"]))
+    sees = ", ".join(f"{name} {value}" for name, value in _flatten_seen(checked["sees"]))
     seen = checked["sees_nothing"] or sees or "nothing"
     device = (checked["unit"], checked["firmware"])
     return (one["module"], one["answer"], driver, checked["labos"], *device, seen)
 
 
-def _flat(seen: dict[str, Any]) -> list[tuple[str, Any]]:
+def _flatten_seen(seen: dict[str, Any]) -> list[tuple[str, Any]]:
     """What is seen, by place or variable."""
     labware = seen.get("labware") or {}
     places = [(place, {True: "full", False: "empty"}.get(what, what)) for place, what in labware.items()]
     return [*places, *((name, value) for name, value in seen.items() if name != "labware")]
 
 
-def _last_known(where: Where) -> list[dict[str, Any]]:
+def _list_last_known(where: Where) -> list[dict[str, Any]]:
     """The modules as the log knows them. Raises NotFound if there is none."""
     from labos.cli._liveness import say_if_dead
-    from labos.http.views import calibrations_of
-    from labos.services.history import state_at
+    from labos.http.views import list_calibrations
+    from labos.services.history import fold_state_at
 
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        state = state_at(store)
+        state = fold_state_at(store)
     doing = state.actions.open
     return [
         {
@@ -139,13 +139,13 @@ def _last_known(where: Where) -> list[dict[str, Any]]:
             "out_of_service": module.out_of_service,
             "problem": module.out_of_service or module.error,
             "process": None,
-            "calibrations": msgspec.to_builtins(calibrations_of(module)),
+            "calibrations": msgspec.to_builtins(list_calibrations(module)),
         }
         for name, module in state.modules.by_name.items()
     ]
 
 
-def _valid_until(module: dict[str, Any]) -> str:
+def _find_valid_until(module: dict[str, Any]) -> str:
     """The last day of the calibration that expires first; empty if none does."""
     return min((one["until"] for one in module.get("calibrations", ()) if one["until"]), default="")
 

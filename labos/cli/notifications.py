@@ -18,7 +18,7 @@ from labos.services.shown import show_struct
 from labos.services.times import iso_time, show_time
 from labos.settings import Settings
 from labos.spec.findings import near
-from labos.store import lease_holder, silent_holder
+from labos.store import find_lease_holder, find_silent_holder
 
 if TYPE_CHECKING:
     from labos.services.notify import Delivery, Notifier
@@ -57,17 +57,17 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         return
     from labos.services.notify import Outbox
 
-    path = _settings(where).notifications
+    path = _make_settings(where).notifications
     found = []
     if path.is_file():
         outbox = Outbox(path, create=False)
-        found = outbox.deliveries(contact, waiting=waiting, last=last)
+        found = outbox.list_deliveries(contact, waiting=waiting, last=last)
         outbox.close()
     with suppress(LabosError), open_log(where) as store:  # there may be no lab yet
         say_if_dead(where.url, store.head(), last_known=False)
         found = [show_struct(store, delivery) for delivery in found]
     if as_json:
-        show_json([_facts(delivery) for delivery in found])
+        show_json([_list_facts(delivery) for delivery in found])
         return
     rows = [
         (
@@ -98,11 +98,11 @@ def test(where: Where, contact: str, as_json: bool) -> None:
     from labos.services.notify.channels import send
     from labos.services.notify.notifier import test_message
 
-    book: Book = load_contacts(_settings(where).contacts)
+    book: Book = load_contacts(_make_settings(where).contacts)
     if contact not in book.contacts:
         remedy = near(contact, book.contacts, "contact")
         raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
-    message = test_message(_lab_id(where), contact, SystemClock())
+    message = test_message(_find_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
     told = f"A test message was sent to {contact} by {channel}: {message.id}"
@@ -122,9 +122,9 @@ def watch(where: Where) -> None:
     labos notifications watch --home lab
     """
     from labos.bootstrap import find_contacts, make_notifier
-    from labos.cli._lab import orderly
+    from labos.cli._lab import end_in_order
 
-    settings = _settings(where)
+    settings = _make_settings(where)
     book = find_contacts(settings)
     if book is None:
         raise NotFound(
@@ -132,7 +132,7 @@ def watch(where: Where) -> None:
         )
     click.echo("Watching. Ctrl-C ends it.")
     try:
-        with orderly():
+        with end_in_order():
             while True:
                 with make_notifier(settings, book, SystemClock()) as notifier:
                     while notifier is not None:
@@ -147,25 +147,25 @@ def _look(where: Where, notifier: Notifier) -> None:
     """One look at the lab and its kernel."""
     try:
         notifier.read()
-        owner = silent_holder(where.url)
+        owner = find_silent_holder(where.url)
         if owner:
-            notifier.kernel_stopped(
+            notifier.on_kernel_stopped(
                 f"its lease ({owner}) has expired; it was killed, or its computer has failed"
             )
-        elif lease_holder(where.url):
-            notifier.kernel_lives()
+        elif find_lease_holder(where.url):
+            notifier.on_kernel_lives()
         else:
-            notifier.kernel_closed()
+            notifier.on_kernel_closed()
         notifier.turn()
     except StoreError as error:
         click.echo(f"labos: {error}", err=True)
 
 
-def _settings(where: Where) -> Settings:
+def _make_settings(where: Where) -> Settings:
     return Settings.make(where.home, where.url)
 
 
-def _lab_id(where: Where) -> str:
+def _find_lab_id(where: Where) -> str:
     try:
         with open_log(where) as store:
             return store.head().lab
@@ -173,7 +173,7 @@ def _lab_id(where: Where) -> str:
         return ""  # a contact can be tried before there is a lab
 
 
-def _facts(delivery: Delivery) -> dict[str, Any]:
+def _list_facts(delivery: Delivery) -> dict[str, Any]:
     notice = delivery.notice
     return {
         "id": delivery.id,

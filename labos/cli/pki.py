@@ -64,7 +64,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None, as_j
     or node, so keep it secret. You can store it offline. It is needed only to issue, renew and revoke."""
     from socket import gethostname
 
-    authority = _authority(where, pki)
+    authority = _find_authority(where, pki)
     more = {"days": days} if days else {}
     authority.init(f"LabOS authority of {gethostname()}"[:64], site=ca, **more)
     facts = {"folder": str(authority.folder), "issues": authority.issues}
@@ -102,8 +102,8 @@ def issue(
     labos pki issue node rpl/sealer
     labos pki issue bus --address bus.example.org
     """
-    authority = _authority(where, pki)
-    identity = _identity(where, kind, name, lab)
+    authority = _find_authority(where, pki)
+    identity = _make_identity(where, kind, name, lab)
     more = {"days": days} if days else {}
     entry = authority.issue(identity, addresses=address, **more)
     _tell_folder(authority, entry, as_json)
@@ -146,8 +146,8 @@ def admit(
     \b
     labos pki admit node rpl/sealer --certificate sealer.pem --key sealer.key
     """
-    authority = _authority(where, pki)
-    entry = authority.admit(_identity(where, kind, name, lab), certificate, key)
+    authority = _find_authority(where, pki)
+    entry = authority.admit(_make_identity(where, kind, name, lab), certificate, key)
     _tell_folder(authority, entry, as_json)
 
 
@@ -157,13 +157,13 @@ def admit(
 @log_options
 def list_(where: Where, pki: Path | None, as_json: bool) -> None:
     """List all certificates: holder, end of validity, and whether they are revoked."""
-    authority = _authority(where, pki)
-    entries = authority.members().entries
+    authority = _find_authority(where, pki)
+    entries = authority.read_members().entries
     if as_json:
-        show_json([_facts(authority, entry) for entry in entries])
+        show_json([_list_facts(authority, entry) for entry in entries])
         return
     for entry in entries:
-        click.echo(f"{entry.identity.shown:<28} {_state(entry):<40} CN {entry.common_name}")
+        click.echo(f"{entry.identity.shown:<28} {_describe_state(entry):<40} CN {entry.common_name}")
     if not entries:
         click.echo("No certificate was issued yet.")
 
@@ -181,7 +181,7 @@ def renew(
     """Issue a new key and certificate for NAME, with the same common name. If another computer uses them,
     copy the folder again; a node there detects the change by itself. The kernel renews its own
     certificate, and those of the nodes that it starts, when a third of their validity is left."""
-    authority = _authority(where, pki)
+    authority = _find_authority(where, pki)
     entry = authority.renew(authority.find(name), addresses=address, days=days or 0)
     _tell_folder(authority, entry, as_json)
 
@@ -196,17 +196,17 @@ def revoke(where: Where, name: str, why: str, pki: Path | None, as_json: bool) -
     """Revoke the certificate NAME. A running lab or bus refuses it within two seconds. If the bus is on
     another computer, copy its folder again. The command also writes a revocation list (crl.pem) for other
     programs. Zenoh does not read it."""
-    authority = _authority(where, pki)
+    authority = _find_authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
     told = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
-    tell(told, _facts(authority, entry), as_json=as_json)
+    tell(told, _list_facts(authority, entry), as_json=as_json)
 
 
-def _authority(where: Where, pki: Path | None) -> Authority:
+def _find_authority(where: Where, pki: Path | None) -> Authority:
     return Authority(Settings(where.home, "", authority=pki).pki)
 
 
-def _identity(where: Where, kind: Any, name: str, lab: str | None) -> PartyIdentity:
+def _make_identity(where: Where, kind: Any, name: str, lab: str | None) -> PartyIdentity:
     if (kind in ("node", "api", "viewer", "stop")) is not bool(name):
         what = f"An {kind}" if kind == "api" else f"A {kind}"
         raise click.UsageError(f"{what} needs a name." if not name else f"{what} has no name.")
@@ -214,10 +214,10 @@ def _identity(where: Where, kind: Any, name: str, lab: str | None) -> PartyIdent
         raise click.UsageError(f"{name!r} is not a name for an API process: use a-z, 0-9 and -.")
     if kind == "node" and name.count("/") != 1:
         raise click.UsageError(f"{name!r} is not a node's name: write WORKCELL/MODULE.")
-    return PartyIdentity(kind, name, "" if kind == "bus" else lab or _lab_in(where))
+    return PartyIdentity(kind, name, "" if kind == "bus" else lab or _find_lab_in(where))
 
 
-def _lab_in(where: Where) -> str:
+def _find_lab_in(where: Where) -> str:
     try:
         with open_database(where) as store:
             found = store.head().lab
@@ -231,7 +231,7 @@ def _lab_in(where: Where) -> str:
     return str(found)
 
 
-def _state(entry: CertificateEntry) -> str:
+def _describe_state(entry: CertificateEntry) -> str:
     if entry.revoked_at:
         return f"revoked {show_time(entry.revoked_at)}"
     if entry.not_after < now_ns():
@@ -240,7 +240,7 @@ def _state(entry: CertificateEntry) -> str:
     return f"until {show_time(entry.not_after)}{due}"
 
 
-def _facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]:
+def _list_facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]:
     return {
         "kind": entry.identity.kind,
         "name": entry.identity.name,
@@ -255,5 +255,5 @@ def _facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]:
 
 
 def _tell_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
-    facts = _facts(authority, entry)
+    facts = _list_facts(authority, entry)
     tell(str(facts["folder"]), facts, as_json=as_json)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
@@ -110,7 +110,7 @@ class Outline(msgspec.Struct):
 
 
 @click.command("plan")
-@click.argument("workflow", shell_complete=completes("workflow"))
+@click.argument("workflow", shell_complete=make_completer("workflow"))
 @click.option(
     "--workcell",
     required=True,
@@ -139,12 +139,12 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
     the workflow has errors.
     """
     from labos.bootstrap import descriptions
-    from labos.cli._specs import spec_path
+    from labos.cli._specs import find_spec_path
     from labos.planning.certified import check_windows
     from labos.spec import compile_workflow, load_workcell, read_workflow
     from labos.spec.uses import read_uses
 
-    flow, cell = spec_path("workflows", workflow), spec_path("workcells", workcell)
+    flow, cell = find_spec_path("workflows", workflow), find_spec_path("workcells", workcell)
     known = descriptions()
     loaded = load_workcell(cell, known, read_uses([read_workflow(flow)]))
     compiled = compile_workflow(
@@ -171,14 +171,14 @@ def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
     """The lab that was asked, how long actions have taken there, and its pace; no name if there is no lab.
     One that was not named in the command line need not answer. Raises LabosError."""
     from labos.cli._remote import is_given
-    from labos.services.history import state_at
+    from labos.services.history import fold_state_at
 
     named = is_given("home") or is_given("database")
     if not (named or where.lab or where.database or where.home.is_dir()):
         return "", Lengths(), 1.0
     try:
         with open_log(where) as log:
-            state = state_at(log)
+            state = fold_state_at(log)
     except LabosError as error:
         if named:
             raise
@@ -209,7 +209,7 @@ def outline_of(
     plan = with_setups(with_learned(compiled.plan, lengths, pace), setups)
     nominal = compiled.plan.steps
     times = make_timetable(plan, workcell)
-    stations = _stations(compiled, times.slots, workcell)
+    stations = _list_stations(compiled, times.slots, workcell)
     steps = [
         make_from(
             OutlineStep,
@@ -230,7 +230,7 @@ def outline_of(
             expect=step.expect.text if step.expect else "",
             rescues=plan.steps[step.serves].key if step.serves is not None else "",
             on_cancel=step.part == ON_CANCEL,
-            looks=_looks(step, workcell),
+            looks=_list_looks(step, workcell),
             choices=choices.get(step.key, []),
             setup_s=setups.get(index, 0.0),
         )
@@ -274,7 +274,7 @@ def _on_error(step: PlanStep) -> str:
     return f"run, then {policy.then}" if policy.do == "run" else policy.do
 
 
-def _looks(step: PlanStep, workcell: Workcell) -> list[str]:
+def _list_looks(step: PlanStep, workcell: Workcell) -> list[str]:
     """Who looks where after a step, before it is believed."""
     if step.by_person:
         return []
@@ -287,7 +287,7 @@ def _looks(step: PlanStep, workcell: Workcell) -> list[str]:
     ]
 
 
-def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -> list[list[str]]:
+def _list_stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -> list[list[str]]:
     """The stations of each step: where labware goes, in order; else where it is worked on."""
     steps = compiled.plan.steps
     found: list[list[StationName]] = [[] for _ in steps]
@@ -308,7 +308,7 @@ def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -
 
 def _tell(outline: Outline) -> None:
     from labos.planning.certified import describe_certificate
-    from labos.services.describe import short
+    from labos.services.describe import shorten_value
     from labos.services.times import show_span
     from labos.spec.choices import describe_choices
 
@@ -318,7 +318,7 @@ def _tell(outline: Outline) -> None:
             step.key,
             f"{step.module}{' (any)' if step.choices else ''}.{step.action}",
             " → ".join(step.stations),
-            ", ".join(f"{name}={short(value, 40)}" for name, value in step.args.items()),
+            ", ".join(f"{name}={shorten_value(value, 40)}" for name, value in step.args.items()),
             show_span(step.start_s),
             f"{'~' if step.learned else ''}{show_span(step.duration_s)}",
         )
@@ -339,11 +339,11 @@ def _tell(outline: Outline) -> None:
     for line in describe_certificate(outline.certificate) if outline.certificate else ():
         click.echo(line)
     for step in outline.steps:
-        for line in _terms(outline, step):
+        for line in _list_terms(outline, step):
             click.echo(line)
     out = [step for step in outline.steps if step.on_cancel]
     if out:
-        ways = [f"{s.key.removeprefix('on_cancel/')!r} ({_where(s)})" for s in out]
+        ways = [f"{s.key.removeprefix('on_cancel/')!r} ({_describe_place(s)})" for s in out]
         click.echo(f"If the run is cancelled, the necessary steps of: {', '.join(ways)}.")
     for kept in outline.holds:
         click.echo(
@@ -380,11 +380,11 @@ def _tell_origin(outline: Outline) -> str:
     )
 
 
-def _where(step: OutlineStep) -> str:
+def _describe_place(step: OutlineStep) -> str:
     return " → ".join(step.stations) or f"{step.module}.{step.action}"
 
 
-def _terms(outline: Outline, step: OutlineStep) -> Iterator[str]:
+def _list_terms(outline: Outline, step: OutlineStep) -> Iterator[str]:
     """What holds for a step beside its times, in sentences."""
     from labos.services.times import show_span
 

@@ -79,7 +79,7 @@ def command(
     labos planner
     labos planner --workcell rpl --seconds 10
     """
-    from labos.cli._lab import need_lab_of, orderly
+    from labos.cli._lab import end_in_order, need_lab_of
     from labos.planner.planner import Planner
     from labos.planner.solve import expect_solver
     from labos.planner.watch import CellWatch
@@ -88,7 +88,7 @@ def command(
     expect_solver()
     asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), CellWatch()
     next_look: dict[str, float] = {}
-    with orderly(), need_lab_of(where) as client, open_log(where, stored=True) as log:
+    with end_in_order(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # which it only reads
         try:
             while True:

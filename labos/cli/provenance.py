@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import click
 
-from labos.audit._facts import label
+from labos.audit._facts import describe_entity
 from labos.audit.formats import as_dot, as_prov
 from labos.audit.graph import Entity, Graph, ProvenancePart
-from labos.audit.provenance import MOST_LINKS, plain, subject_of, trace
+from labos.audit.provenance import MOST_LINKS, make_plain, subject_of, trace
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options
-from labos.services.describe import short
-from labos.services.history import position_at
+from labos.services.describe import shorten_value
+from labos.services.history import find_position_at
 from labos.services.times import Moment
 
 
@@ -60,12 +60,12 @@ def command(
     if sum((as_json, as_prov_json, as_graphviz)) > 1:
         raise click.UsageError("Choose one of --json, --prov and --dot.")
     with open_log_and_views(where) as (store, asker):
-        upto = position_at(store, moment)
+        upto = find_position_at(store, moment)
         entity = subject_of(asker, subject, upto)
         graph = trace(asker, entity, upto, "down" if direction == "down" else "up", most)
         lab = store.head().lab
     if as_json:
-        show_json(plain(graph))
+        show_json(make_plain(graph))
     elif as_prov_json:
         click.echo(as_prov(graph, lab))
     elif as_graphviz:
@@ -79,17 +79,22 @@ def command(
 
 
 def _tell(graph: Graph) -> None:
-    click.echo(f"{_label(graph, str(graph.subject))}, at event {graph.position}")
+    click.echo(f"{_write_label(graph, str(graph.subject))}, at event {graph.position}")
     for name, value in graph.facts.items():
         if value != []:
-            click.echo(f"  {name}: {value if isinstance(value, str) else short(value)}")
+            click.echo(f"  {name}: {value if isinstance(value, str) else shorten_value(value)}")
     if graph.contents:
         click.echo()
-        rows = [_part(part) for part in graph.contents]
+        rows = [_list_part_cells(part) for part in graph.contents]
         show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="Contents")
     click.echo()
     rows = [
-        (str(link.position), _label(graph, str(link.effect)), link.relation, _label(graph, str(link.cause)))
+        (
+            str(link.position),
+            _write_label(graph, str(link.effect)),
+            link.relation,
+            _write_label(graph, str(link.cause)),
+        )
         for link in graph.links
     ]
     show_table(("event", "what", "", "of what"), rows, title="Links")
@@ -106,17 +111,17 @@ def _list(graph: Graph, kind: str, direction: str) -> None:
     for name, position in found.items():
         facts = graph.entities.get(name, {})
         when = str(facts.get("ended_at") or facts.get("submitted_at") or facts.get("placed_at") or "")
-        rows.append((str(position), _label(graph, name), str(facts.get("run", "")), when))
+        rows.append((str(position), _write_label(graph, name), str(facts.get("run", "")), when))
     show_table(("event", "what", "run", "when"), rows)
 
 
-def _label(graph: Graph, name: str) -> str:
+def _write_label(graph: Graph, name: str) -> str:
     kind, _, rest = name.partition(" ")
     facts = graph.facts if name == str(graph.subject) else graph.entities.get(name, {})
-    return label(Entity(kind, rest), facts)  # type: ignore[arg-type]
+    return describe_entity(Entity(kind, rest), facts)  # type: ignore[arg-type]
 
 
-def _part(part: ProvenancePart) -> tuple[str, ...]:
+def _list_part_cells(part: ProvenancePart) -> tuple[str, ...]:
     volume = "" if part.volume_ul is None else f"{part.volume_ul:.6g} µL"
     share = "" if part.share is None else f"{part.share:.2%}"
     return (str(part.origin), part.what, volume, share, "yes" if part.certain else "no")

@@ -15,15 +15,15 @@ from labos.cli._options import json_option_saying
 from labos.cli._out import show_json, show_line
 from labos.cli._query import Where
 from labos.core.envelope import Record
-from labos.core.state import LabState, state_hash
-from labos.core.wells import by_well
+from labos.core.state import LabState, hash_state
+from labos.core.wells import sort_by_well
 from labos.core.words import Kept
 from labos.errors import BadInput
 from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
-from labos.services.log import event_of
+from labos.services.log import decode_event
 from labos.services.shown import WordsBeside, show_text
-from labos.services.steps import LogStep, StateChange, plain, steps
+from labos.services.steps import LogStep, StateChange, iterate_steps, make_plain_state
 from labos.services.times import iso_time, show_time
 from labos.store import StoredWords, open_store, read_backup, read_segment, read_words_copy, records_of
 
@@ -62,17 +62,17 @@ def command(
             "only one of the two."
         )
     state = LabState()
-    with _records(log) as (records, beside):
+    with _open_records(log) as (records, beside):
         if at is not None or only_hash:
-            for _ in steps(records, state, sys.maxsize, at if at is not None else last):
+            for _ in iterate_steps(records, state, sys.maxsize, at if at is not None else last):
                 pass
             _expect(log, state, at)
             _show_end(state, only_hash, as_json)
         elif not as_json and first is None and last is None and sys.stdin.isatty() and sys.stdout.isatty():
-            _walk(steps(records, state, 1, None), state, beside)
+            _walk(iterate_steps(records, state, 1, None), state, beside)
         else:
             names = Catalogue()
-            for step in steps(_learn_names(records, names), state, first or 1, last):
+            for step in iterate_steps(_learn_names(records, names), state, first or 1, last):
                 _show(step, names, beside, as_json)
             _expect(log, state, first)
 
@@ -84,12 +84,12 @@ def _expect(log: str, state: LabState, position: int | None) -> None:
 
 def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
     if only_hash and not as_json:
-        click.echo(f"{state.position} {state_hash(state)}")
+        click.echo(f"{state.position} {hash_state(state)}")
     elif only_hash:
-        show_json({"position": state.position, "state": state_hash(state)})
+        show_json({"position": state.position, "state": hash_state(state)})
     else:
         # As it is folded: nothing is turned into another form.
-        click.echo(msgspec.json.format(msgspec.json.encode(plain(state)), indent=2))
+        click.echo(msgspec.json.format(msgspec.json.encode(make_plain_state(state)), indent=2))
 
 
 def _show(step: LogStep, names: Catalogue, beside: WordsBeside, as_json: bool) -> None:
@@ -114,14 +114,14 @@ def _show(step: LogStep, names: Catalogue, beside: WordsBeside, as_json: bool) -
 
 def _line(change: StateChange) -> str:
     if change.before == "absent":
-        return f"+ {change.path} = {_short(change.after)}"
+        return f"+ {change.path} = {_shorten_value(change.after)}"
     if change.after == "absent":
-        return f"- {change.path} (was {_short(change.before)})"
-    return f"~ {change.path}: {_short(change.before)} -> {_short(change.after)}"
+        return f"- {change.path} (was {_shorten_value(change.before)})"
+    return f"~ {change.path}: {_shorten_value(change.before)} -> {_shorten_value(change.after)}"
 
 
-def _short(value: Any) -> str:
-    text = msgspec.json.encode(by_well(value)).decode()
+def _shorten_value(value: Any) -> str:
+    text = msgspec.json.encode(sort_by_well(value)).decode()
     return text if len(text) <= WIDEST else f"{text[:WIDEST]}… ({len(text)} characters)"
 
 
@@ -150,22 +150,22 @@ def _walk(found: Iterator[LogStep], state: LabState, beside: WordsBeside) -> Non
 
 
 def _show_state(state: LabState, word: str, beside: WordsBeside) -> None:
-    for path, value in _leaves("", plain(state)):
+    for path, value in _iterate_leaves("", make_plain_state(state)):
         if word in path or (word and word in str(value)):
-            click.echo(show_text(beside, f"{path} = {_short(value)}"))
+            click.echo(show_text(beside, f"{path} = {_shorten_value(value)}"))
 
 
-def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+def _iterate_leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict) and value:
         for key, item in value.items():
-            yield from _leaves(f"{path}.{key}" if path else str(key), item)
+            yield from _iterate_leaves(f"{path}.{key}" if path else str(key), item)
     else:
         yield path, value
 
 
 def _learn_names(records: Iterator[Record], names: Catalogue) -> Iterator[Record]:
     for record in records:
-        names.learn(event_of(record))
+        names.learn(decode_event(record))
         yield record
 
 
@@ -180,7 +180,7 @@ class _Words:
 
 
 @contextmanager
-def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
+def _open_records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
     """The records of whatever kind of log this is, and the words beside it. Raises BadInput."""
     path = Path(log)
     if "://" in log:
@@ -189,7 +189,7 @@ def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
         yield records_of(path, read_backup(path)), _Words(read_words_copy(path))
         return
     elif path.is_dir():
-        url = _database_in(path)
+        url = _find_database(path)
     elif path.is_file():
         with path.open("rb") as file:
             is_database = file.read(15) == b"SQLite format 3"
@@ -208,7 +208,7 @@ def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
         store.close()
 
 
-def _database_in(home: Path) -> str:
+def _find_database(home: Path) -> str:
     if not (home / "labos.db").exists() and not (home / "kernel.json").exists():
         raise BadInput(f"{home} contains neither a lab nor a backup.", remedy="Name another folder.")
     return Where(home.absolute()).url

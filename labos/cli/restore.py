@@ -9,11 +9,11 @@ import click
 import msgspec
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
+from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
 from labos.cli._rehearse import rehearse
 from labos.cli.backup import archive_option, key_option
 from labos.core.ids import LabId
-from labos.core.state import state_hash
+from labos.core.state import hash_state
 from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.services.log import fold_to
@@ -23,7 +23,7 @@ from labos.store import (
     Blobs,
     FolderBlobs,
     StoredWords,
-    first_damage,
+    find_first_damage,
     forget_end,
     key_of,
     leap_epoch,
@@ -162,20 +162,20 @@ def put_back(
         target.put(source.get(name))
     epoch = leap_epoch(found.epoch, now_ns())
     gone = _read_erased(found.lab, _with_own(lists, where))
-    words = _without_erased(read_words_copy(folder), gone)
+    words = _drop_erased(read_words_copy(folder), gone)
     head = restore_log(where.url, records_of(folder, found, archive), found.lab, epoch, words)
     forget_end(where.home)  # it was put back on purpose
-    wanted = state_hash(state)
+    wanted = hash_state(state)
     with open_database(where) as store:
         store.note_erasures()
-        damage = first_damage(store)
+        damage = find_first_damage(store)
         if damage is not None:
             raise LogDamaged(
                 f"The restored log is damaged at position {damage.position}: {damage.reason}.",
                 position=damage.position,
                 remedy="Check the disk, then restore into another database.",
             )
-        written = state_hash(fold_to(store, head.position))
+        written = hash_state(fold_to(store, head.position))
     if written != wanted:
         raise LogDamaged(
             "The restored log gives another state than the backup.",
@@ -188,7 +188,7 @@ def put_back(
             put_accounts_back(accounts, people)
         finally:
             accounts.close()
-    if not kernel_file(where.home):
+    if not read_kernel_file(where.home):
         place = str(Settings.make(where.home, where.url).blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
         announce(where.home, info)
@@ -217,7 +217,7 @@ def _read_erased(lab: str, lists: Sequence[Path]) -> dict[str, int]:
     return {each.reference: each.position for each in known}
 
 
-def _without_erased(words: Iterable[StoredWords], gone: Mapping[str, int]) -> Iterator[StoredWords]:
+def _drop_erased(words: Iterable[StoredWords], gone: Mapping[str, int]) -> Iterator[StoredWords]:
     for each in words:
         name = each.words.reference
         is_gone = name in gone

@@ -7,17 +7,17 @@ from typing import TextIO
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
-from labos.services.history import position_at
-from labos.services.results import COLUMNS, readings
+from labos.cli._query import Where, at_option, json_option, log_options, open_contents, open_log
+from labos.services.history import find_position_at
+from labos.services.results import COLUMNS, read_readings
 from labos.services.times import Moment, show_time
 
 
 @click.command("results", short_help="Show what a run measured, well by well.")
-@click.argument("run", shell_complete=completes("run"))
+@click.argument("run", shell_complete=make_completer("run"))
 @click.option("--csv", "as_csv", is_flag=True, help="CSV, for spreadsheets; times in UTC.")
 @click.option(
     "-o",
@@ -38,10 +38,10 @@ def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: 
     labos results R3 --csv
     labos results R3 -o r3.csv
     """
-    with open_log(where) as store, contents(where) as blobs:
+    with open_log(where) as store, open_contents(where) as blobs:
         if moment == Moment():
             say_if_dead(where.url, store.head(), last_known=False)
-        found = readings(store, blobs, run, position_at(store, moment))
+        found = read_readings(store, blobs, run, find_position_at(store, moment))
     if as_json:
         show_json([dict(zip(COLUMNS, row, strict=True)) for row in found.rows()])
     elif as_csv or file is not None:

@@ -7,21 +7,21 @@ from pathlib import Path
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.cli._specs import spec_path
+from labos.cli._specs import find_spec_path
 from labos.cli.validate import examine
 from labos.errors import BadInput, SpecError
 from labos.spec import compile_workcell
 from labos.spec.retarget import compare_lines, propose, rename
 from labos.spec.source import read
-from labos.spec.uses import workflow_in
+from labos.spec.uses import read_workflow
 
 
 @click.command("retarget", short_help="Rewrite a workflow for another workcell.")
-@click.argument("workflow", shell_complete=completes("workflow"))
+@click.argument("workflow", shell_complete=make_completer("workflow"))
 @click.option(
     "--from", "old", required=True, metavar="W", help="The workcell for which the workflow was written."
 )
@@ -63,18 +63,18 @@ def command(
     """
     from labos.bootstrap import descriptions
 
-    path, known = spec_path("workflows", workflow), descriptions()
+    path, known = find_spec_path("workflows", workflow), descriptions()
     before, after = (
-        compile_workcell(read(spec_path("workcells", name), last_wins=True), known).workcell
+        compile_workcell(read(find_spec_path("workcells", name), last_wins=True), known).workcell
         for name in (old, new)
     )
-    _, file = workflow_in(read(path, last_wins=True))
+    _, file = read_workflow(read(path, last_wins=True))
     if file is None:
         raise SpecError(f"{path} is not a readable workflow.", remedy="labos validate shows the errors.")
     target = output or path.with_name(f"{path.stem}_{after.name}.yaml")
     if target.exists() and not force:
         raise BadInput(f"{target} already exists.", remedy="Name another with --output, or add --force.")
-    proposal = propose(file, before, after, _pairs(maps), known)
+    proposal = propose(file, before, after, _parse_pairs(maps), known)
     text = path.read_text(encoding="utf-8")
     renamed = rename(text, proposal.mapping, (old, new))
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -106,7 +106,7 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _pairs(maps: tuple[str, ...]) -> dict[str, str]:
+def _parse_pairs(maps: tuple[str, ...]) -> dict[str, str]:
     """Raises BadInput for what is no pair of names."""
     found = {}
     for pair in maps:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import find_user, json_option, lab_options, user_option
 from labos.cli._payload import payload_option
 from labos.core.ids import local
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command("run")
-@click.argument("workflow", shell_complete=completes("workflow"))
+@click.argument("workflow", shell_complete=make_completer("workflow"))
 @payload_option
 @click.option(
     "--workcell",
@@ -105,7 +105,7 @@ def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
             user=job.user,
             workcell=job.workcell,
             priority=job.priority,
-            place=places_of(job.placed),
+            place=parse_places(job.placed),
         )
     found = told["forecast"]
     if as_json:
@@ -141,7 +141,7 @@ def carry_out(
 ) -> RunResult:
     """Run a job to its end, in the lab at ``url`` or the running one of the home folder, else in a lab of its
     own."""
-    from labos.cli._lab import check_first, orderly, read_workcell, some_lab
+    from labos.cli._lab import check_first, end_in_order, read_workcell, some_lab
     from labos.cli._narrate import Narrator
     from labos.errors import BadInput
     from labos.settings import was_simulated
@@ -149,7 +149,7 @@ def carry_out(
 
     # What is wrong with the file itself is said before a lab is started for it.
     source = parse_workflow(job.text["text"], job.text["name"])
-    placed = places_of(job.placed)
+    placed = parse_places(job.placed)
     cells, cell = [], job.workcell
     is_simulated = _is_simulated(settings, url)
     if is_simulated is None:
@@ -160,7 +160,7 @@ def carry_out(
                 remedy="Add --simulate to run it on simulated instruments, or start a lab with `labos up`.",
             )
         if job.workcell or was is None:
-            cells = [read_workcell(job.workcell or _workcell_beside(job.path) or "rpl", [source])]
+            cells = [read_workcell(job.workcell or _find_workcell_beside(job.path) or "rpl", [source])]
             cell = cells[0].workcell.name
             compiled = check_first(job.text, job.values, cells[0], simulate=job.simulate or bool(was))
             if job.simulate and was is None:
@@ -172,7 +172,7 @@ def carry_out(
         )
     elif job.workcell.endswith((".yaml", ".yml")):
         cell = read_workcell(job.workcell).workcell.name
-    with orderly(), some_lab(settings, cells, url) as client:
+    with end_in_order(), some_lab(settings, cells, url) as client:
         after = client.health()["position"]
         run = submit(client, job, cell, placed)
         if say_waits and is_simulated is not None and not quiet:
@@ -193,7 +193,7 @@ def _is_simulated(settings: Settings, url: str) -> bool | None:
     return None if running is None else running.simulated
 
 
-def _workcell_beside(workflow: str) -> str:
+def _find_workcell_beside(workflow: str) -> str:
     """The workcell file of the folder where a workflow's file is, or of one around it; empty if there is
     none. Raises BadInput if there are several."""
     from labos.errors import BadInput
@@ -245,7 +245,7 @@ def submit(client: LabClient, job: RunRequest, workcell: str, placed: Sequence[P
     return run
 
 
-def places_of(placed: Sequence[str]) -> list[Put]:
+def parse_places(placed: Sequence[str]) -> list[Put]:
     """Stations, labware types, and what the labware is, as ``--place`` names them. Raises BadParameter."""
     found: list[Put] = []
     for text in placed:

@@ -7,22 +7,22 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
-from labos.cli._liveness import lab_now, say_if_dead
+from labos.cli._complete import make_completer
+from labos.cli._liveness import find_lab_now, say_if_dead
 from labos.cli._options import ENDED_SHOWN, all_option, json_option
 from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.core.ids import local
 from labos.core.model import find_served_step
 from labos.planning.scheduler import Scheduler
-from labos.services.describe import short
+from labos.services.describe import shorten_value
 from labos.services.due import tell_due
-from labos.services.experiments import experiment_histories
-from labos.services.history import state_at
+from labos.services.experiments import list_experiment_histories
+from labos.services.history import fold_state_at
 from labos.services.log import Log
 from labos.services.runs import RunHistory, StepHistory, run_histories, run_history
 from labos.services.times import show_span, show_time
-from labos.services.waits import reasons
+from labos.services.waits import list_reasons
 
 WAITS_TOLD = 50
 """Of so many runs it is worked out why they wait; to know it of every one takes too long."""
@@ -30,7 +30,7 @@ WAITS_TOLD = 50
 
 @click.command("runs", short_help="List runs and their progress, or the steps of one run.")
 @click.argument(
-    "run", shell_complete=completes("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
+    "run", shell_complete=make_completer("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
 )
 @all_option
 @json_option
@@ -48,22 +48,22 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        inside = experiment_histories(store).get(run) if run and run.startswith("E") else None
+        inside = list_experiment_histories(store).get(run) if run and run.startswith("E") else None
         if inside is not None:
             stories = {name: run_history(store, name) for name in inside.runs}
         else:
             stories = {run: run_history(store, run)} if run else run_histories(store)
-        now = lab_now(where.url, store.head())
-        waits = _waits(store, stories, now)
-        due = _due(store, stories, now)
+        now = find_lab_now(where.url, store.head())
+        waits = _find_waits(store, stories, now)
+        due = _find_due(store, stories, now)
     if run and inside is None:
-        show_json(_plain(stories[run], waits, due)) if as_json else _one(stories[run], waits, due)
+        show_json(_make_plain(stories[run], waits, due)) if as_json else _show_one(stories[run], waits, due)
         return
     ended = [story for story in stories.values() if story.over]
     hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything and inside is None else set()
     shown = [story for story in stories.values() if story.id not in hidden]
     if as_json:
-        show_json([_plain(story, waits, due) for story in shown])
+        show_json([_make_plain(story, waits, due) for story in shown])
         return
     dated = any(story.due_at for story in shown)
     columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took")
@@ -73,11 +73,11 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
 
-def _waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, list[str]]:
+def _find_waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, list[str]]:
     """Why those runs wait that do not go on, in sentences."""
     if all(story.over for story in stories.values()):
         return {}
-    state = state_at(store)
+    state = fold_state_at(store)
     scheduler = Scheduler()
     alive = [state.runs.get(name) for name, story in stories.items() if not story.over]
     found: dict[str, list[str]] = {run.id: [] for run in alive[:WAITS_TOLD] if run is not None}
@@ -86,18 +86,18 @@ def _waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, li
             found[question.run].append(f"a person has to answer {question.id} (labos resolve)")
     for run in alive[:WAITS_TOLD]:
         if run is not None:
-            found[run.id] += [reason.why for reason in reasons(state, run, now, scheduler)]
+            found[run.id] += [reason.why for reason in list_reasons(state, run, now, scheduler)]
     return {run: told for run, told in found.items() if told}
 
 
-def _due(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, str]:
+def _find_due(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, str]:
     """When runs are due, and whether that will be kept."""
     if not any(story.due_at for story in stories.values()):
         return {}
-    return tell_due(state_at(store), stories.values(), now)
+    return tell_due(fold_state_at(store), stories.values(), now)
 
 
-def _plain(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> dict[str, Any]:
+def _make_plain(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> dict[str, Any]:
     return {**msgspec.to_builtins(run), "waits": waits.get(run.id, []), "due": due.get(run.id, "")}
 
 
@@ -108,12 +108,12 @@ def _row(
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
     why = run.why or "; ".join(f"waits: {told}" for told in waits.get(run.id, []))
-    span = took(run, now)
+    span = show_duration(run, now)
     known = run.id, name, run.user, run.experiment, run.status, steps, submitted, span
     return *known, *([due.get(run.id, "")] if dated else []), why
 
 
-def took(run: RunHistory, now: int) -> str:
+def show_duration(run: RunHistory, now: int) -> str:
     """From start to end, or to now with a mark that it goes on."""
     if not run.started_at:
         return ""
@@ -122,7 +122,7 @@ def took(run: RunHistory, now: int) -> str:
     return f"{show_span(max(now - run.started_at, 0) / 1e9)} so far"
 
 
-def _one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> None:
+def _show_one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> None:
     experiment = f" in experiment {run.experiment}" if run.experiment else ""
     click.echo(f"{run.id}: {run.workflow} on {run.workcell} for {run.user}{experiment}: {run.status}")
     if run.why:
@@ -138,16 +138,16 @@ def _one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> N
     show_table(
         columns,
         [
-            _step(step)
+            _list_step_cells(step)
             for step in run.steps
             if step.state != "asleep" or find_served_step(step.part) is not None
         ],
     )
 
 
-def _step(step: StepHistory) -> tuple[str, ...]:
+def _list_step_cells(step: StepHistory) -> tuple[str, ...]:
     span = show_span((step.ended_at - step.requested_at) / 1e9) if step.ended_at else ""
-    outcome = step.error or (short(step.result) if step.result is not None else "")
+    outcome = step.error or (shorten_value(step.result) if step.result is not None else "")
     late = "; started too late" if step.breached else ""
     return (
         str(step.index),

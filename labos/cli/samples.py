@@ -8,16 +8,16 @@ from pathlib import Path
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
 from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
-from labos.core.wells import well_index
+from labos.cli._query import Where, at_option, json_option, log_options, open_contents, open_log
+from labos.core.wells import parse_well
 from labos.errors import NotFound
-from labos.services.history import position_at
-from labos.services.samples import Registration, registrations
+from labos.services.history import find_position_at
+from labos.services.samples import Registration, list_registrations
 from labos.services.times import Moment, iso_time, show_time
 
 
@@ -69,7 +69,7 @@ def load(sheet: Path, plate: str, station: str, replace: bool, asker: Asker) -> 
 
 
 @command.command("show")
-@click.argument("plate", shell_complete=completes("labware"))
+@click.argument("plate", shell_complete=make_completer("labware"))
 @click.option("--csv", "as_csv", is_flag=True, help="Print a sheet that can be loaded again.")
 @json_option
 @at_option
@@ -81,19 +81,19 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
     labos samples show P7
     labos samples show P7 --csv > sheet.csv
     """
-    with open_log(where) as store, contents(where) as blobs:
+    with open_log(where) as store, open_contents(where) as blobs:
         if moment == Moment():
             say_if_dead(where.url, store.head())
-        found = registrations(store, blobs, plate, position_at(store, moment))
+        found = list_registrations(store, blobs, plate, find_position_at(store, moment))
     if not found:
         raise NotFound(
             f"No samples of {plate!r} are known.",
             remedy=f"Load them: labos samples load SHEET --plate {plate}",
         )
     last = found[-1]
-    in_order = sorted(last.samples, key=lambda item: well_index(item.well))
+    in_order = sorted(last.samples, key=lambda item: parse_well(item.well))
     if as_json:
-        show_json(_facts(last, len(found)))
+        show_json(_list_facts(last, len(found)))
     elif as_csv:
         out = csv.writer(sys.stdout, lineterminator="\n")
         out.writerow(("plate", "well", "sample", "volume", "unit"))
@@ -110,7 +110,7 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
         show_table(("well", "sample", "volume"), rows, title=title)
 
 
-def _facts(last: Registration, sheets: int) -> dict[str, object]:
+def _list_facts(last: Registration, sheets: int) -> dict[str, object]:
     return {
         "plate": last.labware,
         "sheet": last.sheet,

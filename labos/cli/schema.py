@@ -23,11 +23,11 @@ def command(kind: str) -> None:
 
     The schema describes the file format. `labos validate` also checks the file against your bench.
     """
-    click.echo(schema_text(kind), nl=False)
+    click.echo(write_schema(kind), nl=False)
 
 
-def schema_text(kind: str) -> str:
+def write_schema(kind: str) -> str:
     """The schema as it is published."""
-    from labos.spec.schema import schema_of
+    from labos.spec.schema import make_schema
 
-    return json.dumps(schema_of(kind), indent=2, ensure_ascii=False) + "\n"
+    return json.dumps(make_schema(kind), indent=2, ensure_ascii=False) + "\n"

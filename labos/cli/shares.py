@@ -12,7 +12,7 @@ from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.core.shares import Quota
 from labos.errors import BadInput
 from labos.services.log import fold_to
-from labos.services.shares import ShareAccount, ledger
+from labos.services.shares import ShareAccount, make_ledger
 
 
 @click.command("shares", short_help="Show or set each user's share of the lab time.")
@@ -36,7 +36,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
         with need_lab_of(where) as client:
             client.apply_shares(read_file(file), file, find_user(user))
     with open_log(where) as store:
-        accounts = ledger(fold_to(store, store.head().position), now_ns())
+        accounts = make_ledger(fold_to(store, store.head().position), now_ns())
     if as_json:
         show_json(accounts)
         return
@@ -54,11 +54,11 @@ def _row(account: ShareAccount) -> tuple[str, ...]:
         f"{account.lab_hours:.1f}",
         str(account.running),
         str(account.queued),
-        _quota(account.quota),
+        _describe_quota(account.quota),
     )
 
 
-def _quota(quota: Quota) -> str:
+def _describe_quota(quota: Quota) -> str:
     parts = [
         f"{quota.running} running" if quota.running else "",
         f"{quota.queued} waiting" if quota.queued else "",

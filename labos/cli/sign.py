@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import why_option
 from labos.cli._out import show_json, tell
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
-from labos.services.signatures import Signature, kind_of, signatures_under
+from labos.services.signatures import Signature, find_kind, list_signatures_under
 
 
 @click.command("sign", short_help="Sign the record of a run, an experiment or a campaign.")
-@click.argument("subject", metavar="ID", shell_complete=completes("run", "experiment"))
+@click.argument("subject", metavar="ID", shell_complete=make_completer("run", "experiment"))
 @click.option("--meaning", type=click.Choice(MEANINGS), help="The meaning of the signature.")
 @why_option("A comment, for the log.")
 @json_option
@@ -43,9 +43,9 @@ def command(where: Where, subject: str, meaning: str | None, why: str, as_json: 
         if meaning is None:
             if why:
                 raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
-            _show(subject, signatures_under(log, subject), as_json=as_json)
+            _show(subject, list_signatures_under(log, subject), as_json=as_json)
             return
-        kind = kind_of(log, subject)
+        kind = find_kind(log, subject)
     with need_lab_of(where) as client:
         user = client.identity()["user"]
         sign = {

@@ -14,7 +14,7 @@ import click
 import msgspec
 
 from labos.audit.query import TIME_LIMIT_S, QueryResult, ReadConnection
-from labos.audit.tables import VIEWS, view_columns
+from labos.audit.tables import VIEWS, list_view_columns
 from labos.cli._audit import open_views, open_views_as_is
 from labos.cli._out import show_table
 from labos.cli._query import Where, log_options
@@ -113,13 +113,13 @@ def write_parquet(answer: QueryResult, path: Path) -> int:
 
 
 def _show(answer: QueryResult) -> None:
-    rows = [[_cell(value) for value in row] for row in itertools.islice(answer.rows, MOST_SHOWN)]
+    rows = [[_write_cell(value) for value in row] for row in itertools.islice(answer.rows, MOST_SHOWN)]
     show_table(answer.columns, rows)
     if next(answer.rows, None) is not None:
         click.echo(f"There are more than {MOST_SHOWN} rows. To see all: --csv or --json.", err=True)
 
 
-def _cell(value: Any) -> str:
+def _write_cell(value: Any) -> str:
     return "" if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
@@ -158,5 +158,5 @@ def _show_views() -> None:
     rows: list[Sequence[str]] = []
     for table in VIEWS:
         rows.append((table.view, "", "", table.about))
-        rows += [("", column.name, column.kind, column.about) for column in view_columns(table)]
+        rows += [("", column.name, column.kind, column.about) for column in list_view_columns(table)]
     show_table(("view", "column", "kind", "meaning"), rows)

@@ -7,7 +7,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_log
@@ -15,8 +15,8 @@ from labos.core.bench import Station
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
 from labos.services.describe import owner_name
-from labos.services.history import list_possibly_at, position_at, stations_of
-from labos.services.labware import LabwareHistory, labware_histories
+from labos.services.history import find_position_at, list_possibly_at, list_stations
+from labos.services.labware import LabwareHistory, list_labware_histories
 from labos.services.log import Log, fold_to
 from labos.services.times import Moment, iso_time, show_time
 
@@ -41,7 +41,7 @@ class StationPlace(msgspec.Struct, frozen=True):
 
 @click.command("stations", short_help="Show the labware at each station, now or at a past moment.")
 @click.argument(
-    "names", shell_complete=completes("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
+    "names", shell_complete=make_completer("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
 )
 @click.option("--occupied", is_flag=True, help="Leave out empty stations.")
 @json_option
@@ -60,11 +60,11 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     name the hotel or the shelf, such as wc.output.3.
     """
     with open_log(where) as store:
-        position = position_at(store, moment)
+        position = find_position_at(store, moment)
         if moment == Moment():
             say_if_dead(where.url, store.head())
         state = fold_to(store, position)
-        shown = places(store, state, names)
+        shown = list_places(store, state, names)
     if occupied:
         shown = [place for place in shown if place.state != "empty" or place.maybe or place.expected]
     if as_json:
@@ -76,11 +76,11 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)
 
 
-def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[StationPlace]:
+def list_places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[StationPlace]:
     """The stations of a state; of modules or stations with these names only, if there are any.
     Raises click.UsageError for a name that no station bears."""
-    stories = labware_histories(log, state.position) if state.bench.labware else {}
-    found = [(name, station) for name, station in stations_of(state) if not names or _is_named(name, names)]
+    stories = list_labware_histories(log, state.position) if state.bench.labware else {}
+    found = [(name, station) for name, station in list_stations(state) if not names or _is_named(name, names)]
     for wanted in names:
         if not any(_is_named(name, (wanted,)) for name, _ in found):
             raise click.UsageError(f"This lab has no station or module {wanted!r}.")
@@ -140,7 +140,7 @@ def _rows(place: StationPlace) -> list[tuple[str, ...]]:
         counts = {kind: place.stock.count(kind) for kind in place.stock}
         lines.append((", ".join(f"{count} × {kind}" for kind, count in counts.items()), "", ""))
     for item in place.labware:
-        lines.append((_labware(item), owner_name(item["owner"]), show_time(item["since"])))
+        lines.append((_describe_labware(item), owner_name(item["owner"]), show_time(item["since"])))
     if place.maybe:
         lines.append((f"perhaps {', '.join(place.maybe)}", "", ""))
     if place.expected:
@@ -154,7 +154,7 @@ def _rows(place: StationPlace) -> list[tuple[str, ...]]:
     return [(*name, *line) for name, line in zip(names, lines, strict=True)]
 
 
-def _labware(item: dict[str, Any]) -> str:
+def _describe_labware(item: dict[str, Any]) -> str:
     values = item["variables"].items()
     about = [name if value is True else f"{name} = {value}" for name, value in values if value]
     moving = ["in motion"] if item["moving"] else []

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json
 
 
 @click.command("load")
-@click.argument("station", shell_complete=completes("station"))
+@click.argument("station", shell_complete=make_completer("station"))
 @click.option("--type", "labware", required=True, metavar="TYPE", help="The labware's type.")
 @click.option(
     "--count", type=click.IntRange(min=1), default=1, show_default=True, help="The number of pieces."
@@ -26,11 +26,11 @@ def load(station: str, labware: str, count: int, lot: str, asker: Asker) -> None
     \b
     labos load sciclops.tower1 --type pcr96 --count 20 --lot L2093
     """
-    from labos.cli._lab import stands_at
+    from labos.cli._lab import find_stations
 
     with asker.lab() as client:
         names = client.load(station, labware, asker.user, count=count, lot=lot)
-        where = stands_at(client, names)
+        where = find_stations(client, names)
     if asker.as_json:
         show_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
         return
@@ -41,8 +41,8 @@ def load(station: str, labware: str, count: int, lot: str, asker: Asker) -> None
 
 
 @click.command("unload")
-@click.argument("station", shell_complete=completes("station"))
-@click.argument("labware", shell_complete=completes("labware"), required=False)
+@click.argument("station", shell_complete=make_completer("station"))
+@click.argument("labware", shell_complete=make_completer("labware"), required=False)
 @click.option("--count", type=click.IntRange(min=1), help="The number of pieces, from the top.")
 @click.option("--all", "everything", is_flag=True, help="Unload everything that stands there.")
 @asker_options
@@ -70,7 +70,7 @@ def unload(station: str, labware: str | None, count: int | None, everything: boo
 
 
 @click.command("replenish")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @click.argument("resource")
 @click.option("--amount", metavar="AMOUNT", help="The amount: 96, or 20mL [default: until full].")
 @click.option("--lot", required=True, help="The lot of the new pack.")
@@ -92,7 +92,7 @@ def replenish(
     labos replenish sealer foil --lot F12 --instead      a new roll for the old one
     """
     with asker.lab() as client:
-        number, unit = _amount(amount)
+        number, unit = _parse_amount(amount)
         pack = {"amount": number, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
         added = client.replenish(module, resource, asker.user, **pack)  # type: ignore[arg-type]
     if asker.as_json:
@@ -101,13 +101,13 @@ def replenish(
     click.echo(f"{added:g} of {resource} put into {module} (lot {lot}).")
 
 
-def _amount(text: str | None) -> tuple[float, str]:
+def _parse_amount(text: str | None) -> tuple[float, str]:
     """``96`` or ``20mL``; 0 for as much as there is room for. Raises click.BadParameter."""
-    from labos.spec.durations import quantity
+    from labos.spec.durations import match_quantity
 
     if text is None:
         return 0.0, ""
-    found = quantity(text)
+    found = match_quantity(text)
     if found is None or not float(found[1]) > 0:
         raise click.BadParameter(f"{text!r} is not an amount: write 96, or 20mL.", param_hint="--amount")
     return float(found[1]), found[2] or ""

@@ -6,13 +6,13 @@ from typing import Any
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, propose_option, wait_option
 from labos.cli._payload import payload_option
 
 
 @click.command("submit")
-@click.argument("workflow", shell_complete=completes("workflow"))
+@click.argument("workflow", shell_complete=make_completer("workflow"))
 @payload_option
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
 @click.option(
@@ -20,7 +20,7 @@ from labos.cli._payload import payload_option
 )
 @click.option(
     "--experiment",
-    shell_complete=completes("experiment"),
+    shell_complete=make_completer("experiment"),
     default="",
     metavar="ID",
     help="The experiment to which the run belongs.",

@@ -7,13 +7,13 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 
 
 @click.command("teach")
-@click.argument("module", shell_complete=completes("module"))
-@click.argument("station", shell_complete=completes("station"))
+@click.argument("module", shell_complete=make_completer("module"))
+@click.argument("station", shell_complete=make_completer("station"))
 @click.option(
     "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver requires."
 )
@@ -48,7 +48,7 @@ def teach(module: str, station: str, pose: str, why: str, kind: str, asker: Aske
 
 
 @click.command("locations")
-@click.argument("module", shell_complete=completes("module"))
+@click.argument("module", shell_complete=make_completer("module"))
 @lab_and_json
 def locations(module: str, asker: Asker) -> None:
     """List the poses at which the arm MODULE reaches its stations. Version 0 is the one in the workcell file.
@@ -59,7 +59,7 @@ def locations(module: str, asker: Asker) -> None:
     """
     from labos.cli._out import show_json, show_table
 
-    found = _locations(module, asker.home)
+    found = _find_locations(module, asker.home)
     if asker.as_json:
         show_json(found)
         return
@@ -77,7 +77,7 @@ def locations(module: str, asker: Asker) -> None:
     )
 
 
-def _locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
+def _find_locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
     """As the running lab says, else as its log last knew. Raises NotFound."""
     from labos.cli._lab import need_lab
     from labos.cli._remote import lab_of
@@ -87,7 +87,7 @@ def _locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
     if lab_of(home) or find_kernel(settings.home) is not None:
         with need_lab(home) as client:
             return client.locations(module)
-    from labos.cli._liveness import last_state, module_of
-    from labos.http.teaching import locations as poses_of
+    from labos.cli._liveness import module_of, read_last_state
+    from labos.http.teaching import make_locations as poses_of
 
-    return dict(msgspec.to_builtins(poses_of(module_of(last_state(settings), module))))
+    return dict(msgspec.to_builtins(poses_of(module_of(read_last_state(settings), module))))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import completes
-from labos.cli._liveness import lab_now, say_if_dead
+from labos.cli._complete import make_completer
+from labos.cli._liveness import find_lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, open_log
-from labos.cli._why import as_plain, show_why, why_as_json
+from labos.cli._why import make_plain_twh, show_why, why_as_json
 from labos.errors import NotFound
-from labos.services.losses import account
+from labos.services.losses import sum_losses
 from labos.services.times import show_span, show_time
 from labos.services.twh import Stretch, Twh, TwhReport, measure
 
@@ -18,17 +18,19 @@ RUNS_SHOWN = 20
 
 
 @click.command("twh", short_help="Show the time without human intervention.")
-@click.option("--run", shell_complete=completes("run"), default="", metavar="R", help="Show only this run.")
+@click.option(
+    "--run", shell_complete=make_completer("run"), default="", metavar="R", help="Show only this run."
+)
 @click.option(
     "--experiment",
-    shell_complete=completes("experiment"),
+    shell_complete=make_completer("experiment"),
     default="",
     metavar="E",
     help="Show only this experiment.",
 )
 @click.option(
     "--workcell",
-    shell_complete=completes("workcell"),
+    shell_complete=make_completer("workcell"),
     default="",
     metavar="W",
     help="Show only this workcell.",
@@ -52,14 +54,14 @@ def command(where: Where, run: str, experiment: str, workcell: str, losses: bool
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head(), last_known=False)
-        now = lab_now(where.url, store.head())
-        found = account(store.read(), now) if losses else None
+        now = find_lab_now(where.url, store.head())
+        found = sum_losses(store.read(), now) if losses else None
         report = found.twh if found is not None else measure(store.read(), now)
     shown = choose_scopes(report, run, experiment, workcell)
     if found is not None:
         (why_as_json if as_json else show_why)(found, shown)
     elif as_json:
-        show_json({"pace": report.pace, "scopes": [as_plain(twh) for twh in shown]})
+        show_json({"pace": report.pace, "scopes": [make_plain_twh(twh) for twh in shown]})
     else:
         _show(report, shown)
 
@@ -88,13 +90,13 @@ def choose_scopes(report: TwhReport, run: str, experiment: str, workcell: str) -
 
 def _row(twh: Twh, pace: float) -> list[str]:
     name = f"{twh.kind} {twh.name}".strip()
-    current = _span(twh.current) + (" and counting" if twh.working else "")
-    row = [name, current, str(twh.current.commands), _span(twh.longest), str(twh.longest.commands)]
+    current = _show_worked(twh.current) + (" and counting" if twh.working else "")
+    row = [name, current, str(twh.current.commands), _show_worked(twh.longest), str(twh.longest.commands)]
     if pace != 1:
         row.append(show_span(twh.longest.worked_ns / 1e9 * pace))
     row += [show_time(twh.longest.since), show_time(twh.longest.until)]
     return [*row, str(twh.interventions), str(twh.planned)]
 
 
-def _span(stretch: Stretch) -> str:
+def _show_worked(stretch: Stretch) -> str:
     return show_span(stretch.worked_ns / 1e9)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._options import (
     SPEED_HELP,
     address_option,
@@ -30,7 +30,9 @@ NO_USERS = (
 
 
 @click.command("up")
-@click.argument("workcells", shell_complete=completes("workcell file"), nargs=-1, metavar="[WORKCELL]...")
+@click.argument(
+    "workcells", shell_complete=make_completer("workcell file"), nargs=-1, metavar="[WORKCELL]..."
+)
 @click.option(
     "--simulate/--real",
     default=None,
@@ -171,7 +173,7 @@ def command(
     labos up --standby --bus tcp/127.0.0.1:7447 --detach-nodes     (PostgreSQL; docs/standby.md)
     """
     from labos.bootstrap import LabThread
-    from labos.cli._lab import orderly, read_workcell
+    from labos.cli._lab import end_in_order, read_workcell
     from labos.settings import Settings, keep_private, was_simulated
     from labos.telemetry.logs import configure_logs
 
@@ -187,7 +189,7 @@ def command(
         authority=pki,
         **as_set,
     )
-    if or_standby and _runs_elsewhere(settings):
+    if or_standby and _has_other_kernel(settings):
         standby, workcells = True, ()
     if standby:
         _check_standby(settings, workcells, no_nodes)
@@ -204,7 +206,7 @@ def command(
         declare=declare,
         standby=(lambda: _stand_by(settings)) if standby else None,
     )
-    with orderly():
+    with end_in_order():
         try:
             with lab:
                 if standby:
@@ -230,12 +232,12 @@ def _stand_by(settings: Settings) -> None:
     click.echo(f"Standing by for the lab in {show_url(settings.database)}. Ctrl-C ends it.")
 
 
-def _runs_elsewhere(settings: Settings) -> bool:
+def _has_other_kernel(settings: Settings) -> bool:
     """Whether another kernel has the lab, by its database. Raises StoreUnavailable."""
     from labos.errors import StoreUnavailable
-    from labos.store import database_file, open_store
+    from labos.store import find_database_file, open_store
 
-    if database_file(settings.database) is not None:
+    if find_database_file(settings.database) is not None:
         raise click.UsageError("--or-standby needs a lab on PostgreSQL (docs/standby.md).")
     try:
         store = open_store(settings.database, create=False, read_only=True)

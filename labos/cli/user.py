@@ -9,7 +9,7 @@ import click
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
 from labos.cli._out import show_json, show_table
-from labos.cli._people import in_words, lab_or_its_folder, role_choice, scope_of, workcell_option
+from labos.cli._people import describe_roles, lab_or_its_folder, role_choice, scope_of, workcell_option
 from labos.services.times import show_time
 
 _id = click.argument("name", metavar="ID")
@@ -71,7 +71,7 @@ def add(
         click.echo(f"{name} is the admin of this lab. From now on only its users have access.")
     else:
         what = "a service account" if service else "a user"
-        click.echo(f"{name} is {what} of this lab: {in_words(found['roles']) or 'may read'}.")
+        click.echo(f"{name} is {what} of this lab: {describe_roles(found['roles']) or 'may read'}.")
     next_step = f"token create LABEL --for {name}" if service else f"user password {name}"
     click.echo(f"Next: labos {next_step}")
 
@@ -106,9 +106,9 @@ def show(name: str, asker: Asker) -> None:
         ("id", name),
         ("kind", found["kind"] + (", disabled" if found["disabled"] else "")),
         ("since", show_time(found["since"])),
-        ("roles", in_words(found["roles"])),
+        ("roles", describe_roles(found["roles"])),
         ("group", found["group"]),
-        ("roles of the group", in_words(found["group_roles"])),
+        ("roles of the group", describe_roles(found["group_roles"])),
     )
     for title, text in lines:
         click.echo(f"{title + ':':20}{text or 'none'}")
@@ -202,4 +202,4 @@ def link(name: str, issuer: str, subject: str, asker: Asker) -> None:
 
 def _row(user: dict[str, Any]) -> tuple[str, ...]:
     kind = user["kind"] + (", disabled" if user["disabled"] else "")
-    return user["id"], kind, user["group"], in_words(user["roles"]), show_time(user["since"])
+    return user["id"], kind, user["group"], describe_roles(user["roles"]), show_time(user["since"])

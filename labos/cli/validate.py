@@ -8,16 +8,16 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, json_option, log_options
-from labos.cli._specs import spec_path
+from labos.cli._specs import find_spec_path
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN
 from labos.errors import LabosError, NoAnswer, Refused, SpecError
 from labos.planning.certificate import Certificate
-from labos.services.capacity import Capacity, capacity
+from labos.services.capacity import Capacity, measure_capacity
 from labos.spec import (
     Compiled,
     CompiledWorkcell,
@@ -54,7 +54,7 @@ class Verdict(msgspec.Struct):
 
 
 @click.command("validate", short_help="Check a workflow before anything moves.")
-@click.argument("workflow", shell_complete=completes("workflow"))
+@click.argument("workflow", shell_complete=make_completer("workflow"))
 @click.option(
     "--workcell",
     default="",
@@ -92,7 +92,7 @@ def command(
     `windows: refuse` at the top of the workflow, this is an error.
     """
     if not workcell:
-        _alone(workflow, as_json=as_json)
+        _check_alone(workflow, as_json=as_json)
         return
     verdict, compiled = examine(workflow, workcell, read_payload(payloads), simulate)
     if online and compiled is not None:
@@ -105,10 +105,10 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _alone(name: str, *, as_json: bool) -> None:
+def _check_alone(name: str, *, as_json: bool) -> None:
     """Check a workcell or labware file. Raises NotFound, Exit(1); a workflow needs a workcell."""
     from labos.bootstrap import descriptions, shape_of
-    from labos.spec.dialects import kind_of
+    from labos.spec.dialects import detect_kind
     from labos.spec.importing import import_spec
     from labos.spec.layout_check import check_layout
     from labos.spec.source import read
@@ -116,12 +116,12 @@ def _alone(name: str, *, as_json: bool) -> None:
     needs = click.UsageError("To check a workflow, add --workcell.")
     if not Path(name).is_file() and name in list_specs("workflows"):
         raise needs
-    path = spec_path("workcells", name)
+    path = find_spec_path("workcells", name)
     findings: list[Finding] = []
     told = ""
     try:
         source = read(path, last_wins=True)
-        kind, known = kind_of(source)[0], descriptions()
+        kind, known = detect_kind(source)[0], descriptions()
         if kind == "workflow":
             raise needs
         found = import_spec(source, known)
@@ -154,7 +154,7 @@ def examine(
     from labos.spec.source import read
     from labos.spec.uses import read_uses
 
-    flow_path, cell_path = spec_path("workflows", workflow), spec_path("workcells", workcell)
+    flow_path, cell_path = find_spec_path("workflows", workflow), find_spec_path("workcells", workcell)
     known = descriptions()
     findings: list[Finding] = []
     verdict = Verdict(findings)
@@ -181,16 +181,16 @@ def examine(
         return verdict, None
     verdict.findings = [*findings, *compiled.findings]
     verdict.inputs, verdict.outputs = compiled.inputs, compiled.outputs
-    verdict.copies = _copies(cell, compiled)
+    verdict.copies = _count_copies(cell, compiled)
     return verdict, compiled
 
 
-def _copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None:
+def _count_copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None:
     if any(step.when is not None for step in compiled.plan.steps):
         return None  # how many copies fit depends on results
     stock = [(item.station, item.labware, item.count) for item in cell.bench.stock]
     try:
-        return capacity(cell.workcell, stock, compiled.plan, compiled.inputs, others=compiled.others)
+        return measure_capacity(cell.workcell, stock, compiled.plan, compiled.inputs, others=compiled.others)
     except Refused as error:
         return Capacity(0, why=error.message)
 
@@ -233,12 +233,12 @@ def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
     click.echo(f"{plan.workflow} on {plan.workcell}: {steps} steps, no errors.")
     for line in describe_choices(list_choices(compiled.plans)):
         click.echo(line)
-    click.echo(f"Labware needed at the start: {_places(verdict.inputs) or 'none'}.")
-    click.echo(f"Labware at the end: {_places(verdict.outputs) or 'nowhere'}.")
+    click.echo(f"Labware needed at the start: {_describe_places(verdict.inputs) or 'none'}.")
+    click.echo(f"Labware at the end: {_describe_places(verdict.outputs) or 'nowhere'}.")
     for line in describe_certificate(verdict.certificate) if verdict.certificate else ():
         click.echo(line)
     if verdict.copies is not None:
-        click.echo(_how_many(verdict.copies))
+        click.echo(_describe_copies(verdict.copies))
     if verdict.modules:
         click.echo()
         show_table(("module", "status"), list(verdict.modules.items()))
@@ -246,12 +246,12 @@ def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
         click.echo(f"Not ready: {', '.join(verdict.unreachable)}.")
 
 
-def _places(stations: tuple[StationName, ...]) -> str:
+def _describe_places(stations: tuple[StationName, ...]) -> str:
     counts = {station: stations.count(station) for station in stations}
     return ", ".join(local(name) if n == 1 else f"{n} × {local(name)}" for name, n in counts.items())
 
 
-def _how_many(copies: Capacity) -> str:
+def _describe_copies(copies: Capacity) -> str:
     if copies.capped:
         return f"At least {copies.copies} copies can be active at once."
     if not copies.copies:

@@ -16,10 +16,10 @@ from labos.cli._query import Where, json_option, log_options, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
-from labos.core.state import state_hash
+from labos.core.state import hash_state
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
-from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
-from labos.services.journals import surplus
+from labos.services.checkpoint import Checkpoint, find_contradiction, make_checkpoint, read_checkpoint
+from labos.services.journals import list_surplus
 from labos.services.signatures import check_signatures
 from labos.services.times import iso_time
 from labos.services.trust.compare import CheckpointComparison, is_signed
@@ -40,7 +40,7 @@ from labos.store import (
     Progress,
     SqlEventStore,
     create_file,
-    first_damage,
+    find_first_damage,
     key_of,
     open_blobs,
     read_accounts_copy,
@@ -169,15 +169,15 @@ def command(
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
     with open_database(where) as store:
         seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
-        end = add_seal(checkpoint_of(store), key)
-        with _progress(as_json) as progress:
-            damage = first_damage(store, progress)
-        against = contradiction(store, seen) if seen is not None else ""
+        end = add_seal(make_checkpoint(store), key)
+        with _show_progress(as_json) as progress:
+            damage = find_first_damage(store, progress)
+        against = find_contradiction(store, seen) if seen is not None else ""
         compared = None
         if signed is not None and not damage:
             compared = compare_signed(store, signed, where.home, public_keys)
             against = compared.fault
-        parts = [] if damage else _other_parts(where, store)
+        parts = [] if damage else _list_other_parts(where, store)
         if about_journals is not None:
             parts.append(about_journals)
         fault = f"Position {damage.position}: {damage.reason}." if damage else ""
@@ -185,7 +185,7 @@ def command(
             fault = f"The log contradicts the checkpoint: {against}."
         if seen is not None and (broken := check_seal(seen, key)):
             fault = f"The checkpoint cannot be trusted: {broken}."
-        more = surplus(store, nodes) if nodes and not fault else []
+        more = list_surplus(store, nodes) if nodes and not fault else []
         if more and not fault:
             fault = f"The nodes know more than the log: {more[0].journal} knows {more[0].knows}."
         others = [said for part in parts for said in part.faults]
@@ -198,7 +198,7 @@ def command(
             {
                 "whole": whole,
                 "fault": fault or next(iter(others), ""),
-                "position": _first_position(damage, compared, parts),
+                "position": _find_first_position(damage, compared, parts),
                 "head": end,
                 "compared_with": seen or compared,
                 "parts": [
@@ -231,7 +231,7 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _first_position(
+def _find_first_position(
     damage: Damage | None, compared: CheckpointComparison | None, parts: list[VerifiedPart]
 ) -> int | None:
     """The first position of the log that something is wrong with."""
@@ -242,7 +242,7 @@ def _first_position(
     return next((at for part in parts for at in part.positions), None)
 
 
-def _other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
+def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
     """What there is beside the chain; what cannot be looked at is a fault too."""
     settings = Settings.make(where.home, where.url)
     looks: tuple[tuple[str, Callable[[], VerifiedPart]], ...] = (
@@ -294,7 +294,7 @@ def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool
         facts = {
             "whole": True,
             "backup": found,
-            "state": state_hash(state),
+            "state": hash_state(state),
             "accounts": _count_accounts(people),
         }
         show_json(facts)
@@ -308,7 +308,7 @@ def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool
         f"{len(found.blobs)} blobs."
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
-    click.echo(f"State {state_hash(state)}")
+    click.echo(f"State {hash_state(state)}")
     _tell_accounts(people)
 
 
@@ -378,7 +378,7 @@ def _write(file: Path, end: Checkpoint) -> None:
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[Progress | None]:
+def _show_progress(quiet: bool) -> Iterator[Progress | None]:
     """A bar on standard error while somebody is looking."""
     if quiet or not sys.stderr.isatty():
         yield None

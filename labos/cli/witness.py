@@ -43,13 +43,13 @@ def command(labs: tuple[str, ...], host: str, port: int, home: Path) -> None:
 
     A witness needs no log and controls no lab. Put a proxy with TLS in front of it (deploy/tls).
     """
-    from labos.cli._lab import orderly
+    from labos.cli._lab import end_in_order
     from labos.http.witness import serve_witness
 
     witness = Witness(
         home / "witness", SigningKeys(home).read_signing_key(witness=True), read_given_keys(labs)
     )
-    with orderly():
+    with end_in_order():
         try:
             asyncio.run(
                 serve_witness(witness, host, port, lambda url: click.echo(f"The witness is at {url}."))

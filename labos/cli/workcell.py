@@ -8,7 +8,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import completes
+from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options
 from labos.spec import Finding
@@ -22,7 +22,7 @@ def command() -> None:
 
 
 @command.command("apply")
-@click.argument("file", shell_complete=completes("workcell file"))
+@click.argument("file", shell_complete=make_completer("workcell file"))
 @click.option("--dry-run", is_flag=True, help="Only show what would change, and what prevents it.")
 @click.option("--yes", is_flag=True, help="Do not ask first.")
 @asker_options
@@ -39,21 +39,21 @@ def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
     labos workcell apply rpl.yaml --yes
     """
     from labos.bootstrap import descriptions
-    from labos.cli._lab import workcell_file
+    from labos.cli._lab import find_workcell_file
     from labos.cli._out import show_json
-    from labos.spec.labware import labware_files
+    from labos.spec.labware import read_labware_files
     from labos.spec.source import read
-    from labos.spec.tables import table_files
+    from labos.spec.tables import read_table_files
 
-    path = Path(workcell_file(file))
+    path = Path(find_workcell_file(file))
     text = path.read_text(encoding="utf-8-sig")
     with asker.lab() as client:
         source = read(path, last_wins=True)
-        labware, files = labware_files(source), table_files(source, descriptions())
+        labware, files = read_labware_files(source), read_table_files(source, descriptions())
         found = client.apply_workcell(text, str(path), asker.user, dry_run=True, labware=labware, files=files)
         if not asker.as_json:
             _show(found)
-        if not dry_run and _changes(found):
+        if not dry_run and _list_changes(found):
             if not (yes or asker.as_json or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
             found = client.apply_workcell(text, str(path), asker.user, labware=labware, files=files)
@@ -63,16 +63,16 @@ def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
         show_json(found)
 
 
-def _changes(found: dict[str, Any]) -> list[str]:
+def _list_changes(found: dict[str, Any]) -> list[str]:
     return [
-        f"{sign} {what.removesuffix('s')} {name}{_details(found, what, kind, name)}"
+        f"{sign} {what.removesuffix('s')} {name}{_describe_details(found, what, kind, name)}"
         for what in ("modules", "stations", "poses", "labware", "transfers")
         for kind, sign in SIGNS.items()
         for name in found[what][kind]
     ]
 
 
-def _details(found: dict[str, Any], what: str, kind: str, name: str) -> str:
+def _describe_details(found: dict[str, Any], what: str, kind: str, name: str) -> str:
     """Which fields of a module change."""
     changed = found["details"].get(name) if (what, kind) == ("modules", "changed") else None
     return f" ({'; '.join(changed)})" if changed else ""
@@ -81,7 +81,7 @@ def _details(found: dict[str, Any], what: str, kind: str, name: str) -> str:
 def _show(found: dict[str, Any]) -> None:
     for finding in found["findings"]:
         click.echo(f"labos: {msgspec.convert(finding, Finding)}", err=True)
-    lines = _changes(found)
+    lines = _list_changes(found)
     for line in lines or [f"{found['workcell']} agrees with the file."]:
         click.echo(line)
     for blocker in found["blockers"]:

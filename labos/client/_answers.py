@@ -37,18 +37,18 @@ def answer_of(status: int, content: bytes) -> dict[str, Any]:
         )
     if status < 400:
         return data
-    problem = problem_in(content)
-    raise _errors().get(problem.code, LabosError)(problem.detail, remedy=problem.remedy)
+    problem = decode_problem(content)
+    raise _list_errors().get(problem.code, LabosError)(problem.detail, remedy=problem.remedy)
 
 
-def cannot_write(content: bytes) -> LabUnreachable:
+def make_cannot_write_error(content: bytes) -> LabUnreachable:
     """What is told of a lab that is there and cannot write, with the lab's own reason and remedy."""
-    problem = problem_in(content)
+    problem = decode_problem(content)
     reason = f": {problem.detail}" if problem.detail else "."
     return LabUnreachable(f"The lab cannot write its log at the moment{reason}", remedy=problem.remedy)
 
 
-def problem_in(content: bytes) -> ProblemDocument:
+def decode_problem(content: bytes) -> ProblemDocument:
     """The problem that the lab told of; its fields are empty if it told of none."""
     try:
         return msgspec.json.decode(content, type=ProblemDocument)
@@ -56,7 +56,7 @@ def problem_in(content: bytes) -> ProblemDocument:
         return ProblemDocument()
 
 
-def _errors() -> dict[str, type[LabosError]]:
+def _list_errors() -> dict[str, type[LabosError]]:
     """Error classes by their code; those with fields of their own come back as their parents."""
     found: dict[str, type[LabosError]] = dict.fromkeys(AS_BAD_INPUT, BadInput)
     for name, kind in vars(errors).items():

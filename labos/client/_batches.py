@@ -33,12 +33,12 @@ def workflow_texts(
 ) -> list[dict[str, Any]]:
     """The workflow for each payload, with the files that this one names. It is read again only for a payload
     that has other texts than the ones before. Raises as ``workflow_text``."""
-    from labos.spec.references import texts_in
+    from labos.spec.references import iterate_texts
 
     known: dict[frozenset[str], dict[str, Any]] = {}
     found = []
     for payload in payloads:
-        texts = frozenset() if isinstance(workflow, Mapping) else frozenset(texts_in(payload))
+        texts = frozenset() if isinstance(workflow, Mapping) else frozenset(iterate_texts(payload))
         if texts not in known:
             known[texts] = workflow_text(workflow, payload)
         found.append(known[texts])

@@ -43,7 +43,7 @@ def in_path(name: str, parts: int = 1) -> str:
 _NO_NAME = re.compile(r"[\x00-\x1f\x7f\\\ud800-\udfff]")
 
 
-def plain(value: Any) -> Any:
+def make_plain(value: Any) -> Any:
     """What is no list, table or text itself, but used as one; numbers and arrays of numpy. Raises
     BadInput."""
     if isinstance(value, Mapping):

@@ -87,7 +87,9 @@ class Experiment(LoggedEvents):
         past = self._record.past
         self._random = Random(past.seed)
         if past.status == "open":
-            self._beating = threading.Thread(target=self._beat, name=f"heartbeat-{self.id}", daemon=True)
+            self._beating = threading.Thread(
+                target=self._send_heartbeats, name=f"heartbeat-{self.id}", daemon=True
+            )
             self._beating.start()
         return self
 
@@ -175,8 +177,8 @@ class Experiment(LoggedEvents):
             if run:
                 result = self.lab.wait(run, progress=progress)
             else:
-                options = {**self._options(), "request": request, "progress": progress}
-                with record.same(taken, request, told, payload):
+                options = {**self._make_options(), "request": request, "progress": progress}
+                with record.expect_same(taken, request, told, payload):
                     result = self.lab.run(told, payload, **options)
         if check and not result.succeeded:
             raise RunFailed(result)
@@ -214,7 +216,7 @@ class Experiment(LoggedEvents):
             if len(new) < len(asked):
                 options.pop("place", None)  # it was recorded with the first of them
             with record.same_each(taken, new):
-                found = self.lab._submit_batches(new, **{**self._options(), **options})
+                found = self.lab._submit_batches(new, **{**self._make_options(), **options})
         return [known[run.number] or found.pop(0) for run in asked]
 
     def as_completed(self, runs: Iterable[str], *, check: bool = True) -> Iterator[RunResult]:
@@ -253,7 +255,7 @@ class Experiment(LoggedEvents):
         taken = self._take("publish", title, key)
         kept = [
             {"file": name, "sha256": self.keep_file(content), "bytes": len(content)}
-            for name, content in _contents(files)
+            for name, content in _read_contents(files)
         ]
         listed = {"keywords": list(keywords), "creators": list(creators) or [self.user], "runs": list(runs)}
         facts = {"title": title, "about": about, "files": kept, **listed}
@@ -356,7 +358,7 @@ class Experiment(LoggedEvents):
     def _take(self, method: str, what: Any, key: str) -> Key:
         return self._record.take(method, what, key)
 
-    def _options(self) -> dict[str, Any]:
+    def _make_options(self) -> dict[str, Any]:
         return {"user": self.user, "workcell": self.workcell, "experiment": self.id}
 
     def _submit(
@@ -372,10 +374,10 @@ class Experiment(LoggedEvents):
         if known:
             self.lab.warnings = []
             return known
-        with record.same(key, request, told, payload):
-            return self.lab.submit(told, payload, request=request, **{**self._options(), **options})
+        with record.expect_same(key, request, told, payload):
+            return self.lab.submit(told, payload, request=request, **{**self._make_options(), **options})
 
-    def _beat(self) -> None:
+    def _send_heartbeats(self) -> None:
         while not self._over.wait(HEARTBEAT_S):
             try:
                 self.lab.heartbeat(self.id)
@@ -383,7 +385,7 @@ class Experiment(LoggedEvents):
                 continue
 
 
-def _contents(files: Iterable[str | Path] | Mapping[str, bytes]) -> Iterator[tuple[str, bytes]]:
+def _read_contents(files: Iterable[str | Path] | Mapping[str, bytes]) -> Iterator[tuple[str, bytes]]:
     """Name and content of each file."""
     if isinstance(files, Mapping):
         yield from files.items()

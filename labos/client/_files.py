@@ -43,13 +43,13 @@ def workflow_text(
             f"The workflow {str(workflow)!r} is larger than {MAX_BYTES // 1024 // 1024} MB.",
             remedy="Keep data in files of their own and name them in arguments.",
         )
-    return {"text": text, "name": str(path), "files": _encode(_files_beside(path, text, payload or {}))}
+    return {"text": text, "name": str(path), "files": _encode(_read_files_beside(path, text, payload or {}))}
 
 
 def campaign_text(campaign: str | Path) -> dict[str, Any]:
     """A campaign file with the workflow and the table that it names: both stand beside it, or the workflow is
     a packaged one. Raises BadInput, NotFound, SpecError."""
-    from labos.spec.campaign import beside, table_of_campaign, workflow_of_campaign
+    from labos.spec.campaign import find_beside, find_table_of_campaign, find_workflow_of_campaign
 
     path = Path(campaign)
     if not path.is_file():
@@ -58,18 +58,18 @@ def campaign_text(campaign: str | Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"The campaign {str(campaign)!r} cannot be read: {error}.") from None
-    name = workflow_of_campaign(text)
-    written = beside(path, name)
+    name = find_workflow_of_campaign(text)
+    written = find_beside(path, name)
     told = {
         "text": text,
         "name": str(path),
         "workflow": workflow_text(written if written.is_file() else name),
         "files": {},
     }
-    table = table_of_campaign(text)
+    table = find_table_of_campaign(text)
     if table:
         with contextlib.suppress(OSError):  # the lab says that it is missing, and where it is named
-            told["files"] = _encode([(table, beside(path, table).read_bytes())])
+            told["files"] = _encode([(table, find_beside(path, table).read_bytes())])
     return told
 
 
@@ -78,7 +78,7 @@ def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, An
     its arguments name."""
     import yaml
 
-    from labos.spec.references import texts_in
+    from labos.spec.references import iterate_texts
 
     name = f"do {module.rpartition('/')[2]}.{action}"
     step = {"name": action, "module": module, "action": action, "args": dict(args)}
@@ -86,15 +86,19 @@ def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, An
         text = yaml.safe_dump({"labos": 1, "name": name, "steps": [step]}, sort_keys=False)
     except yaml.YAMLError as error:
         raise BadInput(f"The arguments of {module}.{action} cannot be written down: {error}.") from None
-    return {"text": text, "name": name, "files": _encode(_files_in(Path.cwd(), set(texts_in(args))))}
+    return {
+        "text": text,
+        "name": name,
+        "files": _encode(_read_files_in(Path.cwd(), set(iterate_texts(args)))),
+    }
 
 
 def _encode(files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
     return {name: base64.b64encode(content).decode() for name, content in files}
 
 
-def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
-    from labos.spec.references import texts_in
+def _read_files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
+    from labos.spec.references import iterate_texts
     from labos.spec.source import parse
 
     try:
@@ -102,22 +106,22 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
     except LabosError:
         return  # the lab says what is wrong with it, and where
     folder = path.resolve().parent
-    texts = {*texts_in(data), *texts_in(payload)}
+    texts = {*iterate_texts(data), *iterate_texts(payload)}
     unread, seen = list(_find_used_files(data)), set[str]()
     while unread and len(seen) < MOST_USED:
         name = unread.pop()
         if name in seen:
             continue
         seen.add(name)
-        for _, content in _files_in(folder, {name}):
+        for _, content in _read_files_in(folder, {name}):
             with contextlib.suppress(LabosError):
                 inner = parse(content, last_wins=True).data
-                texts.update(texts_in(inner))
+                texts.update(iterate_texts(inner))
                 unread += _find_used_files(inner)
-    yield from _files_in(folder, texts)
+    yield from _read_files_in(folder, texts)
 
 
-def _files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
+def _read_files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
     from labos.spec.files import find_logical, is_within
 
     for told in sorted(names):

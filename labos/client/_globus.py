@@ -86,7 +86,7 @@ def transfer(
     known = record.find_note(key)
     if known is None:
         begun = perf_counter()
-        places = GlobusPlace.of(said["source"]), GlobusPlace.of(said["target"])
+        places = GlobusPlace.parse(said["source"]), GlobusPlace.parse(said["target"])
         try:
             moved = attempts_of(
                 record,

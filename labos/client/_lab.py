@@ -103,10 +103,10 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         """Committed events in order; with ``follow``, for ever. ``wait_s`` is how long each request waits for
         one: not at all, and ``LONG_POLL_S`` with ``follow``, if it is not given. Filters: type, stream,
         correlation, actor, mentions."""
-        for page in self._pages_of_events(after, follow=follow, wait_s=wait_s, **filters):
+        for page in self._iterate_pages_of_events(after, follow=follow, wait_s=wait_s, **filters):
             yield from page
 
-    def _pages_of_events(
+    def _iterate_pages_of_events(
         self, after: int, *, follow: bool, wait_s: float | None, **filters: Any
     ) -> Iterator[list[dict[str, Any]]]:
         usual_s = LONG_POLL_S if follow else 0.0
@@ -121,9 +121,9 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         """What a run measured, well by well, each value with the sample that was in its well; as a table by
         ``to_frame()`` (pandas) and ``to_csv()``. Raises NotFound."""
         from labos.client._log import LabFiles, LabLog
-        from labos.services.results import readings
+        from labos.services.results import read_readings
 
-        return readings(LabLog(self), LabFiles(self), run)
+        return read_readings(LabLog(self), LabFiles(self), run)
 
     def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
         """A page of events as the lab sends it, with the position from which to go on."""

@@ -94,10 +94,10 @@ class LabLog:
             asked["stored"] = True
         if query.last is not None and query.last <= MOST_LAST:
             return iter(self._ask({**asked, "after": query.after, "last": query.last}).records)
-        found = self._pages(asked, query.after)
+        found = self._iterate_pages(asked, query.after)
         return found if query.last is None else iter(deque(found, query.last))
 
-    def _pages(self, asked: dict[str, Any], after: int) -> Iterator[Record]:
+    def _iterate_pages(self, asked: dict[str, Any], after: int) -> Iterator[Record]:
         while True:
             page = self._ask({**asked, "after": after})
             yield from page.records

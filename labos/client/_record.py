@@ -20,7 +20,7 @@ from labos.client._replay import (
     name_of,
     request_of,
 )
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.errors import CommitInDoubt, KeyReused, LabosError, NotFound, Refused
 
 if TYPE_CHECKING:
@@ -105,12 +105,12 @@ class ExperimentRecord:
         return str(recorded["run"])
 
     @contextmanager
-    def same(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> Iterator[None]:
+    def expect_same(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> Iterator[None]:
         """If the lab knows a request as another one, ReplayMismatch says what differs."""
         try:
             yield
         except KeyReused:
-            self._past_again()
+            self._read_past_again()
             self.find_run(key, request, told, payload)
             raise
 
@@ -120,7 +120,7 @@ class ExperimentRecord:
         try:
             yield
         except KeyReused:
-            self._past_again()
+            self._read_past_again()
             for run in runs:
                 self.find_run(key, run.key, run.workflow, run.payload)
             raise
@@ -144,9 +144,9 @@ class ExperimentRecord:
             try:
                 lab.note(self.experiment, kind, name, facts, user, key=str(key))
             except (LabUnreachable, CommitInDoubt):
-                self._past_again()  # a lab that broke off is asked whether it has heard
+                self._read_past_again()  # a lab that broke off is asked whether it has heard
             except Refused:
-                if self._past_again().notes.get(key) is None:
+                if self._read_past_again().notes.get(key) is None:
                     raise  # else it was told by the program that was killed
             else:
                 return {"kind": kind, "name": name, "facts": as_sent(facts), "key": key}
@@ -172,7 +172,7 @@ class ExperimentRecord:
 
     def json_as_facts(self, value: Any) -> dict[str, Any]:
         """A value that is JSON as facts of a note: itself, or the file of the lab that holds it."""
-        content = canonical(value)
+        content = encode_canonical(value)
         if len(content) <= LARGEST_IN_EVENT:
             return {"value": value}
         return {"value_file": self.keep_file(content)}
@@ -196,7 +196,7 @@ class ExperimentRecord:
         """Raises NotFound, LogDamaged."""
         return self._of.lab.file(sha256)
 
-    def _past_again(self) -> ExperimentPast:
+    def _read_past_again(self) -> ExperimentPast:
         self.past.lab = self._of.lab
         return self.past.read()
 
@@ -242,6 +242,6 @@ class ServiceRecord:
 
 def function_name(function: Callable[..., Any]) -> str:
     """What a computation is called in keys and notes."""
-    from labos.services.compute._work import name_of as name_of_function
+    from labos.services.compute._work import make_name as name_of_function
 
     return name_of_function(function)

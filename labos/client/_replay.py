@@ -16,8 +16,8 @@ from typing import Any, Protocol
 
 import msgspec
 
-from labos.client._calls import plain
-from labos.core.canonical import canonical, digest
+from labos.client._calls import make_plain
+from labos.core.canonical import digest, encode_canonical
 from labos.errors import BadInput, LabosError
 
 LONGEST_KEY = 150
@@ -64,8 +64,8 @@ class CallKeys:
         if isinstance(given, Key):
             return given
         if given:
-            return Key(_short(f"{kind} {given}"))
-        name = _short(f"{kind} {what}")
+            return Key(_shorten_name(f"{kind} {given}"))
+        name = _shorten_name(f"{kind} {what}")
         with self._lock:
             self._taken[name] += 1
             return Key(f"{name}#{self._taken[name]}")
@@ -81,7 +81,7 @@ class CallKeys:
 def request_of(experiment: str, key: str) -> str:
     """The key of the request for a run."""
     name = f"{experiment}/{key}"
-    return name if name.isascii() and name.isprintable() else f"{experiment}/{_digest(key)}"
+    return name if name.isascii() and name.isprintable() else f"{experiment}/{_make_digest(key)}"
 
 
 class EventSource(Protocol):
@@ -144,7 +144,7 @@ def as_json(value: Any) -> Any:
     """A value as it comes back from the log: a tuple as a list, an array as lists. Raises BadInput for one
     that JSON does not hold."""
     try:
-        return msgspec.json.decode(canonical(msgspec.to_builtins(value, enc_hook=plain)))
+        return msgspec.json.decode(encode_canonical(msgspec.to_builtins(value, enc_hook=make_plain)))
     except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
         raise BadInput(
             f"A {type(value).__name__} cannot be written into the log: {error}.",
@@ -156,7 +156,7 @@ def plain_digest(value: Any) -> str:
     """A digest that is the same for equal values, also in another process: of their JSON, with arrays as
     digests. Empty for what has none."""
     try:
-        return digest(canonical(msgspec.to_builtins(value, enc_hook=_array_or_plain)))
+        return digest(encode_canonical(msgspec.to_builtins(value, enc_hook=_array_or_plain)))
     except (LabosError, ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError):
         return ""
 
@@ -165,7 +165,7 @@ def _array_or_plain(value: Any) -> Any:
     kind, to_bytes = getattr(value, "dtype", None), getattr(value, "tobytes", None)
     if kind is not None and to_bytes is not None and not getattr(kind, "hasobject", False):
         return {"array": str(kind), "shape": list(getattr(value, "shape", ())), "sha256": digest(to_bytes())}
-    return plain(value)
+    return make_plain(value)
 
 
 def check_run(experiment: str, key: str, recorded: Mapping[str, Any], text: str, payload: Any) -> None:
@@ -191,17 +191,19 @@ def check_note(experiment: str, recorded: Mapping[str, Any], facts: Mapping[str,
 
 def as_sent(value: Any) -> Any:
     """A value as the lab has it when it was sent."""
-    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=plain))
+    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=make_plain))
 
 
-def _short(name: str) -> str:
+def _shorten_name(name: str) -> str:
     line = "".join(char if char.isprintable() else " " for char in name)
     return (
-        line if line == name and len(line) <= LONGEST_KEY else f"{line[: LONGEST_KEY - 17]}~{_digest(name)}"
+        line
+        if line == name and len(line) <= LONGEST_KEY
+        else f"{line[: LONGEST_KEY - 17]}~{_make_digest(name)}"
     )
 
 
-def _digest(text: str) -> str:
+def _make_digest(text: str) -> str:
     return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]
 
 

@@ -64,7 +64,7 @@ class RunResult(msgspec.Struct, frozen=True, dict=True):
     def files(self) -> list[dict[str, Any]]:
         """The files that steps gave back, each with ``step``, ``file`` (its name), ``sha256`` and the like:
         ``LabClient.file``, ``image`` and ``table`` read them."""
-        return [{"step": step.key, **file} for step in self.steps for file in _files_in(step.result)]
+        return [{"step": step.key, **file} for step in self.steps for file in _iterate_files(step.result)]
 
     def readings(self) -> Readings:
         """What it measured, well by well, each value with the sample that was in its well."""
@@ -82,14 +82,14 @@ class RunResult(msgspec.Struct, frozen=True, dict=True):
         return self.readings().to_csv(file)
 
 
-def _files_in(result: Any) -> Iterator[dict[str, Any]]:
+def _iterate_files(result: Any) -> Iterator[dict[str, Any]]:
     """What names a file in a result, however deep."""
     if isinstance(result, dict):
         if isinstance(result.get("sha256"), str):
             yield result
         else:
             for value in result.values():
-                yield from _files_in(value)
+                yield from _iterate_files(value)
     elif isinstance(result, list):
         for value in result:
-            yield from _files_in(value)
+            yield from _iterate_files(value)

@@ -72,7 +72,7 @@ class RunCalls(GeneratedCalls):
             due=due,
             request=request,
         )
-        self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]
+        self.warnings = [_make_remark(finding) for finding in answer.get("warnings", ())]
         self._note_approval(answer)
         return str(answer["run"])
 
@@ -144,7 +144,7 @@ class RunCalls(GeneratedCalls):
             )
             place = []
             found += answer["runs"]
-            warnings += map(_remark, answer.get("warnings", ()))
+            warnings += map(_make_remark, answer.get("warnings", ()))
             approvals = list(map(str, answer.get("approvals", ())))
             warnings += approvals
             self.approval = approvals[-1] if approvals else self.approval
@@ -171,13 +171,13 @@ class RunCalls(GeneratedCalls):
             ended = [event["stream"] for event in page["events"] if event["stream"] in waiting]
             if not page["events"] and not is_known:
                 is_known = True  # what has ended was found: all others are alive, or were never there
-                ended = [run for run in sorted(waiting - self._alive()) if self.status(run).over]
+                ended = [run for run in sorted(waiting - self._list_alive()) if self.status(run).over]
             after = max(page["position"], after)
             waiting -= set(ended)
             for run in ended:
                 yield self.status(run)
 
-    def _alive(self) -> set[str]:
+    def _list_alive(self) -> set[str]:
         """The runs that have not ended."""
         found: set[str] = set()
         page: dict[str, Any] = {"more": True, "position": 0}
@@ -242,7 +242,7 @@ def puts_of(place: Sequence[Put | Mapping[str, Any]]) -> list[dict[str, Any]]:
     return [dict(p) if isinstance(p, Mapping) else dict(zip(names, p, strict=False)) for p in place]
 
 
-def _remark(finding: Mapping[str, Any]) -> str:
+def _make_remark(finding: Mapping[str, Any]) -> str:
     fields = ("message", "file", "line", "column", "field", "remedy")
     message, *place = (finding[name] for name in fields)
     return str(errors.SpecError(message, **dict(zip(fields[1:], place, strict=True))))

@@ -95,12 +95,12 @@ class Computations:
             )
         done: Future[Any] = Future()
         if "error" in facts:
-            done.set_exception(_failure(known["name"], facts))
+            done.set_exception(_make_failure(known["name"], facts))
         else:
-            done.set_result(self._value(facts))
+            done.set_result(self._read_value(facts))
         return done
 
-    def _value(self, facts: Mapping[str, Any]) -> Any:
+    def _read_value(self, facts: Mapping[str, Any]) -> Any:
         if "result" in facts:
             return facts["result"]
         content = self._record.file(facts["result_file"])
@@ -138,7 +138,7 @@ class Computations:
         kept = self._record.keep(key, kind, computed.function, facts)["facts"]
         if kept["result_sha256"] == facts["result_sha256"]:
             return measured.value
-        return self._value(kept)  # the program that was killed had told it in the meantime
+        return self._read_value(kept)  # the program that was killed had told it in the meantime
 
     def _tell_failure(self, key: str, kind: str, failed: ComputeFailed, what: str) -> None:
         facts = {
@@ -158,7 +158,7 @@ def _as_json(what: str, arguments: str) -> dict[str, str]:
     return {"arguments_as_json": what} if what not in ("", arguments) else {}
 
 
-def _failure(name: str, facts: Mapping[str, Any]) -> ComputeFailed:
+def _make_failure(name: str, facts: Mapping[str, Any]) -> ComputeFailed:
     """The error that a computation ended with before the program was started again."""
     from labos.services.compute import ComputeFailed
 

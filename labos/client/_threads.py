@@ -52,7 +52,7 @@ class Threads:
 
     async def iterate(self, iterator: Iterator[T]) -> AsyncIterator[T]:
         """Each item as it comes."""
-        while page := await self.wait(_next, iterator):
+        while page := await self.wait(_take_next, iterator):
             yield page[0]
 
     async def iterate_pages(self, pages: Iterator[list[T]]) -> AsyncIterator[T]:
@@ -109,7 +109,7 @@ class Threads:
             del self._running[done]
 
 
-def _next(iterator: Iterator[T]) -> list[T]:
+def _take_next(iterator: Iterator[T]) -> list[T]:
     """The next item; an empty list if there is none."""
     return list(itertools.islice(iterator, 1))
 

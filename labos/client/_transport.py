@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from labos.client._answers import LabUnreachable, answer_of, cannot_write, problem_in
-from labos.client._calls import LONG_POLL_S, Calls, check_given_up, plain
+from labos.client._answers import LabUnreachable, answer_of, decode_problem, make_cannot_write_error
+from labos.client._calls import LONG_POLL_S, Calls, check_given_up, make_plain
 from labos.client._token import find_token, find_trusted, place_of
 from labos.clock import Uuid7Ids
 from labos.settings import Settings, find_kernel
@@ -97,7 +97,7 @@ class Transport(Calls):
         return self._ask(
             "POST",
             path,
-            content=msgspec.json.encode(body, enc_hook=plain),
+            content=msgspec.json.encode(body, enc_hook=make_plain),
             headers=headers,
             repeat=repeat or bool(request),
             **({"timeout": timeout_s} if timeout_s else {}),
@@ -113,14 +113,14 @@ class Transport(Calls):
         cannot have arrived."""
         import httpx
 
-        deadline = time.monotonic() + self._patience()
+        deadline = time.monotonic() + self._find_patience()
         pause = 0.05
         own = options.pop("headers", {})
         while True:
             check_given_up()
             asked = time.monotonic()
             try:
-                base = self._base()
+                base = self._find_base()
                 headers = {**own, **self._make_headers(base)}
                 response = self._http.request(method, base + API + path, headers=headers, **options)
             except (httpx.ConnectError, httpx.ConnectTimeout) as error:
@@ -140,9 +140,9 @@ class Transport(Calls):
             else:
                 if response.status_code != 503 or time.monotonic() > deadline:
                     return response
-                if not repeat and problem_in(response.content).code in IN_DOUBT:
+                if not repeat and decode_problem(response.content).code in IN_DOUBT:
                     return response
-                why = cannot_write(response.content)
+                why = make_cannot_write_error(response.content)
             if time.monotonic() + pause > deadline:
                 if isinstance(why, LabUnreachable):
                     raise why
@@ -158,12 +158,12 @@ class Transport(Calls):
         shown = {"authorization": f"Bearer {token}"} if token else {}
         return shown | ({"labos-on-behalf-of": self._behalf} if self._behalf else {})
 
-    def _patience(self) -> float:
+    def _find_patience(self) -> float:
         """How long to ask a lab that does not answer: not for long where there never was one."""
         never = self._home is not None and not (self._home / "kernel.json").exists()
         return min(self._patience_s, NEVER_S) if never else self._patience_s
 
-    def _base(self) -> str:
+    def _find_base(self) -> str:
         """Where the lab is now: a restarted one may have another address."""
         if self._home is not None:
             found = find_kernel(self._home)

@@ -67,7 +67,7 @@ class AsyncLabClient(AsyncCalls):
         self, after: int = 0, *, follow: bool = False, wait_s: float | None = None, **filters: Any
     ) -> AsyncIterator[dict[str, Any]]:
         """As ``LabClient.events``."""
-        pages = self.sync._pages_of_events(after, follow=follow, wait_s=wait_s, **filters)
+        pages = self.sync._iterate_pages_of_events(after, follow=follow, wait_s=wait_s, **filters)
         return self.threads.iterate_pages(pages)
 
     amend_campaign = ask(LabClient.amend_campaign)

@@ -54,27 +54,27 @@ class Reading(NamedTuple):
 
 def read_plate(content: bytes, wells: Sequence[str]) -> Reading:
     """The colours of wells in a picture, which is a file's content. Raises BadPicture."""
-    cv = _opencv()
+    cv = _import_opencv()
     try:
         picture = cv.imdecode(np.frombuffer(content, np.uint8), cv.IMREAD_COLOR)
     except cv.error:
         picture = None
     if picture is None:
         raise BadPicture("no picture", "The file holds no picture.")
-    plate = straightened(picture)
-    if _saturated(plate):
+    plate = straighten_picture(picture)
+    if _is_saturated(plate):
         raise BadPicture(
             "saturated", "The picture is saturated: there is too much light, or it was exposed for too long."
         )
-    off = _plate_off(plate)
-    light = _light(plate, off)
-    colors = {well: _color(plate, light, well, off) for well in wells}
+    off = _measure_offsets(plate)
+    light = _fit_light(plate, off)
+    colors = {well: _read_color(plate, light, well, off) for well in wells}
     return Reading(colors, (round(float(off[0]), 2), round(float(off[1]), 2)))
 
 
-def straightened(picture: Any) -> Any:
+def straighten_picture(picture: Any) -> Any:
     """The plate as it would be seen from straight above, with ``PX_PER_MM``. Raises BadPicture."""
-    cv = _opencv()
+    cv = _import_opencv()
     detector = cv.aruco.ArucoDetector(cv.aruco.getPredefinedDictionary(getattr(cv.aruco, MARKERS)))
     corners, ids, _ = detector.detectMarkers(picture)
     known = {int(i): c[0] for i, c in zip([] if ids is None else ids.ravel(), corners, strict=True)}
@@ -94,14 +94,14 @@ def straightened(picture: Any) -> Any:
     return cv.warpPerspective(picture, mapping, tuple(round(side * PX_PER_MM) for side in PLATE_MM))
 
 
-def _saturated(plate: Any) -> bool:
-    points = np.round(_between()).astype(int)
+def _is_saturated(plate: Any) -> bool:
+    points = np.round(_list_points_between()).astype(int)
     return bool(np.mean(plate[points[:, 1], points[:, 0]].max(axis=1) >= SATURATED) > TOO_MANY)
 
 
-def _plate_off(plate: Any) -> np.ndarray:
+def _measure_offsets(plate: Any) -> np.ndarray:
     """How far the wells are from where they should be (mm). Raises BadPicture."""
-    cv = _opencv()
+    cv = _import_opencv()
     grey = cv.GaussianBlur(cv.cvtColor(plate, cv.COLOR_BGR2GRAY), (5, 5), 1.2)
     radius = WELL_MM * PX_PER_MM
     circles = cv.HoughCircles(
@@ -128,30 +128,30 @@ def _plate_off(plate: Any) -> np.ndarray:
     return np.asarray(off)
 
 
-def _light(plate: np.ndarray, off: np.ndarray) -> np.ndarray:
+def _fit_light(plate: np.ndarray, off: np.ndarray) -> np.ndarray:
     """How the brightness of the plastic depends on the place: a weight for each term and channel."""
-    points = _between() + off * PX_PER_MM
+    points = _list_points_between() + off * PX_PER_MM
     places = np.round(points).astype(int)
     light = np.array([np.median(plate[v - 3 : v + 4, u - 3 : u + 4], axis=(0, 1)) for u, v in places])
-    weights, *_ = np.linalg.lstsq(_terms(*points.T), light, rcond=None)
+    weights, *_ = np.linalg.lstsq(_make_terms(*points.T), light, rcond=None)
     return np.asarray(weights)
 
 
-def _terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _make_terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Light changes slowly: a surface of the third order."""
     x, y = x / (PLATE_MM[0] * PX_PER_MM) - 0.5, y / (PLATE_MM[1] * PX_PER_MM) - 0.5
     one = np.ones_like(x)
     return np.column_stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
 
 
-def _between() -> np.ndarray:
+def _list_points_between() -> np.ndarray:
     """Points of plastic between four wells each, in pixels."""
     column, row = np.meshgrid(np.arange(-0.5, 12), np.arange(-0.5, 8))
     points = np.column_stack([column.ravel(), row.ravel()]) * PITCH_MM + A1_MM
     return np.asarray(points * PX_PER_MM)
 
 
-def _color(plate: np.ndarray, light: np.ndarray, well: str, off: np.ndarray) -> Color:
+def _read_color(plate: np.ndarray, light: np.ndarray, well: str, off: np.ndarray) -> Color:
     """Of the middle of a well, as in even, white light: one in which the plastic is ``WHITE``. The median
     leaves the lamp out that the liquid's surface mirrors; the liquid's dark edge is not looked at."""
     at = np.array([int(well[1:]) - 1, "ABCDEFGH".index(well[0])]) * PITCH_MM + A1_MM + off
@@ -160,11 +160,11 @@ def _color(plate: np.ndarray, light: np.ndarray, well: str, off: np.ndarray) -> 
     v, u = np.mgrid[round(y) - reach : round(y) + reach + 1, round(x) - reach : round(x) + reach + 1]
     inside = np.hypot(u - x, v - y) <= reach
     u, v = u[inside], v[inside]
-    blue, green, red = np.median(plate[v, u] * (WHITE / (_terms(u, v) @ light)), axis=0)
+    blue, green, red = np.median(plate[v, u] * (WHITE / (_make_terms(u, v) @ light)), axis=0)
     return round(float(red), 1), round(float(green), 1), round(float(blue), 1)
 
 
-def _opencv() -> Any:
+def _import_opencv() -> Any:
     try:
         import cv2
     except ImportError as error:

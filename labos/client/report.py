@@ -65,7 +65,7 @@ def write_report(
     ``data.csv``, and ``index.html``, which contains all of it and needs no other file. The report is logged
     as a publication with the names of the files. ``files`` is the text for the files in the log."""
     folder.mkdir(parents=True, exist_ok=True)
-    contents = {name: _content(drawing, Path(name).suffix) for name, (_, drawing) in pictures.items()}
+    contents = {name: _read_content(drawing, Path(name).suffix) for name, (_, drawing) in pictures.items()}
     for name, content in contents.items():
         (folder / name).write_bytes(content)
     written = [folder / name for name in contents]
@@ -74,7 +74,7 @@ def write_report(
     page = folder / "index.html"
     where = f"experiment {experiment.id} in the lab's log, with {files} as files"
     shown = [(name, pictures[name][0], content) for name, content in contents.items()]
-    page.write_text(_page(f"{title} {experiment.id}", said, shown, table, where), "utf-8")
+    page.write_text(_write_page(f"{title} {experiment.id}", said, shown, table, where), "utf-8")
     experiment.note("publication", "report", files=[str(path.resolve()) for path in (*written, page)])
     return ReportPage(page, f"The data: {where}; {page}")
 
@@ -138,7 +138,7 @@ def run_program(
     return 0
 
 
-def _content(drawing: Drawing | bytes, suffix: str) -> bytes:
+def _read_content(drawing: Drawing | bytes, suffix: str) -> bytes:
     if isinstance(drawing, bytes):
         return drawing
     file = io.BytesIO()
@@ -154,7 +154,7 @@ def _write_table(path: Path, table: Sequence[Mapping[str, Any]]) -> Path:
     return path
 
 
-def _page(
+def _write_page(
     title: str,
     said: Sequence[str],
     pictures: Sequence[tuple[str, str, bytes]],

@@ -202,7 +202,7 @@ class Actions(msgspec.Struct):
     ended: dict[ModuleName, list[ActionId]] = {}
     in_cell: dict[str, dict[ActionId, bool]] = {}
 
-    def within(self, cell: str) -> list[Action]:
+    def list_in_cell(self, cell: str) -> list[Action]:
         """The open actions of a workcell's modules, in the order in which they were requested."""
         return [self.open[name] for name in self.in_cell.get(cell, ())]
 
@@ -211,7 +211,7 @@ CLOCK_SKEW_NS = 10_000_000_000
 """How far a node's clock may be off before the times that it tells are not used."""
 
 
-def why_not_believed(action: Action, module: str, journal: str, attempt: int) -> str:
+def explain_disbelief(action: Action, module: str, journal: str, attempt: int) -> str:
     """Why a message does not tell how an action ended; empty if it does. It has to come from the module that
     was asked, from the journal that the request was meant for, and to be about the attempt that was sent
     last: a node that says anything else has to be asked first."""

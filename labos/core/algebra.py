@@ -8,7 +8,7 @@ for all of them; what a store answers is its own: a wait, yes or no, who is in t
 
 A new need of effects is a new question here. Until every store answers it, the type check fails.
 
-What an action leaves its module set to (``settings_after``), and when a door or lid keeps others out
+What an action leaves its module set to (``compute_settings_after``), and when a door or lid keeps others out
 (``away_from_rest``), is said here too.
 """
 
@@ -61,36 +61,36 @@ class BenchLookup(Protocol[Asked, Why]):
     def stock(self, what: Asked, stack: StationName) -> Why | None:
         """Whether a nameless item lies on top of a stack."""
 
-    def stands(self, what: Asked, place: StationName) -> Why | None:
+    def check_stands(self, what: Asked, place: StationName) -> Why | None:
         """Whether labware stands at a place that may be used; on a stack, as the topmost."""
 
-    def hand(self, what: Asked) -> Why | None:
+    def check_hand(self, what: Asked) -> Why | None:
         """Whether the hand that carries is empty, or holds what it is to put down."""
 
-    def entry(self, what: Asked, place: StationName) -> Why | None:
+    def check_entry(self, what: Asked, place: StationName) -> Why | None:
         """Whether a hand may reach into a place: its module lets it in, and nobody else keeps it."""
 
-    def room(self, what: Asked, place: StationName) -> Why | None:
+    def check_room(self, what: Asked, place: StationName) -> Why | None:
         """Whether there is room for one piece more."""
 
 
 class Store(BenchLookup[Carrying, Why], Protocol[Why]):
     """A bench that can be asked about every kind of effect, and that knows what labware is like."""
 
-    def fits(self, what: Carrying) -> Why | None:
+    def check_fits(self, what: Carrying) -> Why | None:
         """Whether what is carried is as it has to be: of a type that its target takes, with a grip by which
         it can be held, the right way round, with a lid or without one. Asked once it is known to be there."""
 
-    def labware(self, needs: Needs) -> Why | None:
+    def check_labware(self, needs: Needs) -> Why | None:
         """Whether labware stands where it is worked on."""
 
     def value(self, requires: Requires) -> Why | None:
         """Whether a variable has the value that it must have."""
 
-    def setpoint(self, claims: Claims) -> Why | None:
+    def check_setpoint(self, claims: Claims) -> Why | None:
         """Whether nobody else needs another value."""
 
-    def amount(self, consumes: Consumes) -> Why | None:
+    def check_amount(self, consumes: Consumes) -> Why | None:
         """Whether enough is left."""
 
 
@@ -105,7 +105,7 @@ def check_standing(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
         if why is not None:
             return why
     for place in what.stands:
-        why = bench.stands(what, place)
+        why = bench.check_stands(what, place)
         if why is not None:
             return why
     return None
@@ -113,15 +113,15 @@ def check_standing(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
 
 def check_reaching(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
     """Why something that is there cannot be carried to where it goes; None if it can."""
-    why = bench.hand(what)
+    why = bench.check_hand(what)
     if why is not None:
         return why
     for place in what.entered:
-        why = bench.entry(what, place)
+        why = bench.check_entry(what, place)
         if why is not None:
             return why
     for place in what.room:
-        why = bench.room(what, place)
+        why = bench.check_room(what, place)
         if why is not None:
             return why
     return None
@@ -138,16 +138,16 @@ def check_effect(store: Store[Reason], effect: object) -> Reason | None:
     match effect:
         case Carrying():
             why = check_standing(store, effect)
-            why = store.fits(effect) if why is None else why
+            why = store.check_fits(effect) if why is None else why
             return check_reaching(store, effect) if why is None else why
         case Needs():
-            return store.labware(effect)
+            return store.check_labware(effect)
         case Requires():
             return store.value(effect)
         case Claims():
-            return store.setpoint(effect)
+            return store.check_setpoint(effect)
         case Consumes():
-            return store.amount(effect)
+            return store.check_amount(effect)
     return None
 
 
@@ -181,7 +181,7 @@ class ModuleSettings(msgspec.Struct, frozen=True):
 NOTHING_SET = ModuleSettings()
 
 
-def settings_after(effects: Iterable[object]) -> ModuleSettings:
+def compute_settings_after(effects: Iterable[object]) -> ModuleSettings:
     """What some effects set of their module."""
     variables: dict[str, Any] = {}
     claims: dict[str, Any] = {}
@@ -204,6 +204,6 @@ def find_requirements(effects: Iterable[object]) -> dict[str, Any]:
     return {e.variable: e.value for e in effects if isinstance(e, Requires) and e.of == "module"}
 
 
-def away_from_rest(values: Mapping[str, Any], rest: Mapping[str, Any]) -> list[str]:
+def list_away_from_rest(values: Mapping[str, Any], rest: Mapping[str, Any]) -> list[str]:
     """The doors and lids that do not stand as they rest; the run that left them so keeps the module."""
     return [name for name, value in rest.items() if values.get(name, value) != value]

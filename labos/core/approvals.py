@@ -20,7 +20,7 @@ from labos.core.campaigns import (
     Terms,
     note_due,
 )
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
 from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.open_experiments import Experiments
@@ -160,7 +160,7 @@ class Approvals(msgspec.Struct):
     given: dict[str, int] = {}
     alike: dict[str, dict[str, bool]] = {}
 
-    def last(self, kind: Kind, name: str) -> LastApproval | None:
+    def find_last(self, kind: Kind, name: str) -> LastApproval | None:
         """What was approved last of a kind and name."""
         return self.past.get(f"{kind}:{name}")
 
@@ -188,7 +188,7 @@ def fold_approval_given(approvals: Approvals, event: ApprovalGiven, at: int) -> 
     key = f"{proposal.kind}:{proposal.name}"
     approvals.past.pop(key, None)
     terms = event.terms or proposal.terms
-    changed = {"terms": digest(canonical(terms))} if event.terms is not None else {}
+    changed = {"terms": digest(encode_canonical(terms))} if event.terms is not None else {}
     approvals.past[key] = LastApproval(proposal.subject, proposal.parts | changed, terms)
     while len(approvals.past) > PAST_KEPT:
         del approvals.past[next(iter(approvals.past))]

@@ -33,7 +33,7 @@ _WORDS = {
 }
 
 
-def names_of(spec: ActionSpec) -> dict[str, Arg]:
+def list_names(spec: ActionSpec) -> dict[str, Arg]:
     """Every name and alias of an action's arguments, to the argument that it stands for."""
     meant = {alias: arg for arg in spec.args for alias in arg.aliases}
     return meant | {arg.name: arg for arg in spec.args}
@@ -50,7 +50,7 @@ def find_flaw(arg: Arg, value: Any) -> str:
     if arg.choices and value not in arg.choices:
         return f"cannot be {shorten(value)}"
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return _out_of_range(arg, value)
+        return _explain_out_of_range(arg, value)
     return ""
 
 
@@ -87,7 +87,7 @@ def _is_kind(kind: str, value: Any) -> bool:
     return isinstance(value, _KINDS[kind])
 
 
-def _out_of_range(arg: Arg, value: float) -> str:
+def _explain_out_of_range(arg: Arg, value: float) -> str:
     unit = f" {unit_of(arg)}" if unit_of(arg) else ""
     if arg.minimum is not None and value < arg.minimum:
         return f"is {value:.10g}{unit}, less than {arg.minimum:g}{unit}"

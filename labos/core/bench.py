@@ -8,7 +8,7 @@ from typing import Any, get_args
 import msgspec
 
 from labos.core.actions import ActionDiscovered, ActionEnd, ActionRequested
-from labos.core.effects import AnyEffect, Carrying, find_labware_used, hand_of, list_carried, turn
+from labos.core.effects import AnyEffect, Carrying, find_labware_used, list_carried, name_hand, turn
 from labos.core.ids import (
     NOBODY,
     ActionId,
@@ -122,7 +122,7 @@ class Bench(msgspec.Struct):
     in_cell: dict[str, dict[StationName, bool]] = {}
     lost: dict[LabwareId, bool] = {}
 
-    def as_planned(self, place: StationName) -> StationName:
+    def find_planned_place(self, place: StationName) -> StationName:
         """A place as plans name it: a shelf's hotel, else the place itself."""
         station = self.stations.get(place)
         return station.spec.hotel or place if station is not None else place
@@ -136,18 +136,18 @@ class Bench(msgspec.Struct):
         """Labware of an owner, oldest first."""
         return [self.labware[name] for name in self.by_owner.get(owner, ())]
 
-    def in_doubt(self, labware: Labware) -> bool:
+    def is_lid_in_doubt(self, labware: Labware) -> bool:
         """Whether it is not known if a plate bears its lid."""
         return bool(labware.lid) and bool(self.labware[labware.lid].maybe)
 
 
-def parts(item: str) -> tuple[str, str]:
+def split_item(item: str) -> tuple[str, str]:
     """The type of a stock item and that of its lid, empty for none: ``plate96+lid96``."""
     labware_type, _, lid = item.partition("+")
     return labware_type, lid
 
 
-def arrival(bench: Bench, plate: LabwarePlaced, lid: str) -> Iterator[Event]:
+def add_arrival(bench: Bench, plate: LabwarePlaced, lid: str) -> Iterator[Event]:
     """Labware that the log has not seen before, and the lid of a type that lies on it (empty: none)."""
     yield plate
     if lid:
@@ -155,25 +155,25 @@ def arrival(bench: Bench, plate: LabwarePlaced, lid: str) -> Iterator[Event]:
         yield LabwarePlaced(name, plate.run, lid, plate.station, plate.owner, action=plate.action, on=on)
 
 
-def removal(
+def remove_labware(
     bench: Bench, name: LabwareId, run: str, where: StationName, why: str, action: str = ""
 ) -> list[Event]:
     """Labware leaves the bench, and the lid that lies on it."""
     labware = bench.labware.get(name)
     events: list[Event] = []
-    if labware is not None and labware.lid and not bench.in_doubt(labware):
+    if labware is not None and labware.lid and not bench.is_lid_in_doubt(labware):
         nowhere = StationName("")
         events.append(LabwareRemoved(labware.lid, run, nowhere, f"{why}, on {name}", action))
     return [*events, LabwareRemoved(name, run, where, why, action)]
 
 
-def a1_after(bench: Bench, effect: Carrying, labware: Labware) -> int:
+def compute_a1_after(bench: Bench, effect: Carrying, labware: Labware) -> int:
     """How far labware will be turned in its nest after a motion; at first it is not (degrees)."""
     source, target = bench.stations[effect.source].spec, bench.stations[effect.target].spec
     return (int(labware.variables.get("a1") or 0) + turn(effect, source.rotation, target.rotation)) % 360
 
 
-def variable_of(labware: Labware, name: str) -> Any:
+def find_variable(labware: Labware, name: str) -> Any:
     """What is known of a variable of labware; whether it is ``lidded`` follows from its lid."""
     return bool(labware.lid) if name == "lidded" else labware.variables.get(name)
 
@@ -255,7 +255,7 @@ def fold_labware_placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
     )
     bench.labware[event.labware] = labware
     _settle(bench, labware, event.station, event.on)
-    bench.named = max(bench.named, _number(event.labware))
+    bench.named = max(bench.named, _parse_number(event.labware))
     bench.by_owner.setdefault(event.owner, {})[event.labware] = True
 
 
@@ -353,7 +353,7 @@ def fold_labware_handed_over(bench: Bench, event: LabwareHandedOver, at: int) ->
 def fold_intervention_requested(bench: Bench, event: InterventionRequested, at: int) -> None:
     """An item that was half taken off its stack has no name yet, but it is somewhere; so is what
     was seen where nothing should stand."""
-    hand, places = hand_of(event.module), []
+    hand, places = name_hand(event.module), []
     match event.topic:
         case LostLabware():
             takes = [effect for effect in list_carried(event.topic.motions) if effect.stock]
@@ -376,7 +376,7 @@ def fold_action_requested(bench: Bench, event: ActionRequested, at: int) -> None
     for what in list_carried(event.effects):
         _expect(bench, what, 1)
         if what.stock:
-            bench.named = max(bench.named, _number(what.labware))
+            bench.named = max(bench.named, _parse_number(what.labware))
     for name in find_labware_used(event.effects):
         bench.labware[name].moving = event.action
 
@@ -385,7 +385,7 @@ def fold_action_discovered(bench: Bench, event: ActionDiscovered, at: int) -> No
     """Labware that got its name behind the end of a log that lost its tail keeps it for itself; a number
     that no log can have come to is not one of those."""
     for effect in event.effects or ():
-        number = _number(getattr(effect, "labware", LabwareId("")))
+        number = _parse_number(getattr(effect, "labware", LabwareId("")))
         if bench.named < number <= bench.named + MOST_LOST:
             bench.named = number
 
@@ -404,7 +404,7 @@ def fold_action_ended(bench: Bench, event: ActionEnd, at: int) -> None:
 def _expect(bench: Bench, what: Carrying, change: int) -> None:
     """So much more labware is about to come to where a motion needs room, and to be taken off a stack."""
     for place in what.room:
-        for station in _rooms(bench, place):
+        for station in _list_rooms(bench, place):
             station.expected += change
     if what.stock:
         bench.stations[what.stock].taking += change
@@ -424,7 +424,7 @@ def _settle(bench: Bench, labware: Labware, station: StationName, on: str = "") 
         _lay_on(bench, labware, LabwareId(on))
     else:
         labware.station = station
-        for room in _rooms(bench, station):
+        for room in _list_rooms(bench, station):
             room.labware.append(labware.id)
 
 
@@ -443,7 +443,7 @@ def _separate(bench: Bench, lid: Labware) -> None:
 
 def _lift(bench: Bench, labware: Labware) -> None:
     if labware.station:
-        for room in _rooms(bench, labware.station):
+        for room in _list_rooms(bench, labware.station):
             room.labware.remove(labware.id)
         labware.station = StationName("")
     _clear(bench, labware.maybe)
@@ -451,7 +451,7 @@ def _lift(bench: Bench, labware: Labware) -> None:
     bench.lost.pop(labware.id, None)
 
 
-def _rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
+def _list_rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
     """A station, and its hotel if it is a shelf."""
     station = bench.stations[place]
     return (station, bench.stations[station.spec.hotel]) if station.spec.hotel else (station,)
@@ -489,7 +489,7 @@ def _clear(bench: Bench, places: tuple[StationName, ...]) -> None:
             del bench.haunted[place]
 
 
-def _number(name: LabwareId) -> int:
+def _parse_number(name: LabwareId) -> int:
     return int(name[1:]) if name[1:].isdigit() else 0
 
 

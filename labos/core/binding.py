@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 
 from labos.core import reasons
-from labos.core.algebra import check_effect, settings_after
-from labos.core.bench import Labware, a1_after, count_taking, parts, variable_of
+from labos.core.algebra import check_effect, compute_settings_after
+from labos.core.bench import Labware, compute_a1_after, count_taking, find_variable, split_item
 from labos.core.effects import (
     AnyEffect,
     Carrying,
@@ -25,9 +25,9 @@ from labos.core.effects import (
     Sets,
     Transfers,
     Unlid,
-    arrivals,
-    hand_of,
+    list_arrivals,
     list_carried,
+    name_hand,
 )
 from labos.core.holding import find_other_holder, find_other_keeper
 from labos.core.ids import LabwareId, ModuleName, RunId, StationName, run_owner
@@ -35,9 +35,16 @@ from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
 from labos.core.resources import sum_needed
 from labos.core.runs import RunState
-from labos.core.shelves import find_free_shelf, in_doubt, is_taken, on_shelves
+from labos.core.shelves import find_free_shelf, is_in_doubt, is_taken, on_shelves
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key, occupants, party, station_key, until_left_alone
+from labos.core.waits import (
+    Wait,
+    describe_occupants,
+    list_keys_until_left_alone,
+    list_party,
+    module_key,
+    station_key,
+)
 
 
 def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffect, ...]:
@@ -48,7 +55,7 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
         if wait is not None:
             return wait
         start.accept(effect)
-    return (start.room_for_all() if start.bound else None) or tuple(start.bound)
+    return (start.check_room_for_all() if start.bound else None) or tuple(start.bound)
 
 
 def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
@@ -58,19 +65,21 @@ def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait |
     for effect in step.effects:
         wait: Wait | None = None
         match effect:
-            case Carrying() if effect.stands and not any(start.stands(effect, p) for p in effect.stands):
-                wait = start.fits(effect)
+            case Carrying() if effect.stands and not any(
+                start.check_stands(effect, p) for p in effect.stands
+            ):
+                wait = start.check_fits(effect)
             case Needs():
-                start.labware(effect)
+                start.check_labware(effect)
             case Requires(of="labware"):
                 wait = start.value(effect)
         if wait is not None:
-            return _for_good(wait)
+            return _make_final(wait)
         start.look_at(effect)
     return None
 
 
-def _for_good(wait: Wait) -> Wait:
+def _make_final(wait: Wait) -> Wait:
     """Nobody but a person will change what labware is like that only its run may touch."""
     if not isinstance(wait.reason, reasons.Requires):
         return wait
@@ -103,10 +112,10 @@ class StartCheck:
             return Wait(reasons.StackEmpty(stack), key)
         alike = {*zip(station.stock[left - 1 :], station.lots[left - 1 :], strict=True)}
         if station.expected or len(alike) > 1:
-            return Wait(reasons.ReachedInto(stack), until_left_alone(self.state, stack))
+            return Wait(reasons.ReachedInto(stack), list_keys_until_left_alone(self.state, stack))
         return None
 
-    def stands(self, what: Carrying, place: StationName) -> Wait | None:
+    def check_stands(self, what: Carrying, place: StationName) -> Wait | None:
         item = find_usable(self.state, self.run, place, self._used)
         if item is not None:
             self._found[place] = item
@@ -115,34 +124,34 @@ class StartCheck:
             return _explain_missing(self.state, self.run, place)  # the other piece is carried away already
         return explain_missing(self.state, self.run, place)
 
-    def fits(self, what: Carrying) -> Wait | None:
+    def check_fits(self, what: Carrying) -> Wait | None:
         if what.lid:
             plate = self._found[what.plate_at]
             if bool(plate.lid) != (what.lid == "off") or plate.lid in self._used:
                 wanted = str(what.lid == "off")
                 return Wait(reasons.Requires(plate.id, "lidded", wanted), (station_key(what.plate_at),))
-        item = self._item(what)
-        kind = item.type if item is not None else self._topmost(what.stock)
+        item = self._find_item(what)
+        kind = item.type if item is not None else self._find_topmost_type(what.stock)
         wait = check_grip(self.state, self.step, what, kind) or check_accepts(self.state, what, kind)
         if wait is not None or item is None or what.lid:
             return wait
         return check_rotation(self.state, what, item)
 
-    def hand(self, what: Carrying) -> Wait | None:
+    def check_hand(self, what: Carrying) -> Wait | None:
         return check_hand(self.state, self.step, what.source)
 
-    def entry(self, what: Carrying, place: StationName) -> Wait | None:
+    def check_entry(self, what: Carrying, place: StationName) -> Wait | None:
         if place == what.stock:  # of items of one kind several may be taken at a time
             return check_entry(self.state, self.run, place)
         return check_reachable(self.state, self.run, place)
 
-    def room(self, what: Carrying, place: StationName) -> Wait | None:
+    def check_room(self, what: Carrying, place: StationName) -> Wait | None:
         return check_room(self.state, place)
 
-    def labware(self, needs: Needs) -> Wait | None:
+    def check_labware(self, needs: Needs) -> Wait | None:
         places = [needs.station] if needs.station else self.state.bench.by_module.get(self.step.module, [])
         found = [item for p in places if (item := find_usable(self.state, self.run, p)) is not None]
-        owners = party(self.run)
+        owners = list_party(self.run)
         self.subject = min(found, key=lambda item: owners.index(item.owner), default=None)
         if self.subject is not None:
             return None
@@ -153,7 +162,7 @@ class StartCheck:
             value = self.state.modules.by_name[self.step.module].value(requires.variable)
             name, key = str(self.step.module), module_key(self.step.module)
         elif self.subject is not None:
-            value = variable_of(self.subject, requires.variable)
+            value = find_variable(self.subject, requires.variable)
             name, key = str(self.subject.id), station_key(self.subject.station)
         else:
             return None
@@ -161,14 +170,14 @@ class StartCheck:
             return None
         return Wait(reasons.Requires(name, requires.variable, str(requires.value)), (key,))
 
-    def setpoint(self, claims: Claims) -> Wait | None:
+    def check_setpoint(self, claims: Claims) -> Wait | None:
         module = self.state.modules.by_name[self.step.module]
         wanted: dict[str, Any] = {}
         held = module.setpoints.get(claims.setpoint)
         if held is not None:
             wanted.update(dict.fromkeys(held.holders, held.value))
         for action in map(self.state.actions.open.__getitem__, module.in_flight):
-            flying = settings_after(action.effects).claims
+            flying = compute_settings_after(action.effects).claims
             if claims.setpoint in flying:
                 wanted[action.run] = flying[claims.setpoint]
         for holder, value in wanted.items():
@@ -177,7 +186,7 @@ class StartCheck:
                 return Wait(reasons.Setpoint(*names), (module_key(self.step.module),))
         return None
 
-    def amount(self, consumes: Consumes) -> Wait | None:
+    def check_amount(self, consumes: Consumes) -> Wait | None:
         """As much is left as the whole step needs, beside what actions in flight were promised."""
         left = find_unreserved(self.state, self.step.module, consumes.resource)
         if left is None or left >= sum_needed(self.step.effects, consumes.resource):
@@ -185,15 +194,15 @@ class StartCheck:
         names = (self.step.module, consumes.resource)
         return Wait(reasons.UsedUp(*names), (module_key(self.step.module),))
 
-    def room_for_all(self) -> Wait | None:
+    def check_room_for_all(self) -> Wait | None:
         """What there is room for one by one has to find room together."""
         bench = self.state.bench
-        for place, number in Counter(arrivals(self.bound)).items():
+        for place, number in Counter(list_arrivals(self.bound)).items():
             station = bench.stations[place]
             together = number > 1 and station.count + number > station.spec.capacity
             if together or place in bench.shelves:  # for this one no shelf was left
                 names = (place, f"{number} arrivals at once")
-                return Wait(reasons.Occupied(*names), until_left_alone(self.state, place))
+                return Wait(reasons.Occupied(*names), list_keys_until_left_alone(self.state, place))
         for stack, number in Counter(effect.stock for effect in list_carried(self.bound)).items():
             if stack and number > len(bench.stations[stack].stock) - count_taking(bench, stack):
                 return Wait(reasons.StackEmpty(stack), (station_key(stack),))
@@ -210,7 +219,7 @@ class StartCheck:
         """Write into an effect that may happen which labware it touches."""
         self.look_at(effect)
         touched: dict[str, LabwareId] = {}
-        item = self._item(effect) if isinstance(effect, Carrying) else None
+        item = self._find_item(effect) if isinstance(effect, Carrying) else None
         match effect:
             case Unlid() | Relid() if item is not None and self.subject is not None:
                 touched = {"labware": item.id, "plate": self.subject.id}
@@ -223,10 +232,10 @@ class StartCheck:
         if item is not None:
             self._used.add(item.id)
         if self.state.bench.shelves:
-            effect = on_shelves(self.state.bench, effect, arrivals(self.bound))
+            effect = on_shelves(self.state.bench, effect, list_arrivals(self.bound))
         self.bound.append(effect)
 
-    def _item(self, what: Carrying) -> Labware | None:
+    def _find_item(self, what: Carrying) -> Labware | None:
         """What is carried; None if it has no name yet."""
         if what.stock:
             return None
@@ -234,10 +243,10 @@ class StartCheck:
             return self.state.bench.labware[self._found[what.plate_at].lid]
         return self._found[what.source]
 
-    def _topmost(self, stack: StationName) -> str:
+    def _find_topmost_type(self, stack: StationName) -> str:
         """The type of what is taken off a stack."""
         left = len(self.state.bench.stations[stack].stock) - count_taking(self.state.bench, stack)
-        return parts(self.state.bench.stations[stack].stock[left - 1])[0]
+        return split_item(self.state.bench.stations[stack].stock[left - 1])[0]
 
 
 def find_unreserved(state: LabState, module: ModuleName, resource: str) -> float | None:
@@ -253,19 +262,22 @@ def find_unreserved(state: LabState, module: ModuleName, resource: str) -> float
 def check_hand(state: LabState, step: PlanStep, source: StationName) -> Wait | None:
     """An arm that holds labware, or may still hold lost labware, carries nothing else: it only puts
     down what it holds."""
-    hand = hand_of(step.module)
+    hand = name_hand(step.module)
     if hand in state.bench.haunted:
         return Wait(reasons.Uncertain(hand), (station_key(hand),))
     station = state.bench.stations.get(hand)
     if station is not None and station.count and source != hand:
-        return Wait(reasons.HandFull(step.module, occupants(state, station)), until_left_alone(state, hand))
+        return Wait(
+            reasons.HandFull(step.module, describe_occupants(state, station)),
+            list_keys_until_left_alone(state, hand),
+        )
     return None
 
 
 def check_rotation(state: LabState, what: Carrying, labware: Labware) -> Wait | None:
     """Whether labware would come to lie as its target takes it: with A1 in the right corner."""
     wanted = state.bench.stations[what.target].spec.a1
-    way = a1_after(state.bench, what, labware)
+    way = compute_a1_after(state.bench, what, labware)
     if wanted is None or way == wanted:
         return None
     names = (labware.id, what.target, str(way), str(wanted))
@@ -276,7 +288,7 @@ def check_grip(state: LabState, step: PlanStep, what: Carrying, labware_type: st
     """Whether the arm can hold labware of the type as the step says, where it takes it and where
     it puts it down."""
     for place, grip in ((what.source, what.source_grip), (what.target, what.target_grip)):
-        grips = state.bench.stations[place].spec.grips(step.module, labware_type)
+        grips = state.bench.stations[place].spec.list_grips(step.module, labware_type)
         if grip and grips and grip not in grips:
             names = (step.module, place, labware_type, grip, " or ".join(grips))
             return Wait(reasons.NoGrip(*names), (station_key(what.source),))
@@ -313,11 +325,11 @@ def find_usable(
     labware = state.bench.labware
     reach = [name for name in station.labware if name not in but] if but else station.labware
     reach = reach[-1:] if station.spec.kind == "stack" else reach
-    for owner in party(run):
+    for owner in list_party(run):
         for name in reversed(reach):
             item = labware[name]
             whose = item.lender or item.owner if lent else item.owner
-            if whose == owner and not state.bench.in_doubt(item) and (lent or not item.moving):
+            if whose == owner and not state.bench.is_lid_in_doubt(item) and (lent or not item.moving):
                 return item
     return None
 
@@ -326,13 +338,13 @@ def explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
     """Why there is nothing to use: uncertain, somebody else's, in motion, or simply empty."""
     station = state.bench.stations.get(place)
     key = (station_key(place),)
-    if in_doubt(state.bench, place):
+    if is_in_doubt(state.bench, place):
         return Wait(reasons.Uncertain(place), key)
     if station is not None and station.labware:
         labware = state.bench.labware[station.labware[-1]]
         if labware.moving:
-            return Wait(reasons.InMotion(labware.id, place), until_left_alone(state, place))
-        if labware.lender in party(run):
+            return Wait(reasons.InMotion(labware.id, place), list_keys_until_left_alone(state, place))
+        if labware.lender in list_party(run):
             return Wait(reasons.InUse(labware.id, place, labware.owner), key)
         return Wait(reasons.NotYours(labware.id, place, labware.owner or "nobody"), key)
     if station is not None and not station.known and not station.expected:
@@ -391,7 +403,7 @@ def check_stack_alone(state: LabState, place: StationName) -> Wait | None:
         return None
     moving = any(state.bench.labware[name].moving for name in station.labware)
     if station.expected or moving or count_taking(state.bench, place):
-        return Wait(reasons.ReachedInto(place), until_left_alone(state, place))
+        return Wait(reasons.ReachedInto(place), list_keys_until_left_alone(state, place))
     return None
 
 
@@ -409,7 +421,7 @@ def check_room(state: LabState, place: StationName) -> Wait | None:
     station = state.bench.stations[place]
     key = (station_key(place),)
     if place in state.bench.shelves:
-        return _room_on_shelves(state, place)
+        return _check_room_on_shelves(state, place)
     if place in state.bench.haunted:
         return Wait(reasons.Uncertain(place), key)
     if not station.known and not station.labware and station.spec.kind != "waste":
@@ -417,17 +429,20 @@ def check_room(state: LabState, place: StationName) -> Wait | None:
     if station.full:
         if station.spec.kind == "waste":
             return Wait(reasons.WasteFull(place), key)
-        return Wait(reasons.Occupied(place, occupants(state, station)), until_left_alone(state, place))
+        return Wait(
+            reasons.Occupied(place, describe_occupants(state, station)),
+            list_keys_until_left_alone(state, place),
+        )
     return None
 
 
-def _room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
+def _check_room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
     """Whether a shelf of a hotel is free."""
     bench = state.bench
     if find_free_shelf(bench, hotel) is not None:
         return None
     if is_taken(bench, hotel):
-        names = (hotel, occupants(state, bench.stations[hotel]))
-        return Wait(reasons.Occupied(*names), until_left_alone(state, hotel))
-    why = reasons.Uncertain(hotel) if in_doubt(bench, hotel) else reasons.Undeclared(hotel)
+        names = (hotel, describe_occupants(state, bench.stations[hotel]))
+        return Wait(reasons.Occupied(*names), list_keys_until_left_alone(state, hotel))
+    why = reasons.Uncertain(hotel) if is_in_doubt(bench, hotel) else reasons.Undeclared(hotel)
     return Wait(why, (station_key(hotel),))

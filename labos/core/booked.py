@@ -32,7 +32,7 @@ def booking_key(cell: str) -> str:
     return f"booking:{cell}"
 
 
-def contacts(state: LabState, step: PlanStep) -> dict[ModuleName, bool]:
+def find_contacts(state: LabState, step: PlanStep) -> dict[ModuleName, bool]:
     """The modules that a step has to itself or reaches into, each with whether it does nothing there but to
     carry labware out."""
     found: dict[ModuleName, bool] = {}
@@ -74,21 +74,23 @@ def find_blocked(
     others = list_bookings_of_others(state, user, module, clears=clears)
     if not others:
         return []
-    return list(_spans(others, _own(state, user, module), since, until))
+    return list(_list_spans(others, _list_own(state, user, module), since, until))
 
 
-def _own(state: LabState, user: str, module: ModuleName) -> list[Booking]:
+def _list_own(state: LabState, user: str, module: ModuleName) -> list[Booking]:
     group = state.shares.group_of.get(user, "")
     return [booking for booking in state.bookings.list_for(module) if booking.is_for(user, group)]
 
 
-def _spans(others: Iterable[Booking], own: Iterable[Booking], since: int, until: int) -> list[BookingSpan]:
+def _list_spans(
+    others: Iterable[Booking], own: Iterable[Booking], since: int, until: int
+) -> list[BookingSpan]:
     found: list[BookingSpan] = []
     for booking in others:
         later = [mine for mine in own if mine.made > booking.made and not booking.maintenance]
-        for span in booking.spans(since, until):
+        for span in booking.list_spans(since, until):
             parts = [span]
-            for cut in (cut for mine in later for cut in mine.spans(span.begins, span.ends)):
+            for cut in (cut for mine in later for cut in mine.list_spans(span.begins, span.ends)):
                 parts = [rest for part in parts for rest in _cut_out(part, cut)]
             found += [part for part in parts if part.begins < until and part.ends > since]
     return sorted(found)
@@ -110,7 +112,7 @@ def check_not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -
     if not state.bookings.open or is_exempt(state, run, step):
         return None
     length = max(1, int(step.duration_s * 1e9 / state.lab.pace))
-    for module, clears in contacts(state, step).items():
+    for module, clears in find_contacts(state, step).items():
         for span in find_blocked(state, run.user, module, now, now + length, clears=clears):
             never = check_gap(state, run.user, module, length, now, clears=clears)
             return never or make_wait(state, module, span, step.key, now)
@@ -137,7 +139,7 @@ def find_begun_booking(state: LabState, run: RunState, steps: Iterable[PlanStep]
         return None
     longest: dict[tuple[ModuleName, bool], PlanStep] = {}
     for step in steps:
-        for key in contacts(state, step).items() if not is_exempt(state, run, step) else ():
+        for key in find_contacts(state, step).items() if not is_exempt(state, run, step) else ():
             if key not in longest or step.duration_s > longest[key].duration_s:
                 longest[key] = step
     for (module, clears), step in longest.items():
@@ -156,7 +158,7 @@ def find_begun(state: LabState, user: str, module: ModuleName, *, clears: bool =
     """The booking of a module for others than a user that has begun and is not over."""
     if not state.bookings.now:
         return None
-    mine = [booking.made for booking in _own(state, user, module) if booking.id in state.bookings.now]
+    mine = [booking.made for booking in _list_own(state, user, module) if booking.id in state.bookings.now]
     for booking in list_bookings_of_others(state, user, module, clears=clears):
         over = not booking.maintenance and any(made > booking.made for made in mine)
         if booking.id in state.bookings.now and not over:
@@ -172,11 +174,11 @@ def check_gap(
     others = list_bookings_of_others(state, user, module, clears=clears)
     if not others:
         return None
-    own = _own(state, user, module)
-    key = tuple(_key(booking) for booking in others), tuple(_key(booking) for booking in own)
+    own = _list_own(state, user, module)
+    key = tuple(_make_key(booking) for booking in others), tuple(_make_key(booking) for booking in own)
     if any(
         ends - max(begins, now) >= length
-        for begins, ends in _gaps(key, _Unhashed(others, own), now // DAY_NS)
+        for begins, ends in _list_gaps(key, _Unhashed(others, own), now // DAY_NS)
     ):
         return None
     minutes = -(-length // 60_000_000_000)
@@ -187,7 +189,7 @@ def check_gap(
 _Key = tuple[str, int, int, str, str, int, tuple[int, ...], int, bool]
 
 
-def _key(booking: Booking) -> _Key:
+def _make_key(booking: Booking) -> _Key:
     """What the times of a booking depend on."""
     times = (booking.id, booking.begins, booking.ends, booking.rule, booking.zone, booking.last)
     return (*times, booking.skipped, booking.made, booking.maintenance)
@@ -207,13 +209,13 @@ class _Unhashed:
 
 
 @lru_cache(maxsize=4096)
-def _gaps(
+def _list_gaps(
     key: tuple[tuple[_Key, ...], tuple[_Key, ...]], bookings: _Unhashed, day: int
 ) -> tuple[tuple[int, int], ...]:
     """The times between bookings (UTC ns) of the days to come, today included."""
     time, end = day * DAY_NS, (day + HORIZON_DAYS + 1) * DAY_NS
     found: list[tuple[int, int]] = []
-    for span in _spans(bookings.others, bookings.own, time, end):
+    for span in _list_spans(bookings.others, bookings.own, time, end):
         if span.begins > time:
             found.append((time, span.begins))
         time = max(time, span.ends)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from labos.core.ids import ModuleName, workcell_of
-from labos.core.recurrence import DAY_NS, times_between
+from labos.core.recurrence import DAY_NS, list_times_between
 from labos.core.registry import Event, event
 from labos.core.structs import make_from
 from labos.core.words import Words
@@ -156,24 +156,24 @@ class Booking(msgspec.Struct):
             return False
         return bool(group) and group == self.group if self.group else user == self.user
 
-    def spans(self, since: int, until: int) -> list[BookingSpan]:
+    def list_spans(self, since: int, until: int) -> list[BookingSpan]:
         """Its times that are not over at ``since`` and have begun before ``until``, in order (UTC ns)."""
         length = self.ends - self.begins
         if not self.rule:
             starts = [self.begins]
         else:
             before = min(until, self.last + 1) if self.last else until
-            starts = times_between(self.rule, self.zone, self.begins, since - length + 1, before)
+            starts = list_times_between(self.rule, self.zone, self.begins, since - length + 1, before)
         return [
             BookingSpan(begins, begins + length, self.id)
             for begins in starts
             if begins < until and begins + length > since and begins not in self.skipped
         ]
 
-    def next_span(self, after: int) -> BookingSpan | None:
+    def find_next_span(self, after: int) -> BookingSpan | None:
         """The first of its times that is not over then (UTC ns); None if it does not come again."""
         for days in (40, 400, 4_000, 40_000) if self.rule else (40_000,):
-            found = self.spans(after, max(after, self.begins) + days * DAY_NS)
+            found = self.list_spans(after, max(after, self.begins) + days * DAY_NS)
             if found:
                 return found[0]
         return None
@@ -183,7 +183,7 @@ class Booking(msgspec.Struct):
         """When something of it is due next (UTC ns)."""
         if self.began:
             return self.until
-        span = self.next_span(self.handled)
+        span = self.find_next_span(self.handled)
         if span is None:
             return self.handled
         return span.begins if self.neared == span.begins else span.begins - LEAD_NS
@@ -192,7 +192,7 @@ class Booking(msgspec.Struct):
         """What of it is due now."""
         if self.began:
             return "end" if now >= self.until else ""
-        span = self.next_span(self.handled)
+        span = self.find_next_span(self.handled)
         if span is None or now >= span.ends:
             return "end"
         if now >= span.begins:
@@ -221,7 +221,7 @@ class Bookings(msgspec.Struct):
         places = (module, workcell_of(module))
         return [self.open[name] for place in places for name in self.on.get(place, ())]
 
-    def in_cell(self, cell: str) -> list[Booking]:
+    def list_in_cell(self, cell: str) -> list[Booking]:
         """Those of a workcell and of its modules."""
         return [booking for booking in self.open.values() if booking.cell == cell]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.conditions import by_key, decision, find_reads, holds
+from labos.core.conditions import find_decision, find_reads, holds, sort_results_by_key
 from labos.core.effects import Claims, Move, Releases, Sets, Take
 from labos.core.expressions import ExpressionError
 from labos.core.model import MAIN, Plan
@@ -42,22 +42,24 @@ class Way(msgspec.Struct, frozen=True):
         return not self.without and not self.rescued
 
 
-def ways(plan: Plan, most: int = MOST_WAYS) -> list[Way]:
+def list_ways(plan: Plan, most: int = MOST_WAYS) -> list[Way]:
     """All ways of a plan that differ for the bench, the one on which nothing fails first. Raises
     TooManyWays."""
     found = [Way()]
     for index in sort_steps(plan, main_steps(plan)):
-        found = [longer for way in found for longer in ([way] if way.fails else _longer(plan, way, index))]
+        found = [
+            longer for way in found for longer in ([way] if way.fails else _extend_way(plan, way, index))
+        ]
         if len(found) > most:
             raise TooManyWays(plan.workflow)
     return sorted(dict.fromkeys(found), key=lambda way: not way.plain)
 
 
-def _longer(plan: Plan, way: Way, index: int) -> list[Way]:
+def _extend_way(plan: Plan, way: Way, index: int) -> list[Way]:
     step = plan.steps[index]
     if step.when is None:
         return _find_own_ways(plan, way, index)
-    what, positive = decision(step.when)
+    what, positive = find_decision(step.when)
     found: list[Way] = []
     known = dict(way.said)
     for value in [known[what]] if what in known else [positive, not positive]:
@@ -106,11 +108,11 @@ def find_decided(plan: Plan, steps: Sequence[StepStatus], results: Mapping[int, 
     open_ = {step.key for step, status in zip(plan.steps, steps, strict=True) if status not in SETTLED}
     known: dict[str, bool] = {}
     for condition in conditional:
-        what, positive = decision(condition)
+        what, positive = find_decision(condition)
         if what in known or not open_.isdisjoint(find_reads(condition)):
             continue
         try:
-            known[what] = holds(condition, by_key(plan, results)) == positive
+            known[what] = holds(condition, sort_results_by_key(plan, results)) == positive
         except ExpressionError:
             continue  # its run is about to fail
     return known

@@ -389,7 +389,7 @@ def fold_run_ended(campaigns: Campaigns, event: RunEnd, at: int) -> None:
     match event:
         case RunCompleted():
             campaign.completed += 1
-            if not campaign.met_by and _meets(campaign, results):
+            if not campaign.met_by and _meets_rule(campaign, results):
                 campaign.met_by = event.run
         case RunFailed():
             campaign.failed += 1
@@ -398,7 +398,7 @@ def fold_run_ended(campaigns: Campaigns, event: RunEnd, at: int) -> None:
     note_due(campaigns, campaign)
 
 
-def _meets(campaign: Campaign, results: dict[str, Any]) -> bool:
+def _meets_rule(campaign: Campaign, results: dict[str, Any]) -> bool:
     """Whether the results of a completed run fulfil the stop rule. A rule that cannot be decided, as when
     the step was left out, is not fulfilled."""
     until = campaign.terms.until

@@ -29,7 +29,7 @@ _NOT_FINITE = (b"\xcb\x7f", b"\xcb\xff")
 _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
-def canonical(value: Any) -> bytes:
+def encode_canonical(value: Any) -> bytes:
     """Encode a JSON value or a msgspec Struct. Raises ValueError for NaN and infinities, whole numbers
     beyond 64 bits, text that has no UTF-8, and more than ``DEEPEST`` lists and objects in one another."""
     try:
@@ -38,8 +38,8 @@ def canonical(value: Any) -> bytes:
     except (OverflowError, UnicodeEncodeError, RecursionError):
         _refuse(value)
         raise
-    if data.count(b"[") + data.count(b"{") > DEEPEST and _depth(data) > DEEPEST:
-        raise _too_deep()
+    if data.count(b"[") + data.count(b"{") > DEEPEST and _measure_depth(data) > DEEPEST:
+        raise _make_depth_error()
     if _NOT_FINITE[0] in packed or _NOT_FINITE[1] in packed:
         refuse_non_finite(value)
     return data
@@ -52,7 +52,7 @@ def refuse_non_finite(value: Any) -> None:
         item = waiting.pop()
         if type(item) is float and not math.isfinite(item):
             raise ValueError(f"{item} is not a finite number and cannot be recorded.")
-        waiting.extend(_inside(item))
+        waiting.extend(_list_inner(item))
 
 
 def _refuse(value: Any) -> None:
@@ -61,7 +61,7 @@ def _refuse(value: Any) -> None:
     while waiting:
         item, depth = waiting.pop()
         if depth > DEEPEST + 1:
-            raise _too_deep()
+            raise _make_depth_error()
         if isinstance(item, int) and not LEAST <= item <= MOST:
             raise ValueError("A whole number does not fit into 64 bits and cannot be recorded.")
         if isinstance(item, str):
@@ -71,10 +71,10 @@ def _refuse(value: Any) -> None:
                 raise ValueError(
                     f"The text {item[:40]!r} holds half a surrogate pair and cannot be recorded."
                 ) from None
-        waiting.extend((inner, depth + 1) for inner in _inside(item))
+        waiting.extend((inner, depth + 1) for inner in _list_inner(item))
 
 
-def _inside(value: Any) -> list[Any]:
+def _list_inner(value: Any) -> list[Any]:
     """What a value is made of; nothing for a number or a text."""
     if isinstance(value, dict):
         return [*value, *value.values()]
@@ -85,7 +85,7 @@ def _inside(value: Any) -> list[Any]:
     return []
 
 
-def _depth(data: bytes) -> int:
+def _measure_depth(data: bytes) -> int:
     """How deep the brackets of canonical JSON stand in one another. Those in texts count for nothing."""
     pieces = data.replace(rb"\\", b"").replace(rb"\"", b"").split(b'"')
     depth = deepest = 0
@@ -98,7 +98,7 @@ def _depth(data: bytes) -> int:
     return deepest
 
 
-def _too_deep() -> ValueError:
+def _make_depth_error() -> ValueError:
     return ValueError(f"More than {DEEPEST} lists and objects stand in one another; that cannot be recorded.")
 
 

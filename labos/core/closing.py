@@ -78,9 +78,9 @@ def _renumber(plan: Plan, step: PlanStep, number: dict[int, int]) -> PlanStep:
         retry = msgspec.structs.replace(retry, reset=number[retry.reset])
     return msgspec.structs.replace(
         step,
-        after=tuple(sorted({number[i] for i in _before(plan, step.after, number)})),
+        after=tuple(sorted({number[i] for i in _renumber_before(plan, step.after, number)})),
         windows=tuple(
-            _anchor(window, number)
+            _renumber_anchor(window, number)
             for window in step.windows
             if window.anchor is None or window.anchor in number
         ),
@@ -89,13 +89,13 @@ def _renumber(plan: Plan, step: PlanStep, number: dict[int, int]) -> PlanStep:
     )
 
 
-def _anchor(window: Window, number: dict[int, int]) -> Window:
+def _renumber_anchor(window: Window, number: dict[int, int]) -> Window:
     return window if window.anchor is None else msgspec.structs.replace(window, anchor=number[window.anchor])
 
 
-def _before(plan: Plan, after: Iterable[int], number: dict[int, int]) -> list[int]:
+def _renumber_before(plan: Plan, after: Iterable[int], number: dict[int, int]) -> list[int]:
     """The steps that are done before, with those before each that is left out in its place."""
     found: list[int] = []
     for index in after:
-        found += [index] if index in number else _before(plan, plan.steps[index].after, number)
+        found += [index] if index in number else _renumber_before(plan, plan.steps[index].after, number)
     return found

@@ -7,18 +7,18 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from labos.core.canonical import canonical
-from labos.core.expressions import ExpressionError, Tree, evaluate, names_in
+from labos.core.canonical import encode_canonical
+from labos.core.expressions import ExpressionError, Tree, evaluate, list_names
 from labos.core.model import Condition, Plan
 
 _OPPOSITE = {"!=": "==", ">=": "<", ">": "<=", "not in": "in"}
 
 
-def condition(text: str, tree: Tree) -> Condition:
+def make_condition(text: str, tree: Tree) -> Condition:
     """An expression as a plan keeps it. Raises ExpressionError for what cannot be recorded: too many
     brackets, values of a payload that are too large."""
     try:
-        return Condition(text, canonical(tree).decode())
+        return Condition(text, encode_canonical(tree).decode())
     except ValueError as error:
         shown = text if len(text) <= 80 else f"{text[:79]}…"
         raise ExpressionError(
@@ -49,17 +49,19 @@ def holds(condition: Condition, results: Mapping[str, Any], result: Any = None) 
     return found
 
 
-def by_key(plan: Plan, results: Mapping[int, Any]) -> dict[str, Any]:
+def sort_results_by_key(plan: Plan, results: Mapping[int, Any]) -> dict[str, Any]:
     """Results that are kept by the index of their step, by its key."""
     return {plan.steps[index].key: result for index, result in results.items()}
 
 
 def find_reads(condition: Condition) -> set[str]:
     """The keys of the steps whose results a condition reads."""
-    return {str(name[1]) for name in names_in(_read(condition.tree)) if name[0] == "steps" and len(name) > 1}
+    return {
+        str(name[1]) for name in list_names(_read(condition.tree)) if name[0] == "steps" and len(name) > 1
+    }
 
 
-def decision(condition: Condition) -> tuple[str, bool]:
+def find_decision(condition: Condition) -> tuple[str, bool]:
     """What a condition decides, and whether it holds if that is so: ``x > 1``, ``not (x > 1)`` and
     ``x <= 1`` decide the same."""
     tree, positive = _read(condition.tree), True
@@ -68,7 +70,7 @@ def decision(condition: Condition) -> tuple[str, bool]:
     if tree[0] == "chain" and len(tree[2]) == 1 and tree[2][0][0] in _OPPOSITE:
         sign, part = tree[2][0]
         tree, positive = ("chain", tree[1], ((_OPPOSITE[sign], part),)), not positive
-    return canonical(tree).decode(), positive
+    return encode_canonical(tree).decode(), positive
 
 
 def fill_in(tree: Tree, values: Mapping[tuple[Any, ...], Tree]) -> Tree:

@@ -279,14 +279,14 @@ AnyEffect = (
 )
 
 
-def _kinds(*of: type[Effect]) -> frozenset[type[Effect]]:
+def _find_kinds(*of: type[Effect]) -> frozenset[type[Effect]]:
     """The kinds of effects that are one of these. A fold asks so often that ``isinstance`` takes too long,
     which is slow for structs."""
     return frozenset(kind for kind in get_args(AnyEffect) if issubclass(kind, of))
 
 
-_CARRYING, _MOVES = _kinds(Carrying), _kinds(Move)
-_WORKED_ON, _LIDS = _kinds(Move, Needs), _kinds(Unlid, Relid)
+_CARRYING, _MOVES = _find_kinds(Carrying), _find_kinds(Move)
+_WORKED_ON, _LIDS = _find_kinds(Move, Needs), _find_kinds(Unlid, Relid)
 _PLACES = {
     kind: [name for name in ("source", "target", "via", "stack", "station") if name in kind.__struct_fields__]
     for kind in get_args(AnyEffect)
@@ -314,7 +314,7 @@ def turn(effect: Carrying, source_rotation: int, target_rotation: int) -> int:
     return (target_rotation - source_rotation + by_grip) % 360
 
 
-def places(effects: Iterable[AnyEffect]) -> set[StationName]:
+def list_places(effects: Iterable[AnyEffect]) -> set[StationName]:
     """All stations that effects name."""
     found: set[StationName] = set()
     for effect in effects:
@@ -325,7 +325,7 @@ def places(effects: Iterable[AnyEffect]) -> set[StationName]:
     return found
 
 
-def types_at(effects: Iterable[AnyEffect], kind: str, plate: str) -> dict[StationName, str]:
+def find_types_at(effects: Iterable[AnyEffect], kind: str, plate: str) -> dict[StationName, str]:
     """Of what type the labware is that an arm meets at each station: ``kind``, which it carries, but where a
     lid is on its plate, ``plate``."""
     found: dict[StationName, str] = {}
@@ -373,12 +373,12 @@ def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str],
     return msgspec.structs.replace(effect, **changes)
 
 
-def hand_of(module: str) -> StationName:
+def name_hand(module: str) -> StationName:
     """A manipulator's hand, as a place where labware may be."""
     return StationName(f"{module}.gripper")
 
 
-def arrivals(effects: Iterable[Effect]) -> list[StationName]:
+def list_arrivals(effects: Iterable[Effect]) -> list[StationName]:
     """Stations at which an action will put labware down, for good or to change its grip."""
     return [place for effect in effects if isinstance(effect, Carrying) for place in effect.room]
 

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from labos.core.registry import TYPES, Event, event
-from labos.core.words import PREFIX, fields_of_words, references_in
+from labos.core.words import PREFIX, find_fields_of_words, list_references
 
 REASONS = {
     "request": "the author, or the person whom the text concerns, asked for it",
@@ -66,15 +66,15 @@ class WordsErased(ErasureEvent, frozen=True):
         return [f"{PREFIX}{digest}" for digest in self.digests]
 
 
-def references_in_words(kind: str, payload: bytes) -> list[str]:
+def list_references_in_words(kind: str, payload: bytes) -> list[str]:
     """The references in those fields of a stored event in which people's words stand: what a name or a value
     says is none, whatever it looks like."""
     event = TYPES.get(kind)
-    if event is None or not references_in(payload):
+    if event is None or not list_references(payload):
         return []
     told = msgspec.json.decode(payload)
-    words = [told.get(name) for name in fields_of_words(event)]
-    return references_in("\n".join(text for text in words if isinstance(text, str)).encode())
+    words = [told.get(name) for name in find_fields_of_words(event)]
+    return list_references("\n".join(text for text in words if isinstance(text, str)).encode())
 
 
 class Erasure(msgspec.Struct):

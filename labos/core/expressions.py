@@ -63,17 +63,17 @@ def parse_expression(text: str) -> Tree:
 @lru_cache(maxsize=512)
 def _parse(text: str) -> Tree:
     reader = _Reader(text)
-    tree = reader.choice(0)
+    tree = reader.read_choice(0)
     reader.end()
     return tree
 
 
-def names_in(tree: Tree) -> list[Name]:
+def list_names(tree: Tree) -> list[Name]:
     """The names that an expression refers to, each once."""
-    return list(dict.fromkeys(_names(tree)))
+    return list(dict.fromkeys(_iterate_names(tree)))
 
 
-def _names(tree: Tree) -> Iterator[Name]:
+def _iterate_names(tree: Tree) -> Iterator[Name]:
     parts: tuple[Tree, ...] = ()
     match tree[0]:
         case "name":
@@ -87,7 +87,7 @@ def _names(tree: Tree) -> Iterator[Name]:
         case "chain":
             parts = (tree[1], *(part for _, part in tree[2]))
     for part in parts:
-        yield from _names(part)
+        yield from _iterate_names(part)
 
 
 class _Reader:
@@ -95,14 +95,14 @@ class _Reader:
 
     def __init__(self, text: str) -> None:
         self.text, self.at, self.kind, self.token = text, 0, "", ""
-        self._next()
+        self._advance()
 
-    def _next(self) -> None:
+    def _advance(self) -> None:
         match = _TOKEN.match(self.text, self.at)
         if match is None:
             rest = self.text[self.at :].strip()
             if rest:
-                raise self.wrong(f"{rest[:20]!r} is not understood")
+                raise self.make_error(f"{rest[:20]!r} is not understood")
             self.kind = self.token = ""
             return
         self.at = match.end()
@@ -111,136 +111,138 @@ class _Reader:
         if self.kind == "word" and self.token in _WORDS:
             self.kind = "sign"
 
-    def wrong(self, what: str) -> ExpressionError:
+    def make_error(self, what: str) -> ExpressionError:
         shown = self.text if len(self.text) <= 80 else self.text[:79] + "…"
         return ExpressionError(
             f"The expression {shown!r} cannot be read: {what}.",
             remedy='Write it as `result.value > 0.5 and payload.kind in ["a", "b"]`.',
         )
 
-    def takes(self, *signs: str) -> str:
+    def take_sign(self, *signs: str) -> str:
         """The sign, if it is one of these; the reader then stands behind it."""
         if self.kind == "sign" and self.token in signs:
             sign = self.token
-            self._next()
+            self._advance()
             return sign
         return ""
 
     def expect(self, sign: str) -> None:
-        if not self.takes(sign):
-            raise self.wrong(
+        if not self.take_sign(sign):
+            raise self.make_error(
                 f"{sign!r} is missing before {self.token!r}" if self.token else f"{sign!r} is missing"
             )
 
     def end(self) -> None:
         if self.kind:
-            raise self.wrong(f"{self.token!r} stands where it should end")
+            raise self.make_error(f"{self.token!r} stands where it should end")
 
-    def _deeper(self, depth: int) -> int:
+    def _deepen(self, depth: int) -> int:
         if depth >= DEEPEST:
-            raise self.wrong("it is nested too deeply")
+            raise self.make_error("it is nested too deeply")
         return depth + 1
 
-    def choice(self, depth: int) -> Tree:
-        depth = self._deeper(depth)
-        return self._row(lambda: self._all(depth), "or")
+    def read_choice(self, depth: int) -> Tree:
+        depth = self._deepen(depth)
+        return self._read_row(lambda: self._read_all(depth), "or")
 
-    def _all(self, depth: int) -> Tree:
-        return self._row(lambda: self._negation(depth), "and")
+    def _read_all(self, depth: int) -> Tree:
+        return self._read_row(lambda: self._read_negation(depth), "and")
 
-    def _row(self, part: Callable[[], Tree], *signs: str) -> Tree:
+    def _read_row(self, part: Callable[[], Tree], *signs: str) -> Tree:
         parts = [part()]
         found: list[str] = []
-        while sign := self.takes(*signs):
+        while sign := self.take_sign(*signs):
             found.append(sign)
             parts.append(part())
         return parts[0] if not found else ("row", tuple(found), tuple(parts))
 
-    def _negation(self, depth: int) -> Tree:
-        if self.takes("not"):
-            return ("not", self._negation(self._deeper(depth)))
-        return self._comparison(depth)
+    def _read_negation(self, depth: int) -> Tree:
+        if self.take_sign("not"):
+            return ("not", self._read_negation(self._deepen(depth)))
+        return self._read_comparison(depth)
 
-    def _comparison(self, depth: int) -> Tree:
-        first = self._sum(depth)
+    def _read_comparison(self, depth: int) -> Tree:
+        first = self._read_sum(depth)
         rest: list[tuple[str, Tree]] = []
-        while sign := self.takes("==", "!=", "<", "<=", ">", ">=", "in", "not"):
+        while sign := self.take_sign("==", "!=", "<", "<=", ">", ">=", "in", "not"):
             if sign == "not":
                 self.expect("in")
                 sign = "not in"
-            rest.append((sign, self._sum(depth)))
+            rest.append((sign, self._read_sum(depth)))
         return ("chain", first, tuple(rest)) if rest else first
 
-    def _sum(self, depth: int) -> Tree:
-        return self._row(lambda: self._product(depth), "+", "-")
+    def _read_sum(self, depth: int) -> Tree:
+        return self._read_row(lambda: self._read_product(depth), "+", "-")
 
-    def _product(self, depth: int) -> Tree:
-        return self._row(lambda: self._sign(depth), "*", "/")
+    def _read_product(self, depth: int) -> Tree:
+        return self._read_row(lambda: self._read_sign(depth), "*", "/")
 
-    def _sign(self, depth: int) -> Tree:
-        if self.takes("-"):
-            return ("minus", self._sign(self._deeper(depth)))
-        return self._atom(depth)
+    def _read_sign(self, depth: int) -> Tree:
+        if self.take_sign("-"):
+            return ("minus", self._read_sign(self._deepen(depth)))
+        return self._read_atom(depth)
 
-    def _atom(self, depth: int) -> Tree:
+    def _read_atom(self, depth: int) -> Tree:
         kind, token = self.kind, self.token
         if kind == "number":
-            self._next()
-            return ("value", self._number(token))
+            self._advance()
+            return ("value", self._read_number(token))
         if kind == "text":
-            self._next()
+            self._advance()
             return ("value", token[1:-1])
-        if self.takes("("):
-            inner = self.choice(depth)
+        if self.take_sign("("):
+            inner = self.read_choice(depth)
             self.expect(")")
             return inner
-        if self.takes("["):
-            return ("list", self._parts("]", depth))
+        if self.take_sign("["):
+            return ("list", self._read_parts("]", depth))
         if kind == "word":
-            self._next()
-            return self._word(token, depth)
-        raise self.wrong(
+            self._advance()
+            return self._read_word(token, depth)
+        raise self.make_error(
             f"{token!r} stands where a value should" if token else "it ends where a value should stand"
         )
 
-    def _number(self, token: str) -> int | float:
+    def _read_number(self, token: str) -> int | float:
         number = int(token) if token.isdigit() else float(token)
         if number > LARGEST if isinstance(number, int) else not math.isfinite(number):
             shown = token if len(token) <= 30 else f"{token[:29]}…"
-            raise self.wrong(f"{shown} is too large; whole numbers have 64 bits, others are below 1.8e308")
+            raise self.make_error(
+                f"{shown} is too large; whole numbers have 64 bits, others are below 1.8e308"
+            )
         return number
 
-    def _parts(self, end: str, depth: int) -> tuple[Tree, ...]:
+    def _read_parts(self, end: str, depth: int) -> tuple[Tree, ...]:
         parts: list[Tree] = []
-        while not self.takes(end):
+        while not self.take_sign(end):
             if parts:
                 self.expect(",")
-            parts.append(self.choice(depth))
+            parts.append(self.read_choice(depth))
         return tuple(parts)
 
-    def _word(self, word: str, depth: int) -> Tree:
+    def _read_word(self, word: str, depth: int) -> Tree:
         if word in _VALUES:
             return ("value", _VALUES[word])
-        if self.takes("("):
+        if self.take_sign("("):
             if word not in FUNCTIONS:
-                raise self.wrong(f"there is no function {word!r}; known are {', '.join(FUNCTIONS)}")
-            return ("call", word, self._parts(")", depth))
+                raise self.make_error(f"there is no function {word!r}; known are {', '.join(FUNCTIONS)}")
+            return ("call", word, self._read_parts(")", depth))
         if word not in ROOTS:
-            raise self.wrong(
+            raise self.make_error(
                 f"{word!r} is no name; names begin with {', '.join(ROOTS)}; texts stand in quotes"
             )
-        return ("name", (word, *self._fields()))
+        return ("name", (word, *self._read_fields()))
 
-    def _fields(self) -> Iterator[str | int]:
-        while sign := self.takes(".", "["):
+    def _read_fields(self) -> Iterator[str | int]:
+        while sign := self.take_sign(".", "["):
             kind, token = self.kind, self.token
             if kind == "number" and (not token.isdigit() or int(token) > LARGEST):
-                raise self.wrong("a place in a list is a whole number, of 64 bits at most")
+                raise self.make_error("a place in a list is a whole number, of 64 bits at most")
             if sign == "." and kind != "word" and token not in _WORDS:
-                raise self.wrong("a name should follow the point")
+                raise self.make_error("a name should follow the point")
             if sign == "[" and kind not in ("number", "text"):
-                raise self.wrong("a number or a text in quotes should follow '['")
-            self._next()
+                raise self.make_error("a number or a text in quotes should follow '['")
+            self._advance()
             yield int(token) if kind == "number" else token[1:-1] if kind == "text" else token
             if sign == "[":
                 self.expect("]")
@@ -253,37 +255,39 @@ def evaluate(tree: Tree, tables: Mapping[str, Any]) -> Any:
     """What an expression amounts to. ``tables`` holds what names lead into, by their first word.
     Raises ExpressionError."""
     try:
-        return _value(tree, tables)
+        return _evaluate_tree(tree, tables)
     except (OverflowError, RecursionError, ValueError):
         raise ExpressionError("The expression leads to a number that is too large.") from None
 
 
-def _value(tree: Tree, tables: Mapping[str, Any]) -> Any:
+def _evaluate_tree(tree: Tree, tables: Mapping[str, Any]) -> Any:
     match tree[0]:
         case "value":
             return tree[1]
         case "name":
             return look_up(tree[1], tables)
         case "list":
-            return [_value(part, tables) for part in tree[1]]
+            return [_evaluate_tree(part, tables) for part in tree[1]]
         case "call":
-            return _call(tree[1], [_value(part, tables) for part in tree[2]])
+            return _call(tree[1], [_evaluate_tree(part, tables) for part in tree[2]])
         case "not":
-            return not _truth(_value(tree[1], tables))
+            return not _expect_truth(_evaluate_tree(tree[1], tables))
         case "minus":
-            return -_number(_value(tree[1], tables))
+            return -_expect_number(_evaluate_tree(tree[1], tables))
         case "row":
-            return _row(tree[1], tree[2], tables)
-    return _chain(tree, tables)
+            return _evaluate_row(tree[1], tree[2], tables)
+    return _evaluate_chain(tree, tables)
 
 
-def _row(signs: tuple[str, ...], parts: tuple[Tree, ...], tables: Mapping[str, Any]) -> Any:
+def _evaluate_row(signs: tuple[str, ...], parts: tuple[Tree, ...], tables: Mapping[str, Any]) -> Any:
     if signs[0] in ("and", "or"):
         stop = signs[0] == "or"
-        return stop if any(_truth(_value(part, tables)) is stop for part in parts) else not stop
-    found = _number(_value(parts[0], tables))
+        return (
+            stop if any(_expect_truth(_evaluate_tree(part, tables)) is stop for part in parts) else not stop
+        )
+    found = _expect_number(_evaluate_tree(parts[0], tables))
     for sign, part in zip(signs, parts[1:], strict=True):
-        right = _number(_value(part, tables))
+        right = _expect_number(_evaluate_tree(part, tables))
         if sign == "/" and right == 0:
             raise ExpressionError("The expression divides by zero.")
         found = _ARITHMETIC[sign](found, right)
@@ -300,10 +304,10 @@ _ORDER: dict[str, Callable[[Any, Any], bool]] = {
 }  # fmt: skip
 
 
-def _chain(tree: Tree, tables: Mapping[str, Any]) -> bool:
-    left = _value(tree[1], tables)
+def _evaluate_chain(tree: Tree, tables: Mapping[str, Any]) -> bool:
+    left = _evaluate_tree(tree[1], tables)
     for sign, part in tree[2]:
-        right = _value(part, tables)
+        right = _evaluate_tree(part, tables)
         if not _compare(sign, left, right):
             return False
         left = right
@@ -312,12 +316,12 @@ def _chain(tree: Tree, tables: Mapping[str, Any]) -> bool:
 
 def _compare(sign: str, left: Any, right: Any) -> bool:
     if sign in ("==", "!="):
-        return _same(left, right) == (sign == "==")
+        return _is_same(left, right) == (sign == "==")
     if sign in ("in", "not in"):
         if isinstance(right, str) and isinstance(left, str):
             found = left in right
         elif isinstance(right, list | tuple):
-            found = any(_same(left, item) for item in right)
+            found = any(_is_same(left, item) for item in right)
         elif isinstance(right, Mapping):
             found = isinstance(left, str) and left in right
         else:
@@ -325,10 +329,10 @@ def _compare(sign: str, left: Any, right: Any) -> bool:
         return found == (sign == "in")
     if isinstance(left, str) and isinstance(right, str):
         return _ORDER[sign](left, right)
-    return _ORDER[sign](_number(left), _number(right))
+    return _ORDER[sign](_expect_number(left), _expect_number(right))
 
 
-def _same(left: Any, right: Any) -> bool:
+def _is_same(left: Any, right: Any) -> bool:
     """Equal, where true is not 1."""
     return isinstance(left, bool) == isinstance(right, bool) and bool(left == right)
 
@@ -358,15 +362,15 @@ def _call(name: str, parts: list[Any]) -> Any:
     if name == "abs":
         if len(parts) != 1:
             raise ExpressionError("`abs` takes one number.")
-        return abs(_number(parts[0]))
+        return abs(_expect_number(parts[0]))
     many = parts[0] if len(parts) == 1 and isinstance(parts[0], list | tuple) else parts
     if not many:
         raise ExpressionError(f"`{name}` takes at least one number.")
-    numbers = [_number(part) for part in many]
+    numbers = [_expect_number(part) for part in many]
     return min(numbers) if name == "min" else max(numbers)
 
 
-def _number(value: Any) -> Any:
+def _expect_number(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         return value
     raise ExpressionError(
@@ -374,7 +378,7 @@ def _number(value: Any) -> Any:
     )
 
 
-def _truth(value: Any) -> bool:
+def _expect_truth(value: Any) -> bool:
     if isinstance(value, bool):
         return value
     raise ExpressionError(f"{_show(value)} is neither true nor false.", remedy="Compare it with something.")

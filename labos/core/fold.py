@@ -67,7 +67,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
 )
 
 
-def _table() -> dict[type[Event], tuple[tuple[str, Handler], ...]]:
+def _make_table() -> dict[type[Event], tuple[tuple[str, Handler], ...]]:
     table: dict[type[Event], list[tuple[str, Handler]]] = {kind: [] for kind in TYPES.values()}
     for name, handlers in _SLICES:
         for kind, handler in handlers.items():
@@ -75,7 +75,7 @@ def _table() -> dict[type[Event], tuple[tuple[str, Handler], ...]]:
     return {kind: tuple(handlers) for kind, handlers in table.items()}
 
 
-TABLE = _table()
+TABLE = _make_table()
 
 _STREAM_ENDS: dict[type[Event], str] = {
     RunCompleted: "run",

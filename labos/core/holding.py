@@ -3,17 +3,17 @@ or lid left away from rest."""
 
 from __future__ import annotations
 
-from labos.core.effects import arrivals
+from labos.core.effects import list_arrivals
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner, workcell_of
 from labos.core.runs import RunState
 from labos.core.state import LabState
-from labos.core.waits import party
+from labos.core.waits import list_party
 
 
 def find_other_holder(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner who holds a module against this run: whose labware stands where it claims the
     module, whose plan says so, or who left a door or lid away from rest. Empty if nobody does."""
-    return find_other_claimant(state, name, party(run)) or find_other_keeper(state, name, run)
+    return find_other_claimant(state, name, list_party(run)) or find_other_keeper(state, name, run)
 
 
 def find_other_keeper(state: LabState, name: ModuleName, run: RunState) -> str:
@@ -30,7 +30,7 @@ def find_user_meanwhile(state: LabState, place: StationName, run: RunState) -> s
     if not station.spec.claim:
         return ""
     name = station.spec.module
-    for action in state.actions.within(workcell_of(name)) if state.modules.by_name[name].busy else ():
+    for action in state.actions.list_in_cell(workcell_of(name)) if state.modules.by_name[name].busy else ():
         if action.module == name and action.exclusive and action.run != run.id:
             return run_owner(action.run)
     return find_other_holder(state, name, run)
@@ -50,8 +50,8 @@ def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner,
             for lost in map(bench.labware.__getitem__, bench.lost) if station in bench.haunted else ():
                 if station in lost.maybe and lost.owner not in allowed:
                     return lost.owner or "nobody"
-            for action in state.actions.within(workcell_of(name)) if place.expected else ():
-                if station in arrivals(action.effects) and run_owner(action.run) not in allowed:
+            for action in state.actions.list_in_cell(workcell_of(name)) if place.expected else ():
+                if station in list_arrivals(action.effects) and run_owner(action.run) not in allowed:
                     return run_owner(action.run)
     return ""
 
@@ -64,7 +64,7 @@ def find_holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str
 def find_door_leaver(state: LabState, name: ModuleName, run: RunState) -> str:
     """Which other run left a door or lid of the module away from rest."""
     module = state.modules.by_name[name]
-    for left in module.away_from_rest().values():
+    for left in module.list_away_from_rest().values():
         if left.by != run.id and left.by in state.runs.active:
             return run_owner(RunId(left.by))
     return ""

@@ -37,7 +37,7 @@ def user_owner(user: str) -> Owner:
     return Owner(f"user:{user}")
 
 
-def owner_parts(owner: str) -> tuple[str, str]:
+def split_owner(owner: str) -> tuple[str, str]:
     """The kind of an owner and its id or name: ``run``, ``experiment``, ``user``, ``shared``, or empty."""
     kind, _, name = owner.partition(":")
     return kind, name

@@ -113,10 +113,10 @@ class Interventions(msgspec.Struct):
         """The open questions of these types, oldest first."""
         return [question for question in self.open.values() if isinstance(question.topic, topics)]
 
-    def about(self, subject: str) -> Intervention | None:
+    def find_about(self, subject: str) -> Intervention | None:
         return next((self.open[name] for name in self.by_subject.get(subject, ())), None)
 
-    def all_about(self, subject: str) -> list[Intervention]:
+    def list_about(self, subject: str) -> list[Intervention]:
         """The open questions about a subject, oldest first."""
         return [self.open[name] for name in self.by_subject.get(subject, ())]
 

@@ -12,7 +12,7 @@ import msgspec
 from labos.core.actions import Action, ActionDiscovered, ActionRequested
 from labos.core.bench import Labware, Station
 from labos.core.campaigns import Campaign
-from labos.core.effects import arrivals, list_carried
+from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import ActionId, CampaignId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.modules import Module
 from labos.core.registry import Event
@@ -24,14 +24,14 @@ def find_broken(state: LabState) -> str:
     """The first invariant that does not hold, as a sentence; empty if all do."""
     bench = state.bench
     return (
-        _stations(state, bench.stations)
-        or _labware(state, bench.labware)
-        or _modules(state, state.modules.by_name)
-        or _actions(state, state.actions.open)
-        or _runs(state, state.runs.active)
-        or _campaigns(state.campaigns.open)
+        _check_stations(state, bench.stations)
+        or _check_labware(state, bench.labware)
+        or _check_modules(state, state.modules.by_name)
+        or _check_actions(state, state.actions.open)
+        or _check_runs(state, state.runs.active)
+        or _check_campaigns(state.campaigns.open)
         or _queue(state)
-        or _indexes(state)
+        or _check_indexes(state)
     )
 
 
@@ -50,21 +50,21 @@ def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
     found: dict[str, dict[Any, Any]] = {kind: {} for kind in known}
     places: list[StationName] = []
     for event in events:
-        for field, kind in _subjects(type(event)):
+        for field, kind in _find_subjects(type(event)):
             name = getattr(event, field)
             if name in known[kind]:
                 found[kind][name] = known[kind][name]
         if isinstance(event, ActionRequested | ActionDiscovered):
-            places += arrivals(event.effects or ())
+            places += list_arrivals(event.effects or ())
     places += [item.station for item in found["labware"].values()]
     found["station"] |= {place: bench.stations[place] for place in places if place in bench.stations}
     return (
-        _stations(state, found["station"])
-        or _labware(state, found["labware"])
-        or _modules(state, found["module"])
-        or _actions(state, found["action"])
-        or _runs(state, found["run"])
-        or _campaigns(found["campaign"])
+        _check_stations(state, found["station"])
+        or _check_labware(state, found["labware"])
+        or _check_modules(state, found["module"])
+        or _check_actions(state, found["action"])
+        or _check_runs(state, found["run"])
+        or _check_campaigns(found["campaign"])
     )
 
 
@@ -81,13 +81,13 @@ _KINDS = {
 
 
 @cache
-def _subjects(kind: type[Event]) -> list[tuple[str, str]]:
+def _find_subjects(kind: type[Event]) -> list[tuple[str, str]]:
     """The fields of an event that name something with invariants, and what they name."""
     names = [f.name for f in msgspec.structs.fields(kind) if getattr(f.type, "__supertype__", f.type) is str]
     return [(name, _KINDS[name]) for name in names if name in _KINDS]
 
 
-def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
+def _check_stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
     for name, station in stations.items():
         if station.expected < 0:
             return f"{name} expects {station.expected} arrivals"
@@ -97,7 +97,7 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
             return f"{name} holds {station.count} of {station.spec.capacity}"
         for labware in station.labware:
             known = state.bench.labware.get(labware)
-            if known is None or name not in (known.station, state.bench.as_planned(known.station)):
+            if known is None or name not in (known.station, state.bench.find_planned_place(known.station)):
                 return f"{labware} stands at {name} but knows nothing of it"
     return ""
 
@@ -105,11 +105,11 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
 def _count_seen_on_the_way(state: LabState, name: StationName, station: Station) -> int:
     """What was seen here while nobody knows how its motion ended, and is expected here too: it is one."""
     moving = [state.bench.labware[item].moving for item in station.labware if item in state.bench.labware]
-    ways = [arrivals(state.bench.reserved.get(ActionId(action), ())) for action in moving if action]
-    return sum(name in way or name in map(state.bench.as_planned, way) for way in ways)
+    ways = [list_arrivals(state.bench.reserved.get(ActionId(action), ())) for action in moving if action]
+    return sum(name in way or name in map(state.bench.find_planned_place, way) for way in ways)
 
 
-def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
+def _check_labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
     for name, item in labware.items():
         if item.station and item.maybe:
             return f"{name} is both at {item.station} and uncertain"
@@ -132,7 +132,7 @@ def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
     return ""
 
 
-def _modules(state: LabState, modules: Mapping[ModuleName, Module]) -> str:
+def _check_modules(state: LabState, modules: Mapping[ModuleName, Module]) -> str:
     for name, module in modules.items():
         if len({_find_group(state, a) for a, flight in module.in_flight.items() if flight.exclusive}) > 1:
             return f"{name} carries out two exclusive actions at once"
@@ -148,7 +148,7 @@ def _find_group(state: LabState, name: ActionId) -> tuple[ActionId, ...]:
     return (action.together if action is not None else ()) or (name,)
 
 
-def _actions(state: LabState, actions: Mapping[ActionId, Action]) -> str:
+def _check_actions(state: LabState, actions: Mapping[ActionId, Action]) -> str:
     for action_id, action in actions.items():
         if action_id not in state.bench.reserved:
             return f"{action_id} is open but reserves nothing"
@@ -157,7 +157,7 @@ def _actions(state: LabState, actions: Mapping[ActionId, Action]) -> str:
     return ""
 
 
-def _runs(state: LabState, runs: Mapping[RunId, RunState]) -> str:
+def _check_runs(state: LabState, runs: Mapping[RunId, RunState]) -> str:
     for name, run in runs.items():
         if run.plan not in state.runs.plans:
             return f"run {name} has lost its plan"
@@ -175,7 +175,7 @@ def _queue(state: LabState) -> str:
     return ""
 
 
-def _indexes(state: LabState) -> str:
+def _check_indexes(state: LabState) -> str:
     """Whether each index names what it should, and nothing else."""
     bench, runs = state.bench, state.runs
     cells = (
@@ -201,7 +201,7 @@ def _indexes(state: LabState) -> str:
     return ""
 
 
-def _campaigns(campaigns: Mapping[CampaignId, Campaign]) -> str:
+def _check_campaigns(campaigns: Mapping[CampaignId, Campaign]) -> str:
     for name, campaign in campaigns.items():
         ended = campaign.completed + campaign.failed + campaign.cancelled + campaign.refused
         if ended + len(campaign.runs) != campaign.next_row or campaign.next_row > campaign.rows:

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.algebra import away_from_rest, carry, settings_after
+from labos.core.algebra import carry, compute_settings_after, list_away_from_rest
 from labos.core.branches import sort_steps
 from labos.core.effects import Needs, Requires, Sets, list_carried
 from labos.core.ids import ModuleName, Owner, StationName, run_owner
@@ -40,20 +40,20 @@ class BenchOfRun(msgspec.Struct):
         self.standing[place] += 1
 
 
-def steps_out(plan: Plan) -> list[int]:
+def list_steps_out(plan: Plan) -> list[int]:
     """The steps under ``on_cancel``."""
     return [index for index, step in enumerate(plan.steps) if step.part == ON_CANCEL]
 
 
 def will_leave(plan: Plan, run: RunState) -> bool:
     """Whether a run that is being cancelled goes a way out as soon as nothing of it is in flight."""
-    return run.status == RunStatus.CANCELLING and not run.why and not run.stay and bool(steps_out(plan))
+    return run.status == RunStatus.CANCELLING and not run.why and not run.stay and bool(list_steps_out(plan))
 
 
-def way_out(plan: Plan, scene: BenchOfRun) -> tuple[int, ...]:
+def find_way_out(plan: Plan, scene: BenchOfRun) -> tuple[int, ...]:
     """The steps that lead out from a scene, which is changed to what they leave."""
     found = []
-    for index in sort_steps(plan, steps_out(plan)):
+    for index in sort_steps(plan, list_steps_out(plan)):
         step = plan.steps[index]
         if is_needed(step, scene):
             found.append(index)
@@ -73,7 +73,7 @@ def is_needed(step: PlanStep, scene: BenchOfRun) -> bool:
         return all(scene.standing[place] > 0 for place in named) if named else here
     if not here and step.module not in scene.left:
         return False
-    doors = settings_after(step.effects).variables
+    doors = compute_settings_after(step.effects).variables
     now = scene.doors.get(step.module, {})
     does_more = any(
         not isinstance(effect, Requires) and not (isinstance(effect, Sets) and effect.of == "module")
@@ -86,11 +86,11 @@ def carry_out(step: PlanStep, scene: BenchOfRun) -> None:
     """Make a scene what a step leaves."""
     for what in list_carried(step.effects):
         carry(scene, what)
-    doors = settings_after(step.effects).variables
+    doors = compute_settings_after(step.effects).variables
     if doors:
         now = scene.doors.setdefault(step.module, {})
         now.update(doors)
-        away = away_from_rest(now, scene.rests.get(step.module, {}))
+        away = list_away_from_rest(now, scene.rests.get(step.module, {}))
         (scene.left.add if away else scene.left.discard)(step.module)
 
 
@@ -99,8 +99,8 @@ def find_bench_of_run(state: LabState, run: RunState) -> BenchOfRun:
     scene = look_at(state, state.runs.plan_of(run).workcell, run_owner(run.id))
     scene.left = {
         name
-        for name, module in state.modules.within(state.runs.plan_of(run).workcell)
-        if any(left.by == run.id for left in module.away_from_rest().values())
+        for name, module in state.modules.list_in_cell(state.runs.plan_of(run).workcell)
+        if any(left.by == run.id for left in module.list_away_from_rest().values())
     }
     return scene
 
@@ -108,9 +108,9 @@ def find_bench_of_run(state: LabState, run: RunState) -> BenchOfRun:
 def look_at(state: LabState, cell: str, owner: Owner) -> BenchOfRun:
     """What somebody's labware finds in a workcell."""
     places = [item.station for item in state.bench.list_owned(owner) if item.station]
-    modules = state.modules.within(cell)
+    modules = state.modules.list_in_cell(cell)
     return BenchOfRun(
-        Counter([name for place in places for name in {place, state.bench.as_planned(place)}]),
+        Counter([name for place in places for name in {place, state.bench.find_planned_place(place)}]),
         {name: state.bench.stations[name].spec.module for name in state.bench.in_cell.get(cell, ())},
         {name: module.values for name, module in modules},
         {name: module.spec.rest for name, module in modules},

@@ -63,14 +63,14 @@ class Length(msgspec.Struct, frozen=True):
 
 
 class Lengths(msgspec.Struct):
-    """Times by kind: of a module's action with its arguments, and of the action with any (``kind_of``)."""
+    """Times by kind: of a module's action with its arguments, and of the action with any (``make_kind``)."""
 
     by_kind: dict[str, Times] = {}
 
     def estimate(self, step: PlanStep, pace: float) -> Length | None:
         """How long steps like this have taken, if there were enough: with the same arguments; else with
         others, as part of what was planned."""
-        times, is_part = self.times_of(step)
+        times, is_part = self.find_times(step)
         if times is None:
             return None
         if not is_part:
@@ -78,12 +78,12 @@ class Lengths(msgspec.Struct):
         planned = step.duration_s * 1e3 / pace  # ns of each millionth
         return Length(*(int(part * planned) for part in (times.low, times.usual, times.high)))
 
-    def times_of(self, step: PlanStep) -> tuple[Times | None, bool]:
+    def find_times(self, step: PlanStep) -> tuple[Times | None, bool]:
         """The times of steps like this if there were enough, and whether they are parts of what was planned:
         those of other arguments."""
         if not self.by_kind:
             return None, False
-        fine = self.by_kind.get(kind_of(step))
+        fine = self.by_kind.get(make_kind(step))
         if fine is not None and fine.suffices:
             return fine, False
         coarse = self.by_kind.get(f"{step.module}\x1f{step.action}")
@@ -105,7 +105,7 @@ def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float
     outcome was unknown do not count."""
     if step.by_person or action.status == ActionStatus.UNKNOWN or action.attempt > 1:
         return
-    kind = kind_of(step)
+    kind = make_kind(step)
     took, planned = max(0, at - action.requested_at), int(step.duration_s * 1e9 / pace)
     known = lengths.by_kind
     times = known.pop(kind, Times())
@@ -143,13 +143,13 @@ _kinds: dict[int, tuple[PlanStep, str]] = {}
 """Kinds by the step itself, which is kept so that no other takes its number."""
 
 
-def kind_of(step: PlanStep) -> str:
+def make_kind(step: PlanStep) -> str:
     """The kind of a step: its module, action and arguments, as they stand in its plan, numbers with two
     digits; and how long it should take."""
     known = _kinds.get(id(step))
     if known is not None:
         return known[1]
-    told = "\x1f".join(f"{name}={_coarse(value)}" for name, value in sorted(step.args.items()))
+    told = "\x1f".join(f"{name}={_round_value(value)}" for name, value in sorted(step.args.items()))
     told = f"{step.duration_s!r}\x1f{told}"
     mark = hashlib.blake2b(told.encode(errors="surrogatepass"), digest_size=6).hexdigest()
     kind = f"{step.module}\x1f{step.action}\x1f{mark}"
@@ -159,7 +159,7 @@ def kind_of(step: PlanStep) -> str:
     return kind
 
 
-def _coarse(value: object) -> str:
+def _round_value(value: object) -> str:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return f"{value:.2g}"
     return str(value)

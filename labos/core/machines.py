@@ -131,7 +131,7 @@ MACHINES: dict[str, tuple[Transition, ...]] = {
 }
 
 
-def arrows(rows: tuple[Transition, ...]) -> Iterator[tuple[str, str, str]]:
+def list_arrows(rows: tuple[Transition, ...]) -> Iterator[tuple[str, str, str]]:
     """Event type, status before and status after, of each change."""
     for row in rows:
         for before in row.before:

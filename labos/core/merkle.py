@@ -17,11 +17,11 @@ EMPTY_ROOT = hashlib.sha256().digest()
 """The root of a tree without leaves."""
 
 
-def leaf_hash(data: bytes) -> bytes:
+def hash_leaf(data: bytes) -> bytes:
     return hashlib.sha256(b"\x00" + data).digest()
 
 
-def node_hash(left: bytes, right: bytes) -> bytes:
+def hash_node(left: bytes, right: bytes) -> bytes:
     return hashlib.sha256(b"\x01" + left + right).digest()
 
 
@@ -40,23 +40,23 @@ class Edge:
         """Add a leaf by its hash."""
         found, size = leaf, self.size
         while size & 1:
-            found = node_hash(self.hashes.pop(), found)
+            found = hash_node(self.hashes.pop(), found)
             size >>= 1
         self.hashes.append(found)
         self.size += 1
 
-    def root(self) -> bytes:
+    def compute_root(self) -> bytes:
         if not self.hashes:
             return EMPTY_ROOT
         found = self.hashes[-1]
         for left in reversed(self.hashes[:-1]):
-            found = node_hash(left, found)
+            found = hash_node(left, found)
         return found
 
     def copy(self) -> Edge:
         return Edge(self.size, self.hashes)
 
-    def ranges(self) -> list[Range]:
+    def list_ranges(self) -> list[Range]:
         """The leaves under each of ``hashes``."""
         found, start = [], 0
         for level in reversed(range(self.size.bit_length())):
@@ -66,12 +66,12 @@ class Edge:
         return found
 
 
-def root_of(leaves: Iterable[bytes]) -> bytes:
+def compute_root(leaves: Iterable[bytes]) -> bytes:
     """The root over the hashes of leaves."""
     edge = Edge()
     for leaf in leaves:
         edge.add(leaf)
-    return edge.root()
+    return edge.compute_root()
 
 
 class Tree:
@@ -80,7 +80,7 @@ class Tree:
     def __init__(self, leaves: Iterable[bytes]) -> None:
         self._levels = [list(leaves)]
         while len(below := self._levels[-1]) > 1:
-            self._levels.append([node_hash(*below[at : at + 2]) for at in range(0, len(below) - 1, 2)])
+            self._levels.append([hash_node(*below[at : at + 2]) for at in range(0, len(below) - 1, 2)])
 
     @property
     def size(self) -> int:
@@ -95,9 +95,9 @@ class Tree:
         if end - start == 1 << level and not start & (end - start - 1):
             return self._levels[level][start >> level]
         middle = start + _split(end - start)
-        return node_hash(self.hash_of((start, middle)), self.hash_of((middle, end)))
+        return hash_node(self.hash_of((start, middle)), self.hash_of((middle, end)))
 
-    def root(self, size: int | None = None) -> bytes:
+    def compute_root(self, size: int | None = None) -> bytes:
         """The root, also of an earlier size."""
         return self.hash_of((0, self.size if size is None else size))
 
@@ -105,7 +105,7 @@ class Tree:
 # -- proofs -------------------------------------------------------------------------------------
 
 
-def inclusion_ranges(index: int, size: int) -> list[Range]:
+def list_inclusion_ranges(index: int, size: int) -> list[Range]:
     """The nodes whose hashes prove that a leaf is in a tree (PATH). Raises ValueError if it is not."""
     if not 0 <= index < size:
         raise ValueError(f"a tree of {size} leaves has no leaf {index}")
@@ -122,7 +122,7 @@ def inclusion_ranges(index: int, size: int) -> list[Range]:
     return found[::-1]
 
 
-def consistency_ranges(old: int, size: int) -> list[Range]:
+def list_consistency_ranges(old: int, size: int) -> list[Range]:
     """The nodes whose hashes prove that a tree begins with the one of ``old`` leaves (PROOF). Raises
     ValueError if it is smaller."""
     if not 0 <= old <= size:
@@ -144,32 +144,32 @@ def consistency_ranges(old: int, size: int) -> list[Range]:
     return found[::-1]
 
 
-def proof_of(ranges: Iterable[Range], hash_of: Callable[[Range], bytes]) -> list[bytes]:
+def make_proof(ranges: Iterable[Range], hash_of: Callable[[Range], bytes]) -> list[bytes]:
     return [hash_of(each) for each in ranges]
 
 
-def growth_proof(old: Edge, added: Sequence[bytes]) -> list[bytes]:
+def make_growth_proof(old: Edge, added: Sequence[bytes]) -> list[bytes]:
     """The consistency proof from a tree to the one with more leaves, although nothing but its right edge
     and the hashes of the new leaves is known."""
-    known = dict(zip(old.ranges(), old.hashes, strict=True))
+    known = dict(zip(old.list_ranges(), old.hashes, strict=True))
 
     def hash_of(leaves: Range) -> bytes:
         start, end = leaves
-        return known.get(leaves) or root_of(added[start - old.size : end - old.size])
+        return known.get(leaves) or compute_root(added[start - old.size : end - old.size])
 
-    return proof_of(consistency_ranges(old.size, old.size + len(added)), hash_of)
+    return make_proof(list_consistency_ranges(old.size, old.size + len(added)), hash_of)
 
 
 def is_included(leaf: bytes, index: int, size: int, root: bytes, proof: Sequence[bytes]) -> bool:
     """Whether a proof shows that the leaf with this hash stands at ``index`` of the tree."""
     if not 0 <= index < size:
         return False
-    ranges = inclusion_ranges(index, size)
+    ranges = list_inclusion_ranges(index, size)
     if len(ranges) != len(proof):
         return False
     found = leaf
     for (start, _), other in zip(ranges, proof, strict=True):
-        found = node_hash(found, other) if start > index else node_hash(other, found)
+        found = hash_node(found, other) if start > index else hash_node(other, found)
     return found == root
 
 
@@ -181,7 +181,7 @@ def is_consistent(old: int, old_root: bytes, size: int, root: bytes, proof: Sequ
         return not proof and old_root == root
     if old == 0:
         return not proof and old_root == EMPTY_ROOT
-    ranges = consistency_ranges(old, size)
+    ranges = list_consistency_ranges(old, size)
     if len(proof) != len(ranges):
         return False
     rest = list(zip(ranges, proof, strict=True))
@@ -192,9 +192,9 @@ def is_consistent(old: int, old_root: bytes, size: int, root: bytes, proof: Sequ
     older = newer = first
     for (start, _), other in rest:
         if start >= old:
-            newer = node_hash(newer, other)
+            newer = hash_node(newer, other)
         else:
-            older, newer = node_hash(other, older), node_hash(other, newer)
+            older, newer = hash_node(other, older), hash_node(other, newer)
     return older == old_root and newer == root
 
 

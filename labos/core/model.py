@@ -82,7 +82,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether labware of a type may stand here."""
         return labware_type not in self.refuses and (not self.accepts or labware_type in self.accepts)
 
-    def why_not(self, labware_type: str) -> str:
+    def explain_refusal(self, labware_type: str) -> str:
         """Why labware of a type may not stand here, to go on after the station's name."""
         if labware_type in self.refuses:
             return f"does not accept {labware_type}: one may not stand upon another"
@@ -93,7 +93,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether somebody can be asked what stands here."""
         return bool(self.observer) and self.verify != "never"
 
-    def grips(self, arm: ModuleName, labware_type: str) -> tuple[str, ...]:
+    def list_grips(self, arm: ModuleName, labware_type: str) -> tuple[str, ...]:
         """The grips that a manipulator can use here on labware of a type; none named: any."""
         return self.reach_of.get(labware_type, {}).get(arm, self.reach.get(arm, ()))
 

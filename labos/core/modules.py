@@ -17,9 +17,9 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.algebra import away_from_rest
+from labos.core.algebra import list_away_from_rest
 from labos.core.calibrations import Calibration
-from labos.core.effects import AnyEffect, places, types_at
+from labos.core.effects import AnyEffect, find_types_at, list_places
 from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ModuleSpec
@@ -277,15 +277,15 @@ class Module(msgspec.Struct):
         """What its variables are at."""
         return {name: variable.value for name, variable in self.variables.items()}
 
-    def away_from_rest(self) -> dict[str, Variable]:
+    def list_away_from_rest(self) -> dict[str, Variable]:
         """Doors and lids that do not stand so that others may use the module."""
         rest = self.spec.rest
         if not rest:
             return {}
         now = {name: self.value(name) for name in rest}
-        return {name: self.variables.get(name) or Variable(None) for name in away_from_rest(now, rest)}
+        return {name: self.variables.get(name) or Variable(None) for name in list_away_from_rest(now, rest)}
 
-    def pose_of(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
+    def find_pose(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
         """Where the module finds a station with labware of a type (the type's own pose, or None), or
         without."""
         known = self.find_taught(station, labware_type)
@@ -297,12 +297,12 @@ class Module(msgspec.Struct):
         told = written.get("poses", {}).get(local(station))
         return tuple(told) if told is not None else None
 
-    def poses(self) -> dict[str, list[float]]:
+    def list_poses(self) -> dict[str, list[float]]:
         """Poses that it was taught for labware of any type, by the stations' local names."""
         own = {station: lessons.any_type for station, lessons in self.taught.items()}
         return {local(station): list(taught.pose) for station, taught in own.items() if taught is not None}
 
-    def poses_of(self) -> dict[str, dict[str, list[float]]]:
+    def list_poses_by_type(self) -> dict[str, dict[str, list[float]]]:
         """Poses that differ for a labware type, by type and by the stations' local names."""
         found = {kind: dict(poses) for kind, poses in self.spec.config.get("poses_of", {}).items()}
         for station, lessons in self.taught.items():
@@ -336,7 +336,7 @@ class Modules(msgspec.Struct):
     back_at: dict[ModuleName, int] = {}
     in_cell: dict[str, list[ModuleName]] = {}
 
-    def within(self, cell: str) -> list[tuple[ModuleName, Module]]:
+    def list_in_cell(self, cell: str) -> list[tuple[ModuleName, Module]]:
         """The modules of a workcell."""
         return [(name, self.by_name[name]) for name in self.in_cell.get(cell, ())]
 
@@ -431,7 +431,7 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
     module = modules.by_name[event.module]
     flight = module.in_flight[event.action] = Flight(event.exclusive)
     if event.exclusive:
-        reached = places(event.effects)
+        reached = list_places(event.effects)
         if module.status != ModuleStatus.IDLE:
             reached.update(module.reached)
         if module.spec.zone:
@@ -441,7 +441,7 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
     if setup is not None and setup.argument in event.args:
         others = [module.in_flight[name] for name in event.together if name in module.in_flight]
         others = [other for other in others if other is not flight]  # it is set up once for all of them
-        flight.setup_s = others[0].setup_s if others else setup.cost_s(module.set_up_for, event.args)
+        flight.setup_s = others[0].setup_s if others else setup.compute_cost_s(module.set_up_for, event.args)
         module.set_up_for = event.args[setup.argument]
     if event.args.get("slow") is True:
         flight.proving = find_unproven(module, event.effects, event.args)
@@ -497,11 +497,11 @@ def find_unproven(
     """The stations of effects whose newly taught pose no move has tried, each with the labware type if
     the pose is that type's own. Which one an action uses follows from its arguments: the type's own if
     there is one, else the station's."""
-    types = types_at(effects, str(args.get(LABWARE_TYPE) or ""), str(args.get(PLATE_TYPE) or ""))
+    types = find_types_at(effects, str(args.get(LABWARE_TYPE) or ""), str(args.get(PLATE_TYPE) or ""))
     found = []
-    for name in sorted(places(effects)):
+    for name in sorted(list_places(effects)):
         kind = types.get(name, "")
-        kind = kind if module.pose_of(name, kind) is not None else ""
+        kind = kind if module.find_pose(name, kind) is not None else ""
         taught = module.find_taught(name, kind)
         if taught is not None and not taught.proven:
             found.append((name, kind))

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import msgspec
 
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.experiments import (
     ExperimentCancelled,
     ExperimentClosing,
@@ -89,7 +89,7 @@ def fold_experiment_noted(experiments: Experiments, event: ExperimentNoted, at: 
 
 def note_digest(kind: str, name: str, facts: dict[str, Any]) -> str:
     """What was noted, short enough to be kept for each note of an experiment that has not ended."""
-    return digest(canonical([kind, name, facts]))[:24]
+    return digest(encode_canonical([kind, name, facts]))[:24]
 
 
 def fold_run_submitted(experiments: Experiments, event: RunSubmitted, at: int) -> None:

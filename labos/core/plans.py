@@ -10,7 +10,7 @@ import msgspec
 from labos.core.ids import CampaignId, ModuleName
 from labos.core.model import MAIN, Hold, Plan, PlanStep
 from labos.core.registry import Event, event
-from labos.core.resources import uses_up
+from labos.core.resources import list_used_up
 
 
 @event("plan.recorded")
@@ -123,7 +123,7 @@ def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
             i for i, step in enumerate(state.plan.steps) if not step.after and step.part == MAIN
         )
         state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
-        state.uses_up = uses_up(state.plan.steps)
+        state.uses_up = list_used_up(state.plan.steps)
         state.dangers = tuple(i for i, step in enumerate(state.plan.steps) if step.dangerous)
         state.conditional = tuple(i for i, step in enumerate(state.plan.steps) if step.when is not None)
 

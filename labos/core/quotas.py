@@ -8,7 +8,7 @@ from typing import NamedTuple
 from labos.core import reasons
 from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
-from labos.core.resources import uses_up
+from labos.core.resources import list_used_up
 from labos.core.runs import RunState, RunStatus, StepStatus
 from labos.core.shares import DAY_NS
 from labos.core.state import LabState
@@ -21,7 +21,7 @@ QUOTA_KEY = "quota"
 def explain_full_queue(state: LabState, user: str, ahead: int = 0) -> str:
     """Why a user may have no further run wait, behind so many others that are submitted with it, as a
     sentence; empty if one may."""
-    for whose, quota, had in state.shares.limits(user):
+    for whose, quota, had in state.shares.list_limits(user):
         waiting = had.queued + ahead
         if quota.queued and waiting >= quota.queued:
             return f"{waiting} runs of {whose} wait already, and {quota.queued} may."
@@ -31,7 +31,7 @@ def explain_full_queue(state: LabState, user: str, ahead: int = 0) -> str:
 def find_highest_priority(state: LabState, user: str, *, operates: bool) -> tuple[str, int] | None:
     """Whose limit it is, and the highest priority that a user may give: by quotas, else, for somebody who is
     no operator, by the lab's policy. None: any."""
-    named = [(whose, q.priority) for whose, q, _ in state.shares.limits(user) if q.priority is not None]
+    named = [(whose, q.priority) for whose, q, _ in state.shares.list_limits(user) if q.priority is not None]
     if named:
         return min(named, key=lambda item: item[1])
     most = state.approvals.policy.priority
@@ -45,20 +45,20 @@ def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
     if run.has_started or run.closing or not (state.shares.members or state.shares.groups):
         return None
     tomorrow = (now // DAY_NS + 1) * DAY_NS
-    for whose, quota, had in state.shares.limits(run.user):
+    for whose, quota, had in state.shares.list_limits(run.user):
         if quota.running and had.running >= quota.running:
             return Wait(reasons.Quota(whose, f"{quota.running} runs at a time"), (QUOTA_KEY,))
         if not (quota.lab_hours or quota.consumables):
             continue
-        planned = _under_way(state, _users_of(state, whose, run.user), now)
-        hours = had.week.lab_ns(now) * state.lab.pace / 3.6e12 + planned.hours
+        planned = _sum_under_way(state, _list_users(state, whose, run.user), now)
+        hours = had.week.sum_lab_ns(now) * state.lab.pace / 3.6e12 + planned.hours
         if quota.lab_hours and hours >= quota.lab_hours:
             what = f"{quota.lab_hours:g} lab hours a week"
             return Wait(reasons.Quota(whose, what), (QUOTA_KEY,), tomorrow)
         for kind, most in quota.consumables.items():
             needed = sum(
                 amount
-                for index, _, resource, amount in uses_up(state.runs.plan_of(run).steps)
+                for index, _, resource, amount in list_used_up(state.runs.plan_of(run).steps)
                 if resource == kind and state.runs.plan_of(run).steps[index].part == MAIN
             )
             if needed and had.week.count_used(kind, now) + planned.amounts.get(kind, 0.0) + needed > most:
@@ -73,13 +73,13 @@ class _Planned(NamedTuple):
     amounts: dict[str, float]
 
 
-def _users_of(state: LabState, whose: str, user: str) -> Collection[str]:
+def _list_users(state: LabState, whose: str, user: str) -> Collection[str]:
     """Who has a quota together."""
     group = state.shares.groups.get(state.shares.group_of.get(user, ""))
     return (user,) if whose == user or group is None else group.members
 
 
-def _under_way(state: LabState, users: Collection[str], now: int) -> _Planned:
+def _sum_under_way(state: LabState, users: Collection[str], now: int) -> _Planned:
     """A step under way counts as long as it takes if that is longer than was planned."""
     seconds, amounts = 0.0, dict[str, float]()
     lasted: dict[tuple[RunId, int], float] = {}
@@ -92,7 +92,7 @@ def _under_way(state: LabState, users: Collection[str], now: int) -> _Planned:
         steps = state.runs.plan_of(run).steps
         left = {index for index, step in enumerate(steps) if _is_to_come(run, index, step)}
         seconds += sum(max(steps[index].duration_s, lasted.get((name, index), 0.0)) for index in left)
-        for index, _, kind, amount in uses_up(steps):
+        for index, _, kind, amount in list_used_up(steps):
             if index in left:
                 amounts[kind] = amounts.get(kind, 0.0) + amount
     return _Planned(seconds / 3600, amounts)

@@ -35,7 +35,7 @@ LATEST = 4_102_444_800 * SECOND_NS
 """Until 2100 times are worked out."""
 
 
-def zone_of(name: str) -> tzinfo:
+def find_zone(name: str) -> tzinfo:
     """The time zone of that name. Raises ValueError."""
     if name in ("", "UTC"):
         return UTC
@@ -48,7 +48,7 @@ def zone_of(name: str) -> tzinfo:
 def zone_or_utc(name: str) -> tzinfo:
     """UTC in place of a zone that this computer does not know."""
     try:
-        return zone_of(name)
+        return find_zone(name)
     except ValueError:
         return UTC
 
@@ -59,11 +59,11 @@ def in_zone(at: int, zone: str) -> str:
     return datetime.fromtimestamp(at // SECOND_NS, zone_or_utc(zone)).strftime("%Y-%m-%d %H:%M %Z")
 
 
-def fault_of_rule(rule: str, zone: str, first: int) -> str:
+def find_rule_fault(rule: str, zone: str, first: int) -> str:
     """What is wrong with a rule whose first time is ``first`` (UTC ns), as a sentence; empty: nothing."""
     if len(rule) > LONGEST_RULE:
         return f"A rule has at most {LONGEST_RULE} characters."
-    told = _parts(rule)
+    told = _split_rule(rule)
     for part in told:
         if part not in PARTS:
             return f"A rule says {', '.join(PARTS)}, and not {part!r}."
@@ -79,7 +79,7 @@ def fault_of_rule(rule: str, zone: str, first: int) -> str:
         if not re.fullmatch(r"[1-9]\d{0,4}", told.get(part, "1")):
             return f"{part} is a number from 1 to 99999."
     try:
-        local = _local(first, zone_of(zone))
+        local = _convert_to_local(first, find_zone(zone))
         found = _read(told, local, local)
         # A rule that never comes true is looked for until the year 9999.
         begins = next(iter(found), None) if _may_be_on(told, local) else None
@@ -88,13 +88,13 @@ def fault_of_rule(rule: str, zone: str, first: int) -> str:
     return "" if begins == local else "The first time does not follow the rule."
 
 
-def times_between(rule: str, zone: str, first: int, after: int, before: int) -> list[int]:
+def list_times_between(rule: str, zone: str, first: int, after: int, before: int) -> list[int]:
     """The times of a rule at or after ``after`` and before ``before`` (UTC ns), ``first`` among them."""
-    found = _times(rule, zone, first).until(min(before, LATEST))
+    found = _find_times(rule, zone, first).list_until(min(before, LATEST))
     return found[bisect_left(found, after) : bisect_left(found, before)]
 
 
-def _parts(rule: str) -> dict[str, str]:
+def _split_rule(rule: str) -> dict[str, str]:
     return dict(part.partition("=")[::2] for part in rule.split(";"))
 
 
@@ -110,7 +110,7 @@ def _may_be_on(told: Mapping[str, str], day: datetime) -> bool:
     )
 
 
-def _local(at: int, zone: tzinfo) -> datetime:
+def _convert_to_local(at: int, zone: tzinfo) -> datetime:
     """What a clock on the wall shows."""
     return datetime.fromtimestamp(at // SECOND_NS, zone).replace(tzinfo=None)
 
@@ -128,15 +128,15 @@ class _Times:
     """The times of a rule, worked out as far as anybody has asked."""
 
     def __init__(self, rule: str, zone: str, first: int) -> None:
-        self._zone, self._rest = zone_of(zone), first % SECOND_NS
-        told = _parts(rule)
+        self._zone, self._rest = find_zone(zone), first % SECOND_NS
+        told = _split_rule(rule)
         self._most = min(int(told.get("COUNT", MOST_TIMES)), MOST_TIMES)
-        end = _local(LATEST, self._zone)
-        self._more: Iterator[datetime] = iter(_read(told, _local(first, self._zone), end))
+        end = _convert_to_local(LATEST, self._zone)
+        self._more: Iterator[datetime] = iter(_read(told, _convert_to_local(first, self._zone), end))
         self._known: list[int] = []
         self._over = False
 
-    def until(self, time: int) -> list[int]:
+    def list_until(self, time: int) -> list[int]:
         while not self._over and (not self._known or self._known[-1] < time):
             local = next(self._more, None)
             if local is None or len(self._known) >= self._most:
@@ -148,5 +148,5 @@ class _Times:
 
 
 @lru_cache(maxsize=1024)
-def _times(rule: str, zone: str, first: int) -> _Times:
+def _find_times(rule: str, zone: str, first: int) -> _Times:
     return _Times(rule, zone, first)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar
 import msgspec
 
 from labos.core import upcast
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.core.envelope import MAX_PAYLOAD_BYTES
 from labos.errors import LogTooNew
 
@@ -67,7 +67,7 @@ def encode(value: Event) -> bytes:
 
 
 def _encode(value: Event) -> bytes:
-    payload = canonical(value)
+    payload = encode_canonical(value)
     if "\0" in value.stream():
         raise ValueError(
             f"an event {value.TYPE} is about a name with a NUL character, which no name may have"

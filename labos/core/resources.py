@@ -87,7 +87,7 @@ def sum_needed(effects: Iterable[AnyEffect], resource: str) -> float:
     return sum(float(e.amount) for e in effects if isinstance(e, Consumes) and e.resource == resource)
 
 
-def uses_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, float], ...]:
+def list_used_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, float], ...]:
     """What the steps of a plan use up: step, module, resource, amount; not what a step before them
     puts in itself."""
     used: list[tuple[int, ModuleName, str, float]] = []
@@ -100,7 +100,7 @@ def uses_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, floa
     return tuple(used)
 
 
-def charges(
+def list_charges(
     resources: Resources, module: ModuleName, resource: str, amount: float
 ) -> list[tuple[str, float]]:
     """Which lots an amount comes from, the oldest first. What no lot covers is charged to the youngest."""

@@ -7,26 +7,26 @@ from labos.core.state import LabState
 from labos.core.users import ROLES, Role, rank
 
 
-def role_in(state: LabState, user: str, cell: str) -> int:
+def rank_role_in(state: LabState, user: str, cell: str) -> int:
     """The rank of a user's role in a workcell (``*``: in the whole lab; empty: the best anywhere)."""
-    return state.users.role_of(user, state.shares.group_of.get(user, ""), cell)
+    return state.users.rank_role(user, state.shares.group_of.get(user, ""), cell)
 
 
-def role_for(plan: Plan) -> Role:
+def find_role_for(plan: Plan) -> Role:
     """What it takes to submit a run of a plan. To bring a module out of its error is an operator's: nobody
     knows whose work has left it so. A step's own module may be reset when that step has failed."""
-    resets = any(step.recovers and not _after_own(plan, step) for step in plan.steps)
+    resets = any(step.recovers and not _follows_own_step(plan, step) for step in plan.steps)
     return "operator" if resets else "submitter"
 
 
-def _after_own(plan: Plan, step: PlanStep) -> bool:
+def _follows_own_step(plan: Plan, step: PlanStep) -> bool:
     return step.serves is not None and plan.steps[step.serves].module == step.module
 
 
-def lacks_role_for(state: LabState, user: str, plan: Plan) -> str:
+def explain_lacking_role(state: LabState, user: str, plan: Plan) -> str:
     """Why a run of a plan is not submitted for a user (any more), as a sentence; empty if it is."""
-    needs = role_for(plan)
-    has = role_in(state, user, plan.workcell)
+    needs = find_role_for(plan)
+    has = rank_role_in(state, user, plan.workcell)
     if state.users.is_open or (state.users.get(user) is not None and has >= rank(needs)):
         return ""
     return f"{plan.workflow!r} needs the role {needs} in {plan.workcell}; {user} is {ROLES[has]} there."

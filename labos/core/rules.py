@@ -13,7 +13,7 @@ from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
 from labos.core.binding import bind, check_module, find_unreserved
 from labos.core.booked import check_not_booked
-from labos.core.effects import AnyEffect, places
+from labos.core.effects import AnyEffect, list_places
 from labos.core.expiry import check_in_date
 from labos.core.holding import find_other_holder
 from labos.core.ids import ActionId, ModuleName, RunId, local, workcell_of
@@ -24,9 +24,9 @@ from labos.core.quotas import check_quota
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_anchor
 from labos.core.state import LabState
 from labos.core.together import check_left_out
-from labos.core.waits import Wait, access_key, module_key, run_key, until_left_alone, zone_key
+from labos.core.waits import Wait, access_key, list_keys_until_left_alone, module_key, run_key, zone_key
 from labos.core.watching import find_unwatched
-from labos.core.zones import find_other_at_work, find_stopped_module, zones_of
+from labos.core.zones import find_other_at_work, find_stopped_module, find_zones
 
 NODE_AWAY_S = 60.0
 """Wall seconds for which the node of an action in flight may be gone before a person is asked."""
@@ -45,12 +45,12 @@ def examine(
     carried out together with one of each of the ``others``."""
     step = state.runs.plan_of(run).steps[index]
     return (
-        _own_turn(state, run, step, index)
+        _check_own_turn(state, run, step, index)
         or check_log_whole(state, step)
         or check_starts_allowed(state, run, step)
         or check_no_access(state, run, step)
         or check_quota(state, run, now)
-        or _in_window(state, run, step, now)
+        or _check_windows(state, run, step, now)
         or _check_retry_delay(state, run, step, index, now)
         or check_not_booked(state, run, step, now)
         or check_module_free(state, run, step)
@@ -70,7 +70,7 @@ def find_approval_wait(state: LabState, run: RunState) -> Wait:
     return Wait(reasons.NotApproved(run.id, why), (run_key(run.id),))
 
 
-def _own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wait | None:
+def _check_own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wait | None:
     if run.unapproved:
         return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.held:
@@ -126,12 +126,12 @@ def check_no_access(state: LabState, run: RunState, step: PlanStep) -> Wait | No
     return Wait(reasons.Access(cell, access.by), (access_key(cell),))
 
 
-def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
+def _check_windows(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
     for window in step.windows:
         ended = find_anchor(run, window)
         if ended is None:
             continue
-        earliest = ended + lab_ns(state, window.wait_s)
+        earliest = ended + convert_lab_s(state, window.wait_s)
         if now < earliest:
             return Wait(reasons.TooEarly(step.key), (), until=earliest)
     return None
@@ -142,17 +142,19 @@ def _check_retry_delay(state: LabState, run: RunState, step: PlanStep, index: in
     failed_at = run.steps[index].retried_at if run.steps else None
     if failed_at is None or step.retry is None:
         return None
-    again = failed_at + lab_ns(state, step.retry.delay_s)
+    again = failed_at + convert_lab_s(state, step.retry.delay_s)
     return Wait(reasons.RetryLater(step.key), (), until=again) if now < again else None
 
 
-def due_at(state: LabState, action: Action) -> int | None:
+def find_due_time(state: LabState, action: Action) -> int | None:
     """When an action has to have ended (UTC ns); None if its step sets no time, its device says that it
     has, it is known already that nobody knows, or a person does it: who is late is asked again, and knows."""
-    return None if action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN) else ends_by(state, action)
+    return (
+        None if action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN) else find_end_by(state, action)
+    )
 
 
-def ends_by(state: LabState, action: Action) -> int | None:
+def find_end_by(state: LabState, action: Action) -> int | None:
     """When an action should have ended, by the time that its step gives it, and for which its module is set
     up before (UTC ns); None if it sets none."""
     run = state.runs.active.get(action.run)
@@ -163,7 +165,7 @@ def ends_by(state: LabState, action: Action) -> int | None:
         return None
     flight = state.modules.by_name[action.module].in_flight.get(action.id)
     setup_s = flight.setup_s if flight is not None else 0.0
-    return action.requested_at + lab_ns(state, step.timeout_s + setup_s)
+    return action.requested_at + convert_lab_s(state, step.timeout_s + setup_s)
 
 
 def find_give_up_time(state: LabState, action: Action) -> int | None:
@@ -174,7 +176,7 @@ def find_give_up_time(state: LabState, action: Action) -> int | None:
         return None
     if action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN):
         return None
-    if state.interventions.about(action.id) is not None:
+    if state.interventions.find_about(action.id) is not None:
         return None
     return module.gone_at + int(NODE_AWAY_S * 1e9)
 
@@ -189,12 +191,12 @@ def find_standstill_time(state: LabState, action: Action) -> int | None:
     return module.error_at + int(WAITS_S * 1e9)
 
 
-def closes_late_at(state: LabState, run: RunState) -> int | None:
+def find_late_close(state: LabState, run: RunState) -> int | None:
     """When to tell somebody that a closing workflow has not begun (UTC ns); None if it has, if it is none, or
     if it was told."""
     if not run.closing or run.has_started or run.asked:
         return None
-    return run.submitted_at + lab_ns(state, CLOSING_S)
+    return run.submitted_at + convert_lab_s(state, CLOSING_S)
 
 
 def may_still_act(state: LabState, action: Action) -> bool:
@@ -204,7 +206,7 @@ def may_still_act(state: LabState, action: Action) -> bool:
     return module.status == ModuleStatus.GONE and not module.out_of_service and not module.person
 
 
-def lab_ns(state: LabState, seconds: float) -> int:
+def convert_lab_s(state: LabState, seconds: float) -> int:
     """Lab seconds as nanoseconds of wall time."""
     return int(seconds * 1e9 / state.lab.pace)
 
@@ -229,14 +231,14 @@ def check_module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | 
         return Wait(reasons.Held(step.module, holder), (key,))
     for name in state.bench.by_module.get(step.module, ()):
         station = state.bench.stations[name]
-        if not station.spec.stands_apart and (station.expected or _in_motion(state, station)):
-            return Wait(reasons.ReachedInto(name), until_left_alone(state, name))
+        if not station.spec.stands_apart and (station.expected or _is_in_motion(state, station)):
+            return Wait(reasons.ReachedInto(name), list_keys_until_left_alone(state, name))
     return None
 
 
 def check_zones_free(state: LabState, step: PlanStep) -> Wait | None:
     """Whether no other arm is where this step's arm would go."""
-    for zone in zones_of(state, step.module, step.effects) if step.exclusive else ():
+    for zone in find_zones(state, step.module, step.effects) if step.exclusive else ():
         busy = find_other_at_work(state, zone, step.module)
         if busy:
             return Wait(reasons.ZoneBusy(busy, zone), (zone_key(zone), module_key(busy)))
@@ -247,12 +249,14 @@ def check_zones_free(state: LabState, step: PlanStep) -> Wait | None:
     return None
 
 
-def _in_motion(state: LabState, station: Station) -> bool:
+def _is_in_motion(state: LabState, station: Station) -> bool:
     """Whether something comes away from a station. What was seen there while nobody knows how its motion
     from one other place to the next has ended does not."""
     labware, open_ = state.bench.labware, state.actions.open
     moving = [open_[ActionId(name)] for item in station.labware if (name := labware[item].moving)]
-    return any(a.status != ActionStatus.UNKNOWN or station.spec.name in places(a.effects) for a in moving)
+    return any(
+        a.status != ActionStatus.UNKNOWN or station.spec.name in list_places(a.effects) for a in moving
+    )
 
 
 def _check_supplies(state: LabState, run: RunState) -> Wait | None:
@@ -269,16 +273,16 @@ def _check_supplies(state: LabState, run: RunState) -> Wait | None:
         if level is None:
             continue
         left = find_unreserved(state, module, resource)
-        if left is not None and left - _to_come(state, module, resource) < min(amount, level.capacity):
+        if left is not None and left - _sum_to_come(state, module, resource) < min(amount, level.capacity):
             return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None
 
 
-def _to_come(state: LabState, module: ModuleName, resource: str) -> float:
+def _sum_to_come(state: LabState, module: ModuleName, resource: str) -> float:
     """What the runs under way will still use up."""
     return sum(
         amount
-        for run in state.runs.inside(workcell_of(module))
+        for run in state.runs.list_inside(workcell_of(module))
         for index, at, what, amount in state.runs.plans[run.plan].uses_up
         if at == module and what == resource and run.steps[index].status == PENDING
     )

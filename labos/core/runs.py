@@ -204,7 +204,7 @@ class RunStatus(StrEnum):
 
 class RunState(msgspec.Struct):
     """A run that has not ended. ``steps`` are in the order of its plan; while it waits to be let in they may
-    be missing (``statuses_of``). ``asked`` is whether a person was told that it does not begin;
+    be missing (``list_statuses``). ``asked`` is whether a person was told that it does not begin;
     ``unapproved`` while it waits for a second person, ``held`` while it waits for an approval. ``choices``
     are the plans that it has to choose from, if there are several; ``plan`` is the one that counts, or the
     first while it waits. ``due_at`` is when it should be over (UTC ns, 0: no such time)."""
@@ -291,7 +291,7 @@ class Runs(msgspec.Struct):
     ending: dict[RunId, bool] = {}
     choosing: dict[RunId, bool] = {}
 
-    def inside(self, cell: str) -> list[RunState]:
+    def list_inside(self, cell: str) -> list[RunState]:
         """The active runs of a workcell, in the order in which they were let in."""
         return [self.active[name] for name in self.in_cell.get(cell, ())]
 
@@ -319,33 +319,33 @@ class Runs(msgspec.Struct):
     def plan_of(self, run: RunState) -> Plan:
         return self.plans[run.plan].plan
 
-    def shape_of(self, run: RunState) -> str:
+    def find_shape(self, run: RunState) -> str:
         """What decides, of its plans, whether a run may start."""
         if not run.choices:
             return self.plans[run.plan].shape
         return "+".join(self.plans[plan].shape for plan in run.choices)
 
 
-def options(run: RunState) -> list[RunState]:
+def list_options(run: RunState) -> list[RunState]:
     """A run that waits as it would be with each of its plans; one that was let in as it is."""
     if run.has_started or not run.choices:
         return [run]
     return [run if plan == run.plan else msgspec.structs.replace(run, plan=plan) for plan in run.choices]
 
 
-def modules_open(runs: Runs, run: RunState) -> dict[str, list[ModuleName]]:
+def find_open_modules(runs: Runs, run: RunState) -> dict[str, list[ModuleName]]:
     """Between which modules a run has a choice, by the steps' keys; once it was let in, the one that it has
     chosen."""
     found: dict[str, list[ModuleName]] = {}
-    for option in options(run) if run.choices else ():
-        for key, module in modules_chosen(runs, option).items():
+    for option in list_options(run) if run.choices else ():
+        for key, module in find_chosen_modules(runs, option).items():
             names = found.setdefault(key, [])
             if module not in names:
                 names.append(module)
     return found
 
 
-def modules_chosen(runs: Runs, run: RunState) -> dict[str, ModuleName]:
+def find_chosen_modules(runs: Runs, run: RunState) -> dict[str, ModuleName]:
     """The modules, by the steps' keys, that another of a run's plans would have others for."""
     plans = [runs.plans[plan].plan.steps for plan in run.choices]
     steps = runs.plan_of(run).steps
@@ -358,7 +358,7 @@ def modules_chosen(runs: Runs, run: RunState) -> dict[str, ModuleName]:
 
 def queue_key(shape: str, run: RunState) -> str:
     """Runs with one key differ in nothing that decides whether they may start, but their age."""
-    state = (find_holds(run), *clocks_of(run), *([f"due {run.due_at}"] if run.due_at else []))
+    state = (find_holds(run), *list_clocks(run), *([f"due {run.due_at}"] if run.due_at else []))
     return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{run.campaign}\x1f{state}"
 
 
@@ -368,7 +368,7 @@ def find_holds(run: RunState) -> int:
     return int(run.paused) + 2 * int(run.unapproved) + 4 * int(run.held)
 
 
-def clocks_of(run: RunState) -> tuple[int, ...]:
+def list_clocks(run: RunState) -> tuple[int, ...]:
     """When the clocks that other runs have started for it began to run (UTC ns)."""
     return tuple(anchor.ended_at for anchor in run.anchors)
 
@@ -404,7 +404,7 @@ def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) 
     runs.queued[event.run] = run
     if event.anchors:
         _note_window(runs, event.run, plan.plan.workcell)
-    runs.queue.setdefault(queue_key(runs.shape_of(run), run), {})[event.run] = True
+    runs.queue.setdefault(queue_key(runs.find_shape(run), run), {})[event.run] = True
     runs.named += 1
     if event.request:
         runs.requests[event.request] = event.run
@@ -413,7 +413,7 @@ def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) 
 
 
 def _leave_queue(runs: Runs, run: RunState) -> None:
-    key = queue_key(runs.shape_of(run), run)
+    key = queue_key(runs.find_shape(run), run)
     waiting = runs.queue[key]
     del waiting[run.id]
     if not waiting:
@@ -425,7 +425,7 @@ def fold_run_started(runs: Runs, event: RunStarted, at: int) -> None:
     _leave_queue(runs, run)
     del runs.queued[event.run]
     run.status, run.started_at = RunStatus.ACTIVE, at
-    run.steps = run.steps or first_states(runs.plan_of(run))
+    run.steps = run.steps or make_first_states(runs.plan_of(run))
     runs.active[event.run] = run
     cell = runs.plan_of(run).workcell
     runs.in_cell.setdefault(cell, {})[event.run] = True
@@ -444,7 +444,7 @@ def fold_run_bound(runs: Runs, event: RunBound, at: int) -> None:
         return
     run = runs.active[event.run]
     for hold in runs.plan_of(run).holds:
-        _lets_go(runs, hold.module, event.run)
+        _drop_holder(runs, hold.module, event.run)
     run.plan = event.plan
     for hold in runs.plan_of(run).holds:
         runs.holders.setdefault(hold.module, {})[event.run] = True
@@ -460,22 +460,22 @@ def list_first_statuses(plan: Plan) -> list[StepStatus]:
     return [PENDING if step.part == MAIN else SKIPPED for step in plan.steps]
 
 
-def first_states(plan: Plan) -> list[StepState]:
+def make_first_states(plan: Plan) -> list[StepState]:
     """A plan's steps before anything was done."""
     return [StepState(status) for status in list_first_statuses(plan)]
 
 
-def statuses_of(plan: Plan, run: RunState) -> list[StepStatus]:
+def list_statuses(plan: Plan, run: RunState) -> list[StepStatus]:
     """The status of each step, also of a run that waits to be let in."""
     return run.statuses or list_first_statuses(plan)
 
 
-def results_of(plan: Plan, run: RunState) -> dict[int, Any]:
+def find_results(plan: Plan, run: RunState) -> dict[int, Any]:
     """What later steps of a run read, by the index of the step."""
     return {i: run.steps[i].result for i in plan.feeds if run.steps and run.steps[i].status == DONE}
 
 
-def in_play(plan: Plan, steps: Sequence[StepStatus]) -> int:
+def count_in_play(plan: Plan, steps: Sequence[StepStatus]) -> int:
     """How many steps a run has, given their states: those for emergencies count when they have come."""
     return sum(step.part == MAIN or status != SKIPPED for step, status in zip(plan.steps, steps, strict=True))
 
@@ -509,7 +509,7 @@ def let_wait_anew(runs: Runs, run: RunState) -> Iterator[None]:
     """What is changed of a waiting run in the block decides where it waits."""
     _leave_queue(runs, run)
     yield
-    runs.queue.setdefault(queue_key(runs.shape_of(run), run), {})[run.id] = True
+    runs.queue.setdefault(queue_key(runs.find_shape(run), run), {})[run.id] = True
 
 
 def fold_run_cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
@@ -542,14 +542,14 @@ def fold_run_ended(runs: Runs, event: RunEnd, at: int) -> None:
     for index in (runs.in_cell, runs.windowed_in):
         index.get(runs.plan_of(run).workcell, {}).pop(event.run, None)
     for hold in runs.plan_of(run).holds:
-        _lets_go(runs, hold.module, event.run)
+        _drop_holder(runs, hold.module, event.run)
     if isinstance(event, RunCompleted) and run.experiment and not run.closing:
         _remember(runs, run)
     for plan in run.choices or (run.plan,):
         release_plan(runs.plans, plan)
 
 
-def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
+def _drop_holder(runs: Runs, module: ModuleName, run: RunId) -> None:
     holders = runs.holders.get(module, {})
     holders.pop(run, None)
     if not holders:

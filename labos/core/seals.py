@@ -12,14 +12,14 @@ from typing import TypeVar
 
 import msgspec
 
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 
 S = TypeVar("S", bound=msgspec.Struct)
 
 
 def add_seal(document: S, key: bytes) -> S:
     """The document with its ``seal``; without a key, as it is."""
-    return msgspec.structs.replace(document, seal=_digest(document, key)) if key else document
+    return msgspec.structs.replace(document, seal=_make_digest(document, key)) if key else document
 
 
 def check_seal(document: msgspec.Struct, key: bytes) -> str:
@@ -29,9 +29,13 @@ def check_seal(document: msgspec.Struct, key: bytes) -> str:
     seal = str(getattr(document, "seal", ""))
     if not seal:
         return "it bears no seal"
-    return "" if hmac.compare_digest(seal, _digest(document, key)) else "its seal was not made with this key"
+    return (
+        ""
+        if hmac.compare_digest(seal, _make_digest(document, key))
+        else "its seal was not made with this key"
+    )
 
 
-def _digest(document: msgspec.Struct, key: bytes) -> str:
+def _make_digest(document: msgspec.Struct, key: bytes) -> str:
     bare = msgspec.structs.replace(document, seal="")  # type: ignore[type-var,unused-ignore]
-    return hmac.new(key, canonical(bare), hashlib.sha256).hexdigest()
+    return hmac.new(key, encode_canonical(bare), hashlib.sha256).hexdigest()

@@ -25,7 +25,7 @@ class Setup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     takes_s: float
     changes: tuple[SetupChange, ...] = ()
 
-    def cost_s(self, before: Any, args: Mapping[str, Any]) -> float:
+    def compute_cost_s(self, before: Any, args: Mapping[str, Any]) -> float:
         """How much longer an action with these arguments takes on a module that is set up for ``before``
         (None: nobody knows); 0 for an action without the argument."""
         if self.argument not in args or args[self.argument] == before:

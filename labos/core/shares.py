@@ -69,11 +69,11 @@ class Usage(msgspec.Struct):
     used_ns: float = 0.0
     at: int = 0
 
-    def level(self, now: int) -> float:
+    def compute_level(self, now: int) -> float:
         return self.used_ns * float(0.5 ** ((now - self.at) / HALF_LIFE_NS))
 
     def add(self, spent_ns: int, now: int) -> None:
-        self.used_ns, self.at = self.level(now) + spent_ns, now
+        self.used_ns, self.at = self.compute_level(now) + spent_ns, now
 
 
 class Week(msgspec.Struct):
@@ -90,7 +90,7 @@ class Week(msgspec.Struct):
                 for old in [known for known in table if known <= last]:
                     del table[old]
 
-    def lab_ns(self, now: int) -> int:
+    def sum_lab_ns(self, now: int) -> int:
         """Module time of the last seven days."""
         return sum(spent for day, spent in self.spent_ns.items() if day > now // DAY_NS - WEEK_DAYS)
 
@@ -129,23 +129,23 @@ class Shares(msgspec.Struct):
     parts: dict[ActionId, int] = {}
     kept: dict[str, bool] = {}
 
-    def member(self, user: str) -> Member:
+    def find_member(self, user: str) -> Member:
         return self.members.get(user, _ANYBODY)
 
     def find_share_used(self, user: str, now: int) -> tuple[float, float]:
         """What a user has had for the weight: first the group, then the user within it. The user with the
         least goes first."""
-        member, group = self.member(user), self.groups.get(self.group_of.get(user, ""))
+        member, group = self.find_member(user), self.groups.get(self.group_of.get(user, ""))
         usage = self.usage.get(user)
-        own = (usage.level(now) if usage is not None else 0.0) / member.weight
+        own = (usage.compute_level(now) if usage is not None else 0.0) / member.weight
         if group is None:
             return own, own
         together = self.group_usage.get(group.name)
-        return (together.level(now) if together is not None else 0.0) / group.weight, own
+        return (together.compute_level(now) if together is not None else 0.0) / group.weight, own
 
-    def limits(self, user: str) -> list[tuple[str, Quota, Had]]:
+    def list_limits(self, user: str) -> list[tuple[str, Quota, Had]]:
         """The quotas that a user has to keep: whose they are, and what of them is used."""
-        found = [(user, self.member(user).quota, self.had.get(user, Had()))]
+        found = [(user, self.find_member(user).quota, self.had.get(user, Had()))]
         group = self.groups.get(self.group_of.get(user, ""))
         if group is not None:
             found.append((f"the group {group.name}", group.quota, self.group_had.get(group.name, Had())))
@@ -209,7 +209,7 @@ def _count_groups(shares: Shares, at: int) -> None:
     for user, name in shares.group_of.items():
         together = shares.group_usage.setdefault(name, Usage(at=at))
         usage = shares.usage.get(user)
-        together.used_ns += usage.level(at) if usage is not None else 0.0
+        together.used_ns += usage.compute_level(at) if usage is not None else 0.0
         own, had = shares.had.get(user), shares.group_had.setdefault(name, Had())
         if own is None:
             continue
@@ -222,7 +222,7 @@ def _count_groups(shares: Shares, at: int) -> None:
                 _add_consumed(had.week, day, kind, amount)
 
 
-def _had(shares: Shares, user: str) -> list[Had]:
+def _list_had(shares: Shares, user: str) -> list[Had]:
     """What a user, and the user's group, have had."""
     own = shares.had.get(user) or shares.had.setdefault(user, Had())
     group = shares.group_of.get(user)
@@ -238,13 +238,13 @@ def _find_usage(table: dict[str, Usage], name: str, at: int) -> Usage:
 
 def fold_run_submitted(shares: Shares, event: RunSubmitted, at: int) -> None:
     shares.users[event.run] = event.user
-    for had in _had(shares, event.user):
+    for had in _list_had(shares, event.user):
         had.queued += 1
 
 
 def fold_run_started(shares: Shares, event: RunStarted, at: int) -> None:
     shares.started[event.run] = True
-    for had in _had(shares, shares.users[event.run]):
+    for had in _list_had(shares, shares.users[event.run]):
         had.queued -= 1
         had.running += 1
 
@@ -254,7 +254,7 @@ def fold_run_ended(shares: Shares, event: RunEnd, at: int) -> None:
     if user is None:
         return
     was_started = shares.started.pop(event.run, False)
-    for had in _had(shares, user):
+    for had in _list_had(shares, user):
         if was_started:
             had.running -= 1
         else:
@@ -277,14 +277,14 @@ def fold_action_ended(shares: Shares, event: ActionEnd, at: int) -> None:
     if group is not None:
         _find_usage(shares.group_usage, group, at).add(spent, at)
     day = at // DAY_NS
-    for had in _had(shares, user):
+    for had in _list_had(shares, user):
         had.week.forget_before(day)
         had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + spent
 
 
 def fold_resource_consumed(shares: Shares, event: ResourceConsumed, at: int) -> None:
     user = shares.users.get(RunId(event.run))
-    for had in _had(shares, user) if user is not None else ():
+    for had in _list_had(shares, user) if user is not None else ():
         had.week.forget_before(at // DAY_NS)
         _add_consumed(had.week, at // DAY_NS, event.resource, event.amount)
 

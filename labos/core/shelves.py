@@ -34,7 +34,7 @@ def is_taken(bench: Bench, hotel: StationName) -> bool:
     return any(bench.stations[s].count and s not in bench.haunted for s in bench.shelves[hotel])
 
 
-def in_doubt(bench: Bench, place: StationName) -> bool:
+def is_in_doubt(bench: Bench, place: StationName) -> bool:
     """Whether labware of uncertain place may stand at a place, or on one of its shelves."""
     return place in bench.haunted or any(s in bench.haunted for s in bench.shelves.get(place, ()))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.actions import ActionDiscovered
-from labos.core.effects import AnyEffect, Move, Needs, places
+from labos.core.effects import AnyEffect, Move, Needs, list_places
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, workcell_of
 from labos.core.registry import Event, event
 from labos.core.words import Words
@@ -100,7 +100,7 @@ def fold_action_discovered(shorter: Shorter, event: ActionDiscovered, at: int) -
     if event.effects is None:
         _doubt_cell(shorter, workcell_of(event.module))
         return
-    for place in places(event.effects):
+    for place in list_places(event.effects):
         shorter.touched[place] = True
         shorter.said.pop(place, None)
     for effect in event.effects:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any, Literal, get_args
 
 from labos.core.ids import RunId
-from labos.core.merkle import leaf_hash
+from labos.core.merkle import hash_leaf
 from labos.core.registry import Event, event
 from labos.core.words import Words
 
@@ -65,6 +65,6 @@ HANDLERS: dict[Any, Any] = {}
 """No state depends on it."""
 
 
-def digest_of_records(envelopes: Iterable[bytes]) -> str:
+def make_digest_of_records(envelopes: Iterable[bytes]) -> str:
     """What a signature binds to: records by their envelopes in the order of the log."""
-    return hashlib.sha256(b"".join(map(leaf_hash, envelopes))).hexdigest()
+    return hashlib.sha256(b"".join(map(hash_leaf, envelopes))).hexdigest()

@@ -65,7 +65,7 @@ _WIDE = b"{"
 """How a picture in JSON begins. One in MessagePack begins with the mark of a map, which is above 0x7f."""
 
 
-def picture(state: LabState) -> bytes:
+def encode_picture(state: LabState) -> bytes:
     """The state as bytes: the same events give the same bytes."""
     try:
         return _encoder.encode(state)
@@ -81,7 +81,7 @@ def from_picture(data: bytes) -> LabState:
     return state
 
 
-def picture_with(data: bytes, change: Callable[[str], str]) -> bytes:
+def rewrite_picture(data: bytes, change: Callable[[str], str]) -> bytes:
     """A picture with each of its texts changed. It is of no event any more, and is only to be shown."""
     codec: Any = msgspec.json if data[:1] == _WIDE else msgspec.msgpack
 
@@ -97,8 +97,8 @@ def picture_with(data: bytes, change: Callable[[str], str]) -> bytes:
     return bytes(codec.encode(change_value(codec.decode(data))))
 
 
-def state_hash(state: LabState) -> str:
-    return hashlib.sha256(picture(state)).hexdigest()
+def hash_state(state: LabState) -> str:
+    return hashlib.sha256(encode_picture(state)).hexdigest()
 
 
 def fold_fingerprint() -> str:

@@ -25,8 +25,8 @@ from labos.core.runs import (
     Runs,
     RunState,
     StepStatus,
-    first_states,
     list_rescue_steps,
+    make_first_states,
 )
 
 
@@ -80,7 +80,7 @@ def fold_window_breached(runs: Runs, event: WindowBreached, at: int) -> None:
     run = runs.get(event.run)
     if run is not None:
         if not run.steps:  # it waits to be let in
-            run.steps = first_states(runs.plan_of(run))
+            run.steps = make_first_states(runs.plan_of(run))
         run.steps[event.step].breached = True
 
 

@@ -25,12 +25,12 @@ CONTROL_IN_NOTE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 """What no note may hold; it may have several lines."""
 
 
-def printable(text: str) -> str:
+def strip_unprintable(text: str) -> str:
     """The text without characters that cannot be recorded or shown."""
     return CONTROL_IN_NOTE.sub("\ufffd", text.replace("\r\n", "\n").replace("\r", "\n"))
 
 
 def cut(text: str, most: int = LONGEST_REPORT) -> str:
     """The printable text, with at most ``most`` characters."""
-    text = printable(text)
+    text = strip_unprintable(text)
     return text if len(text) <= most else text[: most - len(CUT)] + CUT

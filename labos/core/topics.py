@@ -62,7 +62,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return ()
 
 
-def in_batches(topic: type[Topic], pieces: Sequence[T]) -> Iterator[Sequence[T]]:
+def split_into_batches(topic: type[Topic], pieces: Sequence[T]) -> Iterator[Sequence[T]]:
     """The pieces, as many at a time as one question of this type may be about."""
     for first in range(0, len(pieces), topic.MOST_PIECES):
         yield pieces[first : first + topic.MOST_PIECES]

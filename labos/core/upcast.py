@@ -8,7 +8,7 @@ from typing import Any
 Lift = Callable[[dict[str, Any]], dict[str, Any]]
 
 
-def _as_it_was(payload: dict[str, Any]) -> dict[str, Any]:
+def _keep_payload(payload: dict[str, Any]) -> dict[str, Any]:
     """A version that only added fields, each with a default."""
     return payload
 
@@ -16,7 +16,7 @@ def _as_it_was(payload: dict[str, Any]) -> dict[str, Any]:
 def _with_topic(payload: dict[str, Any]) -> dict[str, Any]:
     """A question names the fields of what it is about. What an answer needs, earlier versions read out of
     ``subject``, ``motions`` and the consequences of choices; that is done here, once."""
-    topic = _topic(payload, payload["kind"], payload["subject"], payload.get("motions") or [])
+    topic = _upcast_topic(payload, payload["kind"], payload["subject"], payload.get("motions") or [])
     if topic is None:
         return payload
     common = {"run": payload.get("run", ""), "module": payload.get("module", "")}
@@ -27,7 +27,9 @@ _OF_AN_ACTION = ("unknown_action", "planned_work", "discovered_action")
 _OF_NO_FIELDS = ("doubtful_node", "outranked_node", "log_shorter", "device_waits", "second_person")
 
 
-def _topic(payload: dict[str, Any], kind: str, subject: str, motions: list[Any]) -> dict[str, Any] | None:
+def _upcast_topic(
+    payload: dict[str, Any], kind: str, subject: str, motions: list[Any]
+) -> dict[str, Any] | None:
     choices = {choice["name"]: choice["consequence"] for choice in payload["choices"]}
     labware = payload.get("labware") or []
     if kind in _OF_AN_ACTION:
@@ -49,10 +51,10 @@ def _topic(payload: dict[str, Any], kind: str, subject: str, motions: list[Any])
         read = {name: reading[name] for name in ("labware", "station", "barcode")}
         other = next((name for name in labware if name != reading["labware"]), "")
         return {"topic": kind, "action": subject, "other": other, **read}
-    return _contradiction(subject, choices, labware, motions) if kind == "contradiction" else None
+    return _upcast_contradiction(subject, choices, labware, motions) if kind == "contradiction" else None
 
 
-def _contradiction(
+def _upcast_contradiction(
     subject: str, choices: dict[str, str], labware: list[str], motions: list[Any]
 ) -> dict[str, Any]:
     if not motions:
@@ -71,7 +73,7 @@ def _contradiction(
 
 def _with_no_anchor(payload: dict[str, Any]) -> dict[str, Any]:
     """Of a clock that another run started, no step of this run is the anchor; it was written as -1."""
-    return {**payload, "anchor": _or_null(payload["anchor"])}
+    return {**payload, "anchor": _negative_to_null(payload["anchor"])}
 
 
 def _with_no_numbers_for_nothing(payload: dict[str, Any]) -> dict[str, Any]:
@@ -81,7 +83,7 @@ def _with_no_numbers_for_nothing(payload: dict[str, Any]) -> dict[str, Any]:
         step["windows"] = [_with_no_anchor(window) for window in step.get("windows") or ()]
         retry = step.get("retry")
         if retry is not None:
-            step["retry"] = {**retry, "reset": _or_null(retry.get("reset", -1))}
+            step["retry"] = {**retry, "reset": _negative_to_null(retry.get("reset", -1))}
     return {**payload, "steps": steps}
 
 
@@ -98,21 +100,21 @@ def _with_named_parts(payload: dict[str, Any]) -> dict[str, Any]:
 
 def _with_no_row(payload: dict[str, Any]) -> dict[str, Any]:
     """A run of no campaign was written with row -1."""
-    return {**payload, "row": _or_null(payload.get("row", -1))}
+    return {**payload, "row": _negative_to_null(payload.get("row", -1))}
 
 
-def _or_null(index: int) -> int | None:
+def _negative_to_null(index: int) -> int | None:
     return index if index >= 0 else None
 
 
 LIFTS: dict[tuple[str, int], Lift] = {
-    ("plan.steps_recorded", 1): _as_it_was,
+    ("plan.steps_recorded", 1): _keep_payload,
     ("plan.steps_recorded", 2): _with_no_numbers_for_nothing,
     ("plan.steps_recorded", 3): _with_named_parts,
     ("run.submitted", 1): _with_no_row,
-    ("run.submitted", 2): _as_it_was,
+    ("run.submitted", 2): _keep_payload,
     ("window.breached", 1): _with_no_anchor,
-    ("module.taken_out", 1): _as_it_was,
+    ("module.taken_out", 1): _keep_payload,
     ("intervention.requested", 1): _with_topic,
 }
 """(type, version) → a function that turns that version's payload into the next one's."""

@@ -38,7 +38,7 @@ def on_behalf(service: str, person: str) -> str:
     return f"{service}{ON_BEHALF}{person}"
 
 
-def person_of(actor: str) -> str:
+def find_person(actor: str) -> str:
     """The user who counts as the author of an act: the actor itself or, if a service account acts for a
     person, that person."""
     return actor.rpartition(ON_BEHALF)[2]
@@ -165,7 +165,7 @@ class Users(msgspec.Struct):
         found = self.known.get(user)
         return found if found is not None and not found.disabled else None
 
-    def role_of(self, user: str, group: str, cell: str) -> int:
+    def rank_role(self, user: str, group: str, cell: str) -> int:
         """The rank of a user's role in a workcell, by itself or by its group. ``cell`` is ``*`` for the
         whole lab, and empty for the best role anywhere."""
         best = NO_ROLE
@@ -175,7 +175,7 @@ class Users(msgspec.Struct):
                     best = max(best, ROLES.index(role))
         return best
 
-    def admins(self) -> list[str]:
+    def list_admins(self) -> list[str]:
         """The persons who may act and were themselves made admins of the whole lab. One of them stays."""
         return [
             name

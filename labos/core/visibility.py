@@ -8,22 +8,22 @@ from __future__ import annotations
 
 from labos.core.ids import CampaignId
 from labos.core.lab import WHOLE_LAB
-from labos.core.roles import role_in
+from labos.core.roles import rank_role_in
 from labos.core.state import LabState
-from labos.core.users import LABOS, person_of, rank
+from labos.core.users import LABOS, find_person, rank
 from labos.core.viewer import Viewer
 
 
-def viewer_of(state: LabState, actor: str) -> Viewer | None:
+def find_viewer(state: LabState, actor: str) -> Viewer | None:
     """What a user (or a service account for one) sees; None if they see everything."""
     if state.users.is_open or actor == LABOS:
         return None
-    person, needed = person_of(actor), rank("operator")
-    if role_in(state, person, WHOLE_LAB) >= needed:
+    person, needed = find_person(actor), rank("operator")
+    if rank_role_in(state, person, WHOLE_LAB) >= needed:
         return None
     group = state.shares.group_of.get(person, "")
     peers = (name for name, of in state.shares.group_of.items() if group and of == group)
-    cells = (cell for cell in state.lab.workcells if role_in(state, person, cell) >= needed)
+    cells = (cell for cell in state.lab.workcells if rank_role_in(state, person, cell) >= needed)
     return Viewer(person, tuple(sorted(peers)), tuple(sorted(cells)))
 
 

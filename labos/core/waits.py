@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.bench import Station
-from labos.core.effects import arrivals, list_carried
+from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import (
     SHARED,
     ModuleName,
@@ -66,7 +66,7 @@ def run_key(run: RunId) -> str:
     return f"run:{run}"
 
 
-def party(run: RunState) -> tuple[Owner, ...]:
+def list_party(run: RunState) -> tuple[Owner, ...]:
     """The owners whose labware a run may use, nearest first."""
     owners = [run_owner(run.id)]
     if run.experiment:
@@ -74,21 +74,24 @@ def party(run: RunState) -> tuple[Owner, ...]:
     return (*owners, user_owner(run.user), SHARED)
 
 
-def until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
+def list_keys_until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
     """The keys of a station and of the modules at work there: an arm that only changed its grip
     there, or a module that worked on what stands there, leaves no other trace."""
     bench = state.bench
     standing = {bench.labware[name].moving for name in bench.stations[place].labware}
     modules = [
         action.module
-        for action in state.actions.within(workcell_of(place))
+        for action in state.actions.list_in_cell(workcell_of(place))
         if action.id in standing
-        or place in arrivals(action.effects)
-        or (place in bench.shelves and any(bench.as_planned(p) == place for p in arrivals(action.effects)))
+        or place in list_arrivals(action.effects)
+        or (
+            place in bench.shelves
+            and any(bench.find_planned_place(p) == place for p in list_arrivals(action.effects))
+        )
         or any(what.stock == place for what in list_carried(action.effects))
     ]
     return (station_key(place), *(module_key(module) for module in modules))
 
 
-def occupants(state: LabState, station: Station) -> str:
+def describe_occupants(state: LabState, station: Station) -> str:
     return ", ".join(station.labware) or ("an arrival under way" if station.expected else "stock")

@@ -18,7 +18,7 @@ _WELL = re.compile(r"([A-Za-z]{1,2})0*([1-9][0-9]{0,2})")
 _SLACK_UL = 1e-6
 
 
-def well_name(text: str) -> str:
+def normalise_well(text: str) -> str:
     """``a01`` as ``A1``. Raises ValueError for what cannot be a well."""
     match = _WELL.fullmatch(text.strip())
     if match is None:
@@ -26,7 +26,7 @@ def well_name(text: str) -> str:
     return f"{match[1].upper()}{match[2]}"
 
 
-def well_index(well: str) -> tuple[int, int]:
+def parse_well(well: str) -> tuple[int, int]:
     """Row and column of a well, counted from 0: A1 is (0, 0), AA3 (26, 2). Raises ValueError."""
     match = _WELL.fullmatch(well)
     if match is None:
@@ -41,16 +41,16 @@ def well_key(name: str) -> tuple[int, int, int]:
     """Sorts wells as a plate has them: A1, A2, A10, B1. What is no well comes after them, in the order in
     which it stood."""
     try:
-        return (0, *well_index(name))
+        return (0, *parse_well(name))
     except ValueError:
         return (1, 0, 0)
 
 
-def by_well(value: Any, *, others_sorted: bool = False) -> Any:
+def sort_by_well(value: Any, *, others_sorted: bool = False) -> Any:
     """A value in which objects whose keys are all wells have them in the order of the plate; other objects
     are as they were, or sorted by their names."""
     if isinstance(value, list | tuple):
-        return [by_well(item, others_sorted=others_sorted) for item in value]
+        return [sort_by_well(item, others_sorted=others_sorted) for item in value]
     if not isinstance(value, dict):
         return value
     names = list(value)
@@ -58,7 +58,7 @@ def by_well(value: Any, *, others_sorted: bool = False) -> Any:
         names.sort(key=well_key)
     elif others_sorted:
         names.sort()
-    return {name: by_well(value[name], others_sorted=others_sorted) for name in names}
+    return {name: sort_by_well(value[name], others_sorted=others_sorted) for name in names}
 
 
 def row_name(row: int) -> str:
@@ -71,7 +71,7 @@ def row_name(row: int) -> str:
     return letters
 
 
-def doses_of(effect: Transfers | Draws) -> list[tuple[str, float]]:
+def list_doses(effect: Transfers | Draws) -> list[tuple[str, float]]:
     """Wells and volumes (µL) of what goes in or out; none where there are no two lists. Raises ValueError
     for lists that do not fit one another, and for what is no well or no volume."""
     wells, volumes = effect.wells, effect.volumes_ul
@@ -83,7 +83,9 @@ def doses_of(effect: Transfers | Draws) -> list[tuple[str, float]]:
             return []  # not known yet
         wells = ()
     if len(wells) != len(volumes):
-        raise ValueError(f"{len(volumes)} volume{_s(volumes)} of {what} for {len(wells)} well{_s(wells)}")
+        raise ValueError(
+            f"{len(volumes)} volume{_add_s(volumes)} of {what} for {len(wells)} well{_add_s(wells)}"
+        )
     doses: list[tuple[str, float]] = []
     for well, volume in zip(wells, volumes, strict=True):
         if isinstance(volume, bool) or not isinstance(volume, int | float):
@@ -92,7 +94,7 @@ def doses_of(effect: Transfers | Draws) -> list[tuple[str, float]]:
             raise ValueError(f"the volume of {what} for {well} is {volume:g} µL")
         if not isinstance(well, str):
             raise ValueError(f"{well!r} is no well")
-        doses.append((well_name(well), float(volume)))
+        doses.append((normalise_well(well), float(volume)))
     return doses
 
 
@@ -108,13 +110,13 @@ def find_misfit(
     for effect in effects:
         if isinstance(effect, Transfers | Draws):
             try:
-                doses = doses_of(effect)
+                doses = list_doses(effect)
             except ValueError as error:
                 return str(error)
-            fault = _no_such_well(doses, kind, labware) if kind is not None else ""
+            fault = _check_wells(doses, kind, labware) if kind is not None else ""
             if fault:
                 return fault
-            add_doses(given if isinstance(effect, Transfers) else drawn, *_lists(doses))
+            add_doses(given if isinstance(effect, Transfers) else drawn, *_split_doses(doses))
     if kind is None or kind.wells is None:
         return ""
     most = kind.wells.volume_ul
@@ -125,30 +127,30 @@ def find_misfit(
             known = f"{well} of {labware} holds {level:g} µL as far as is known"
             return f"{known}, and {out:g} µL would be drawn (a sheet of samples says what it held before)"
         if out > most + _SLACK_UL:
-            return f"{out:g} µL would be drawn out of {well} of {labware}, and {_holds(kind)}"
+            return f"{out:g} µL would be drawn out of {well} of {labware}, and {_describe_volume(kind)}"
         if level - out > most + _SLACK_UL:
-            return f"{well} of {labware} would hold {level - out:g} µL, and {_holds(kind)}"
+            return f"{well} of {labware} would hold {level - out:g} µL, and {_describe_volume(kind)}"
     return ""
 
 
-def _no_such_well(doses: list[tuple[str, float]], kind: LabwareSpec, labware: str) -> str:
+def _check_wells(doses: list[tuple[str, float]], kind: LabwareSpec, labware: str) -> str:
     grid = kind.wells
     if grid is None:
         return f"{labware} is a {kind.name}, which has no wells" if doses else ""
     for well, _ in doses:
-        row, column = well_index(well)
+        row, column = parse_well(well)
         if row >= grid.rows or column >= grid.columns:
             last = f"{row_name(grid.rows - 1)}{grid.columns}"
             return f"a {kind.name} has no well {well}; its wells are A1 to {last}"
     return ""
 
 
-def _holds(kind: LabwareSpec) -> str:
+def _describe_volume(kind: LabwareSpec) -> str:
     assert kind.wells is not None
     return f"a well of a {kind.name} holds {kind.wells.volume_ul:g} µL"
 
 
-def _lists(doses: list[tuple[str, float]]) -> tuple[list[str], list[float]]:
+def _split_doses(doses: list[tuple[str, float]]) -> tuple[list[str], list[float]]:
     return [well for well, _ in doses], [volume for _, volume in doses]
 
 
@@ -166,5 +168,5 @@ def draw_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Itera
             levels[well] = max(0.0, levels[well] - volume)
 
 
-def _s(items: list[Any] | tuple[Any, ...]) -> str:
+def _add_s(items: list[Any] | tuple[Any, ...]) -> str:
     return "" if len(items) == 1 else "s"

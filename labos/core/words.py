@@ -49,19 +49,19 @@ class Kept(msgspec.Struct, frozen=True):
     @property
     def is_genuine(self) -> bool:
         """Whether this is the text that was written, or it was erased."""
-        return self.is_erased or reference_of(self.salt, self.text) == self.reference
+        return self.is_erased or make_reference(self.salt, self.text) == self.reference
 
 
 def keep(text: str, salt: bytes) -> Kept:
-    return Kept(reference_of(salt, text), salt, text)
+    return Kept(make_reference(salt, text), salt, text)
 
 
-def reference_of(salt: bytes, text: str) -> str:
+def make_reference(salt: bytes, text: str) -> str:
     """What stands in an event in place of a text."""
     return PREFIX + hashlib.sha256(salt + text.encode()).hexdigest()
 
 
-def references_in(data: bytes) -> list[str]:
+def list_references(data: bytes) -> list[str]:
     """The references in a payload, or in any other bytes; each once, in their order."""
     if _MARK not in data:
         return []
@@ -95,7 +95,7 @@ def are_words(hint: Any) -> bool:
 
 
 @cache
-def fields_of_words(kind: type[msgspec.Struct]) -> tuple[str, ...]:
+def find_fields_of_words(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """The fields of an event's or a command's type that hold words."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return tuple(name for name in kind.__struct_fields__ if are_words(hints[name]))

@@ -16,14 +16,16 @@ from labos.core.modules import Module, ModuleStatus
 from labos.core.state import LabState
 
 
-def zones_of(state: LabState, module: ModuleName, effects: Iterable[AnyEffect]) -> tuple[str, ...]:
+def find_zones(state: LabState, module: ModuleName, effects: Iterable[AnyEffect]) -> tuple[str, ...]:
     """The zones in which a module is during an exclusive action with these effects."""
     known, stations = state.modules.by_name.get(module), state.bench.stations
     own = known.spec.zone if known is not None else ""
-    return zones_reached(own, effects, lambda place: stations[place].spec.zone if place in stations else "")
+    return find_zones_reached(
+        own, effects, lambda place: stations[place].spec.zone if place in stations else ""
+    )
 
 
-def zones_reached(
+def find_zones_reached(
     own: str, effects: Iterable[AnyEffect], zone_at: Callable[[StationName], str]
 ) -> tuple[str, ...]:
     """The zones of an action of a module whose ``own`` zone may be empty; ``zone_at`` tells that of
@@ -46,16 +48,16 @@ def _find_reached(effects: Iterable[AnyEffect]) -> list[StationName]:
 
 def find_other_at_work(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     """Another module whose action in flight is in a zone; empty if there is none."""
-    for action in state.actions.within(workcell_of(besides)):
+    for action in state.actions.list_in_cell(workcell_of(besides)):
         other = action.exclusive and action.module != besides
-        if other and zone in zones_of(state, action.module, action.effects):
+        if other and zone in find_zones(state, action.module, action.effects):
             return action.module
     return ModuleName("")
 
 
 def find_stopped_module(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     """Another module that failed in a zone and is not known to have come out of it."""
-    for name, module in state.modules.within(workcell_of(besides)):
+    for name, module in state.modules.list_in_cell(workcell_of(besides)):
         in_doubt = module.reached and module.status != ModuleStatus.IDLE
         if name != besides and in_doubt and zone in _list_left_in(state, module):
             return name
@@ -70,9 +72,9 @@ def find_barred_zones(state: LabState, cell: str) -> dict[str, ModuleName]:
         module = state.modules.by_name[name]
         if module.reached and module.status in (ModuleStatus.ERROR, ModuleStatus.GONE):
             found.update(dict.fromkeys(_list_left_in(state, module), name))
-    for action in state.actions.within(cell):
+    for action in state.actions.list_in_cell(cell):
         if action.status == ActionStatus.UNKNOWN and action.exclusive:
-            found.update(dict.fromkeys(zones_of(state, action.module, action.effects), action.module))
+            found.update(dict.fromkeys(find_zones(state, action.module, action.effects), action.module))
     return found
 
 

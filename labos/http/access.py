@@ -12,7 +12,7 @@ from labos.core.ids import local, workcell_of
 from labos.core.modules import ModuleStatus
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
-from labos.core.users import person_of
+from labos.core.users import find_person
 from labos.errors import LabosError
 from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
@@ -37,12 +37,12 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
     inside = state.lab.access.get(cell)
     check(service, RequestAccess(cell, by, why), by)
     parking: list[SubmitRun] = []
-    for module in _parkable(service, state, cell) if park and inside is None else ():
+    for module in _list_parkable(service, state, cell) if park and inside is None else ():
         workflow = WorkflowText(_HOME.format(module=module), f"do {module}.home")
         try:
             plan = (await service.compile(workflow, {}, cell)).plan
-            pins = service.pins_of(workflow, plan)
-            run = SubmitRun(plan, person_of(by), priority=PARKED_FIRST, pins=pins)
+            pins = service.list_pins(workflow, plan)
+            run = SubmitRun(plan, find_person(by), priority=PARKED_FIRST, pins=pins)
             check(service, run, by)
         except LabosError:
             continue  # an arm that cannot be parked must not keep a person out
@@ -65,7 +65,7 @@ async def end_access(
     await service.kernel.execute(command, by)
 
 
-def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:
+def _list_parkable(service: LabService, state: LabState, cell: str) -> list[str]:
     """The manipulators of a workcell that can go home now, by their local names."""
     found = []
     for name, module in state.modules.by_name.items():

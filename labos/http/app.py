@@ -24,7 +24,7 @@ from labos.http.identity import Gate
 from labos.http.metrics import metric_routes
 from labos.http.openapi import document
 from labos.http.operation import Api, Operation
-from labos.http.providing import provider_routes
+from labos.http.providing import list_provider_routes
 from labos.http.routes import OPERATIONS, PREFIX
 from labos.http.service import LabService
 from labos.http.words import ShownWords
@@ -38,13 +38,13 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
     api = Api(service, gate)
     app = Starlette(
         routes=[
-            *(_route(operation, api) for operation in OPERATIONS),
-            *_other_routes(api),
-            *(provider_routes(api, gate.provider) if gate.provider is not None else ()),
+            *(_make_route(operation, api) for operation in OPERATIONS),
+            *_list_other_routes(api),
+            *(list_provider_routes(api, gate.provider) if gate.provider is not None else ()),
         ],
         exception_handlers={
-            LabosError: wire.labos_error,  # type: ignore[dict-item]
-            HTTPException: wire.http_error,  # type: ignore[dict-item]
+            LabosError: wire.answer_labos_error,  # type: ignore[dict-item]
+            HTTPException: wire.answer_http_error,  # type: ignore[dict-item]
             Exception: wire.report_fault,
         },
         middleware=[Middleware(RequestFilter, names=names), Middleware(ShownWords, log=service.parts.store)],
@@ -53,13 +53,13 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
     return app
 
 
-def _other_routes(api: Api) -> list[Route]:
+def _list_other_routes(api: Api) -> list[Route]:
     """What is asked by programs that know nothing of the API: health probes, and collectors of metrics."""
 
     async def describe(request: Request) -> Response:
         """The description of the API (OpenAPI 3.1)."""
         await api.gate.admit(request, "viewer", by_home=True)
-        return wire.answer_encoded(_document())
+        return wire.answer_encoded(_encode_document())
 
     async def probe(request: Request) -> Response:
         """Whether this process works: the kernel's, or one that serves the API for it. Probes show nothing,
@@ -74,12 +74,12 @@ def _other_routes(api: Api) -> list[Route]:
     ]
 
 
-def _route(operation: Operation, api: Api) -> Route:
+def _make_route(operation: Operation, api: Api) -> Route:
     # The name of a module may have a slash: `rpl/sealer`.
     path = re.sub(r"\{module\}", "{module:path}", operation.path)
     return Route(PREFIX + path, operation.endpoint(api), methods=[operation.method], name=operation.id)
 
 
 @cache
-def _document() -> bytes:
+def _encode_document() -> bytes:
     return msgspec.json.encode(document(OPERATIONS))

@@ -105,12 +105,12 @@ async def _check(service: LabService, heard: NodeAnswer) -> NodeAnswer:
         firmware=cut(about.firmware, LONGEST_NAME),
         sees=sees,
         sees_nothing=fault,
-        clock_ahead_s=_ahead_s(about.now_ns, asked_ns, heard_ns),
+        clock_ahead_s=_measure_ahead_s(about.now_ns, asked_ns, heard_ns),
     )
     return msgspec.structs.replace(heard, checked=checked)
 
 
-def _ahead_s(node_ns: int, asked_ns: int, heard_ns: int) -> float | None:
+def _measure_ahead_s(node_ns: int, asked_ns: int, heard_ns: int) -> float | None:
     """By how much a node's clock is ahead, if it answered half-way between question and answer."""
     return (node_ns - (asked_ns + heard_ns) // 2) / 1e9 if node_ns else None
 

@@ -14,10 +14,10 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import ExperimentId, RunId
 from labos.core.runs import RunSubmitted
-from labos.core.users import person_of
+from labos.core.users import find_person
 from labos.errors import BadInput
-from labos.http.placing import loads_of
-from labos.http.repeats import digest_of_request, expect_same_run
+from labos.http.placing import make_loads
+from labos.http.repeats import expect_same_run, make_digest_of_request
 from labos.http.service import LabService, WorkflowText, digest_files, digest_of_run
 from labos.services.times import parse_due
 from labos.spec import Compiled
@@ -43,17 +43,17 @@ async def submit_batch(
     if len(known) == len(keys):
         return [str(known[number]) for number in range(len(keys))], ()
     due_at = parse_due(asked.due, service.kernel.clock.now_ns())
-    workcell = await service.workcell_for(asked.workflow, asked.workcell)
-    loads = [] if known else loads_of(service, asked.place, workcell, asked.user)
+    workcell = await service.find_workcell_for(asked.workflow, asked.workcell)
+    loads = [] if known else make_loads(service, asked.place, workcell, asked.user)
     compiled = await _compile_each(service, asked, workcell, loads)
     commands = tuple(
         SubmitRun(
             plan=each.plan,
-            user=person_of(asked.user),
+            user=find_person(asked.user),
             payload=payload,
             experiment=ExperimentId(asked.experiment),
             priority=asked.priority,
-            pins={**service.pins_of(_text_of(asked, number), *each.plans), "request": digests[number]},
+            pins={**service.list_pins(_text_of(asked, number), *each.plans), "request": digests[number]},
             request=keys[number],
             propose=asked.propose,
             others=each.others,
@@ -142,7 +142,7 @@ async def _compile_each(
     found = []
     for number, payload in enumerate(asked.payloads):
         text = _text_of(asked, number)
-        same = digest_of_request(payload, sorted(text.files))
+        same = make_digest_of_request(payload, sorted(text.files))
         if same not in plans:
             with _payload_named(asked, number):
                 plans[same] = await service.compile(text, payload, workcell, loads)

@@ -63,7 +63,7 @@ class BodyReader:
         try:
             if told.isdecimal() and int(told[:19]) > most:
                 await drain(pieces)
-                raise _too_large(most)
+                raise _make_too_large_error(most)
             while True:
                 async with asyncio.timeout_at(begun + FIRST_S + len(body) / SLOWEST):
                     piece = await anext(pieces, None)
@@ -73,7 +73,7 @@ class BodyReader:
                 self._bytes += len(piece)
                 if len(body) > most:
                     await drain(pieces)
-                    raise _too_large(most)
+                    raise _make_too_large_error(most)
                 if self._bytes > LARGEST_BODIES and self._bytes > len(body):
                     raise TooMany("The lab gets too many requests at once.", remedy="Ask again.")
         except TimeoutError:
@@ -87,6 +87,6 @@ class BodyReader:
             self._bytes -= len(body)
 
 
-def _too_large(most: int) -> TooLarge:
+def _make_too_large_error(most: int) -> TooLarge:
     size = f"{most // 1024} KB" if most < 1024 * 1024 else f"{most // 1024 // 1024} MB"
     return TooLarge(f"The request is larger than {size}.", remedy="Send less, or keep data in a file.")

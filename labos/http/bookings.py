@@ -11,7 +11,7 @@ from labos.core.decide.bookings import NewTerms
 from labos.core.recurrence import DAY_NS
 from labos.core.state import LabState
 from labos.core.structs import make_from
-from labos.core.users import person_of
+from labos.core.users import find_person
 from labos.errors import BadInput, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Line, Name, Time, says
@@ -148,11 +148,11 @@ class BookingCancelled(msgspec.Struct, frozen=True):
     begins_at: int
 
 
-def view(booking: Booking, over: tuple[str, ...] = ()) -> BookingView:
+def make_view(booking: Booking, over: tuple[str, ...] = ()) -> BookingView:
     span = (
         BookingSpan(booking.began, booking.until, booking.id)
         if booking.began
-        else booking.next_span(booking.handled)
+        else booking.find_next_span(booking.handled)
     )
     return make_from(
         BookingView,
@@ -168,7 +168,7 @@ def view(booking: Booking, over: tuple[str, ...] = ()) -> BookingView:
     )
 
 
-def the_booking(state: LabState, name: str) -> Booking:
+def find_booking(state: LabState, name: str) -> Booking:
     """Raises NotFound."""
     found = state.bookings.open.get(name)
     if found is None:
@@ -176,18 +176,18 @@ def the_booking(state: LabState, name: str) -> Booking:
     return found
 
 
-def bookings_of(service: LabService, target: str) -> list[Booking]:
+def select_bookings(service: LabService, target: str) -> list[Booking]:
     """The bookings of a module or a workcell, or all, in the order in which they were made. Raises
     NotFound."""
     state = service.kernel.state
     if not target:
         return list(state.bookings.open.values())
     if target in state.lab.workcells:
-        return state.bookings.in_cell(target)
+        return state.bookings.list_in_cell(target)
     return state.bookings.list_for(service.module(target))
 
 
-def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarView:
+def make_calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarView:
     """Raises NotFound, BadInput."""
     since = query.since or now
     until = query.until or since + 7 * DAY_NS
@@ -196,17 +196,17 @@ def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarVie
             f"A calendar shows 1 to {LONGEST_CALENDAR_DAYS} days.", remedy="Ask for a shorter period."
         )
     found: list[tuple[BookingSpan, Booking]] = []
-    for booking in bookings_of(service, query.target):
-        found += [(span, booking) for span in booking.spans(since, until)]
+    for booking in select_bookings(service, query.target):
+        found += [(span, booking) for span in booking.list_spans(since, until)]
     found.sort(key=lambda pair: (pair[0].begins, pair[0].ends, pair[1].id))
     if len(found) > MOST_TIMES:
         raise BadInput(
             f"The calendar would have more than {MOST_TIMES} times.", remedy="Ask for a shorter period."
         )
-    return CalendarView(since, until, [_time(span, booking) for span, booking in found])
+    return CalendarView(since, until, [_make_booked_time(span, booking) for span, booking in found])
 
 
-def _time(span: BookingSpan, booking: Booking) -> BookedTime:
+def _make_booked_time(span: BookingSpan, booking: Booking) -> BookedTime:
     return make_from(
         BookedTime,
         booking,
@@ -217,12 +217,12 @@ def _time(span: BookingSpan, booking: Booking) -> BookedTime:
     )
 
 
-def target_of(service: LabService, name: str) -> str:
+def find_target(service: LabService, name: str) -> str:
     """A module or a workcell by its name. Raises NotFound."""
     return name if name in service.kernel.state.lab.workcells else service.module(name)
 
 
-def terms_of(state: LabState, body: NewBooking) -> NewTerms:
+def make_terms(state: LabState, body: NewBooking) -> NewTerms:
     user, group = _find_owner(state, body.whom, body.by)
     if body.maintenance and body.whom:
         raise BadInput(
@@ -273,7 +273,7 @@ def _find_owner(state: LabState, said: str, by: str) -> tuple[str, str]:
     """The user or the group that is meant; the user who asks if nobody is named. Raises BadInput."""
     kind, colon, name = said.partition(":")
     if not said:
-        return person_of(by), ""
+        return find_person(by), ""
     if colon and kind in ("user", "group"):
         return (name, "") if kind == "user" else ("", name)
     if said in state.shares.groups:

@@ -34,7 +34,7 @@ class RowTable:
     def __len__(self) -> int:
         return len(self._starts) - 1
 
-    def row(self, number: int) -> dict[str, Any]:
+    def read_row(self, number: int) -> dict[str, Any]:
         found: dict[str, Any] = msgspec.json.decode(
             self._data[self._starts[number] : self._starts[number + 1] - 1]
         )
@@ -57,7 +57,7 @@ def take_due(row: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
     return payload, "" if due is None else str(due).strip()
 
 
-def why_no_time(due: str) -> str:
+def explain_no_time(due: str) -> str:
     """What is wrong with the time at which a row's run is due; empty if nothing is."""
     try:
         found = parse_time(due, 0) if due else 1
@@ -75,13 +75,13 @@ class CampaignRows:
 
     async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
         table, workflow = await self._read(campaign)
-        payload, due = take_due(table.row(row), campaign.due)
+        payload, due = take_due(table.read_row(row), campaign.due)
         try:
             compiled = await self._service.compile(workflow, payload, campaign.workcell)
         except BadInput as error:
             return RefuseRow(campaign.id, row, str(error).replace("\n", " "))
-        pins = self._service.pins_of(workflow, *compiled.plans)
-        due_at = parse_time(due, 0) if due and not why_no_time(due) else 0
+        pins = self._service.list_pins(workflow, *compiled.plans)
+        due_at = parse_time(due, 0) if due and not explain_no_time(due) else 0
         return SubmitRow(campaign.id, row, compiled.plan, payload, pins, compiled.others, due_at)
 
     async def _read(self, campaign: Campaign) -> tuple[RowTable, WorkflowText]:

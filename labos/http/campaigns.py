@@ -11,17 +11,17 @@ import msgspec
 from labos.core.campaigns import Budget, Campaign, Terms
 from labos.core.conditions import find_reads
 from labos.core.decide.campaigns import SubmitCampaign
-from labos.core.decide.policy import demand_of
+from labos.core.decide.policy import sum_demand
 from labos.core.decide.runs import NOBODYS
 from labos.core.ids import CampaignId
 from labos.core.model import Plan
 from labos.core.state import LabState
 from labos.core.structs import make_from
-from labos.core.users import person_of
+from labos.core.users import find_person
 from labos.core.viewer import Visibility
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
-from labos.http.campaign_rows import take_due, why_no_time
+from labos.http.campaign_rows import explain_no_time, take_due
 from labos.http.service import LabService, WorkflowText
 from labos.planning.certified import check_windows
 from labos.planning.lab_forecast import LabForecast
@@ -156,9 +156,9 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
 async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, CheckedCampaign]:
     """A campaign file as it is meant, its deadline (UTC ns), its workcell, and what was found in it."""
     service.expect_role(new.user, "submitter")  # before anything is planned or kept
-    told = await service.beside(len(new.text), parse_campaign, new.text, new.name, new.files)
-    deadline = _deadline(service, told)
-    workcell = service.workcell(told.file.workcell or await _workcell_of(service, new.workflow)).name
+    told = await service.run_beside(len(new.text), parse_campaign, new.text, new.name, new.files)
+    deadline = _parse_deadline(service, told)
+    workcell = service.workcell(told.file.workcell or await _find_workcell(service, new.workflow)).name
     return told, deadline, workcell, await check_rows(service, new, told, workcell)
 
 
@@ -176,7 +176,7 @@ def _command(
 ) -> SubmitCampaign:
     return SubmitCampaign(
         name=told.file.campaign,
-        user=person_of(new.user),
+        user=find_person(new.user),
         workflow=estimate.workflow,
         workcell=estimate.workcell,
         rows=len(told.lines),
@@ -184,7 +184,7 @@ def _command(
         definition=definition,
         terms=msgspec.structs.replace(told.terms, deadline=deadline),
         request=request,
-        demand=demand_of(checked.plans, len(told.lines) / len(checked.plans)),
+        demand=sum_demand(checked.plans, len(told.lines) / len(checked.plans)),
         propose=new.propose,
         visibility=told.file.visibility,
         cloned_from=cloned_from,
@@ -207,7 +207,7 @@ def _expect_same(service: LabService, name: CampaignId, command: SubmitCampaign)
         )
 
 
-def _deadline(service: LabService, told: CampaignSource) -> int:
+def _parse_deadline(service: LabService, told: CampaignSource) -> int:
     if not told.file.deadline:
         return 0
     now = service.kernel.clock.now_ns()
@@ -222,8 +222,8 @@ def _deadline(service: LabService, told: CampaignSource) -> int:
     return found
 
 
-async def _workcell_of(service: LabService, workflow: WorkflowText) -> str:
-    source = await service.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
+async def _find_workcell(service: LabService, workflow: WorkflowText) -> str:
+    source = await service.run_beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
     wanted = source.data.get("workcell")
     return wanted if isinstance(wanted, str) and len(service.kernel.state.lab.workcells) != 1 else ""
 
@@ -244,7 +244,7 @@ async def check_rows(
     for first in range(0, len(rows), CHECKED_AT_ONCE):
         part = rows[first : first + CHECKED_AT_ONCE]
         size = len(new.workflow.text) * len(part)
-        await service.beside(size, _plan_rows, service, new, told, workcell, part, checked)
+        await service.run_beside(size, _plan_rows, service, new, told, workcell, part, checked)
     _check_stop_rule(told, checked)
     checked.report.raise_if_failed()
     return checked
@@ -258,12 +258,12 @@ def _plan_rows(
     rows: Sequence[int],
     checked: CheckedCampaign,
 ) -> None:
-    cell, bench = service.workcell(workcell), service.bench(workcell)
+    cell, bench = service.workcell(workcell), service.read_bench(workcell)
     source = parse_workflow(new.workflow.text, new.workflow.name)
     for row in rows:
         line = told.lines[row]
         payload, due = take_due(line.payload, told.file.due)
-        if told.file.due and (wrong := why_no_time(due)):
+        if told.file.due and (wrong := explain_no_time(due)):
             place = line.place_of(f"payload.{told.file.due}")
             checked.report.error(
                 f"Row {row}: {wrong}",
@@ -326,7 +326,7 @@ def _check_stop_rule(told: CampaignSource, checked: CheckedCampaign) -> None:
 def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: CheckedCampaign) -> Estimate:
     plans = checked.plans
     times = len(told.lines) / len(plans)
-    asked = demand_of(plans, times)
+    asked = sum_demand(plans, times)
     busiest = max(asked.modules, key=asked.modules.__getitem__)
     return Estimate(
         name=told.file.campaign,
@@ -378,7 +378,7 @@ def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:
     return msgspec.structs.replace(terms, **changes)
 
 
-def view_of(state: LabState, campaign: Campaign) -> CampaignView:
+def make_view(state: LabState, campaign: Campaign) -> CampaignView:
     return make_from(
         CampaignView,
         campaign,

@@ -15,7 +15,7 @@ from labos.http.campaign_rows import read_definition, read_table
 from labos.http.campaigns import Estimate, amend_terms, check_rows, keep_campaign
 from labos.http.service import LabService
 from labos.ports import LogQuery
-from labos.services.log import Log, events
+from labos.services.log import Log, decode_events
 from labos.spec.campaign import CampaignFile, CampaignSource, RowsEntry
 from labos.spec.rows import TableLine
 from labos.spec.source import parse
@@ -40,7 +40,7 @@ async def clone_campaign(
         due=first.due,
         visibility=asked.visibility or service.kernel.state.campaigns.visibility_of(first.campaign),
     )
-    rows = [TableLine(table.row(number), f"rows of {name}") for number in range(len(table))]
+    rows = [TableLine(table.read_row(number), f"rows of {name}") for number in range(len(table))]
     told = CampaignSource(file, parse("labos: 1\n", f"campaign {name}"), rows, terms)
     new = NewCampaign(
         text="",
@@ -61,7 +61,7 @@ def _read(log: Log, name: str) -> tuple[CampaignSubmitted, Terms]:
     query = LogQuery(streams=(name,), types=tuple(kind.TYPE for kind in kinds))
     first: CampaignSubmitted | None = None
     terms = Terms()
-    for event, _ in events(log.select(query)):
+    for event, _ in decode_events(log.select(query)):
         if isinstance(event, CampaignSubmitted):
             first, terms = event, event.terms
         elif isinstance(event, CampaignAmended | ApprovalGiven):

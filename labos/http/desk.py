@@ -14,7 +14,7 @@ from labos.http.idempotency import IdempotentAnswers
 from labos.http.letters import Headers, Hello, KernelAnswer, LetterReply, Letters, Recall, SentOn, Welcome
 from labos.http.notes import notes_of
 from labos.http.operation import ADMITTED
-from labos.http.problems import problem
+from labos.http.problems import make_problem
 from labos.http.routes import PREFIX
 from labos.http.service import LabService
 from labos.http.wire import send_problem
@@ -77,13 +77,13 @@ class Desk:
 
     async def _carry_out(self, asked: SentOn) -> KernelAnswer:
         if self._working >= AT_ONCE or asked.path == STREAM or not asked.path.startswith(f"{PREFIX}/"):
-            return _refusal("The kernel gets too many requests at once.")
+            return _make_refusal("The kernel gets too many requests at once.")
         self._working += 1
         try:
             async with asyncio.timeout(LONGEST_S):
                 status, headers, body = await self._call(asked)
         except TimeoutError:
-            return _refusal(f"This took the kernel longer than {LONGEST_S:g} s.")
+            return _make_refusal(f"This took the kernel longer than {LONGEST_S:g} s.")
         finally:
             self._working -= 1
         return KernelAnswer(status, headers, body, self._durable)
@@ -128,6 +128,6 @@ class Desk:
         return status, headers, bytes(body)
 
 
-def _refusal(why: str) -> KernelAnswer:
-    found = send_problem(problem("too_many", why, "Ask again in a moment."))
+def _make_refusal(why: str) -> KernelAnswer:
+    found = send_problem(make_problem("too_many", why, "Ask again in a moment."))
     return KernelAnswer(found.status_code, tuple(found.raw_headers), bytes(found.body))

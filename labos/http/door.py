@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from labos.http import wire
 from labos.http.body_reader import drain
-from labos.http.problems import Problem, problem
+from labos.http.problems import Problem, make_problem
 
 LONGEST_PATH = 4_000
 """Bytes of a path, and of a query, as they are sent."""
@@ -36,35 +36,35 @@ class RequestFilter:
         self._names = {"localhost", own, f"{own.partition('.')[0]}.local", *map(str.lower, names)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        refusal = self._refusal(scope) if scope["type"] == "http" else None
+        refusal = self._find_refusal(scope) if scope["type"] == "http" else None
         if refusal is None:
             await self._app(scope, receive, send)
             return
         await drain(Request(scope, receive).stream())
         await wire.send_problem(refusal, close=True)(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> Problem | None:
+    def _find_refusal(self, scope: Scope) -> Problem | None:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         return (
-            self._wrong_host(headers.get("host", ""))
-            or (None if _is_way_back(scope) else _foreign_page(headers))
-            or _no_json(scope["method"], headers.get("content-type", ""))
-            or _no_text(scope)
+            self._check_host(headers.get("host", ""))
+            or (None if _is_way_back(scope) else _check_origin(headers))
+            or _check_json(scope["method"], headers.get("content-type", ""))
+            or _check_text(scope)
         )
 
-    def _wrong_host(self, host: str) -> Problem | None:
-        name = _name_of(host)
+    def _check_host(self, host: str) -> Problem | None:
+        name = _strip_port(host)
         # A browser always names a host; a program that names none is not led here by a page.
         if not name or name in self._names or _is_address(name):
             return None
-        return problem(
+        return make_problem(
             "forbidden",
             f"The request has the host {host[:100]!r}, which is not a name of this lab's server.",
             f"Use an address, or {' or '.join(sorted(self._names))}.",
         )
 
 
-def _name_of(host: str) -> str:
+def _strip_port(host: str) -> str:
     """The name in a ``Host`` header, without its port."""
     host = host.strip().lower()
     if host.startswith("["):
@@ -86,37 +86,37 @@ def _is_way_back(scope: Scope) -> bool:
     return (scope["method"], scope["path"]) == ("GET", WAY_BACK)
 
 
-def _foreign_page(headers: dict[str, str]) -> Problem | None:
+def _check_origin(headers: dict[str, str]) -> Problem | None:
     origin, host = headers.get("origin"), headers.get("host", "").strip().lower()
     own = origin is None or origin.strip().lower() in (f"http://{host}", f"https://{host}")
     if own and headers.get("sec-fetch-site", "none") in ("none", "same-origin"):
         return None
-    return problem(
+    return make_problem(
         "forbidden",
         f"The request comes from a web page of {(origin or 'another site')[:100]!r}.",
         "Send it from a program, or from a page of this server.",
     )
 
 
-def _no_json(method: str, content_type: str) -> Problem | None:
+def _check_json(method: str, content_type: str) -> Problem | None:
     if method in ("GET", "HEAD") or content_type.partition(";")[0].strip().lower() == "application/json":
         return None
-    return problem(
+    return make_problem(
         "unsupported_media_type",
         f"The request's content-type is {content_type[:100]!r}.",
         "Send JSON, with the header `content-type: application/json`.",
     )
 
 
-def _no_text(scope: Scope) -> Problem | None:
+def _check_text(scope: Scope) -> Problem | None:
     """Paths and queries are UTF-8, and not too long."""
     for what, raw in (("path", scope.get("raw_path", b"")), ("query", scope["query_string"])):
         if len(raw) > LONGEST_PATH:
-            return problem(
+            return make_problem(
                 "uri_too_long", f"The {what} is longer than {LONGEST_PATH} bytes.", "Ask for less at once."
             )
         try:
             unquote_to_bytes(raw).decode()
         except UnicodeDecodeError:
-            return problem("bad_input", f"The {what} is not UTF-8.", "Write %-codes of UTF-8 text.")
+            return make_problem("bad_input", f"The {what} is not UTF-8.", "Write %-codes of UTF-8 text.")
     return None

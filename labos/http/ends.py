@@ -48,7 +48,7 @@ class StreamEnds:
         """The keys of the credentials with which somebody may be following."""
         return frozenset(self._known)
 
-    def lasts_s(self, credential: Credential) -> float:
+    def find_length_s(self, credential: Credential) -> float:
         """How long a stream may last that begins now; its credential is remembered."""
         now = self._clock.now_ns()
         self._known = {key: known for key, known in self._known.items() if known.until > now}
@@ -57,11 +57,11 @@ class StreamEnds:
 
     def begin(self, credential: Credential) -> StreamEnd:
         """The end of a stream of this process."""
-        end = StreamEnd(self.lasts_s(credential))
+        end = StreamEnd(self.find_length_s(credential))
         self._here.setdefault(credential.key, set()).add(end)
         return end
 
-    def over(self, credential: Credential, end: StreamEnd) -> None:
+    def forget_stream(self, credential: Credential, end: StreamEnd) -> None:
         """The stream is over by itself."""
         end.forget()
         left = self._here.get(credential.key, set())

@@ -11,7 +11,7 @@ import msgspec
 from labos.core.decide.erasure import EraseWords
 from labos.core.erasure import ErasureAsked, WordsErased
 from labos.core.registry import TYPES
-from labos.core.words import PREFIX, fields_of_words, references_in
+from labos.core.words import PREFIX, find_fields_of_words, list_references
 from labos.errors import NotFound, Refused
 from labos.http.operation import Call
 from labos.services.log import Log
@@ -58,24 +58,26 @@ async def erase(
 
 
 def _find(log: ErasingLog, records: tuple[int, ...], user: str, durable: int) -> Found:
-    named = log.words_by(user) if user else [pair for at in records for pair in _words_at(log, at, durable)]
+    named = (
+        log.words_by(user) if user else [pair for at in records for pair in _list_words_at(log, at, durable)]
+    )
     first = {reference: position for position, reference in reversed(named)}
     standing = [kept for kept in log.words_of(first).values() if not kept.is_erased]
     digests = [(first[kept.reference], kept.reference.removeprefix(PREFIX)) for kept in standing]
     return tuple(sorted(digests))
 
 
-def _words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[int, str]]:
+def _list_words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[int, str]]:
     """The references in a record. Raises NotFound, and Refused for one whose words stand in the log."""
     record = next(log.read(position - 1, position), None) if 0 < position <= durable else None
     if record is None:
         raise NotFound(f"The log has no position {position}.", remedy="Find it: labos log")
-    found = references_in(record.payload)
+    found = list_references(record.payload)
     if found:
         return [(position, reference) for reference in found]
     kind = TYPES.get(record.head.type)
     told = msgspec.json.decode(record.payload)
-    if kind is not None and any(told.get(name) for name in fields_of_words(kind)):
+    if kind is not None and any(told.get(name) for name in find_fields_of_words(kind)):
         raise Refused(
             f"The words of position {position} stand in the log itself: they were written before words could "
             "be erased, or by LabOS.",

@@ -42,7 +42,7 @@ class Feed:
             if not waiter.done.done():
                 waiter.done.set_result(False)
 
-    async def until(self, holds: Callable[[], bool], timeout_s: float, each_s: float = 0.0002) -> bool:
+    async def wait_until(self, holds: Callable[[], bool], timeout_s: float, each_s: float = 0.0002) -> bool:
         """Wait until something holds; False if it does not in time. ``each_s`` is the pause between two
         looks, for each who waits: what it costs to answer, some times over."""
         if _is_so(holds):

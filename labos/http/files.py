@@ -8,7 +8,7 @@ import re
 from starlette.requests import Request
 from starlette.responses import Response
 
-from labos.http.problems import problem
+from labos.http.problems import make_problem
 from labos.http.wire import send_problem
 from labos.ports import BlobStore
 
@@ -27,10 +27,10 @@ async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response
     # One range is answered; several, another unit, or one of another file are answered with the whole.
     if asked is None or request.headers.get("if-range", headers["etag"]) != headers["etag"]:
         return Response(data, headers=headers, media_type="application/octet-stream")
-    part = part_of(len(data), *asked.groups())
+    part = find_part(len(data), *asked.groups())
     if part is None:
         words = f"The file has {len(data)} bytes, and none of the requested range."
-        refusal = send_problem(problem("range_not_satisfiable", words, "Ask for others."))
+        refusal = send_problem(make_problem("range_not_satisfiable", words, "Ask for others."))
         refusal.headers["content-range"] = f"bytes */{len(data)}"
         return refusal
     first, end = part
@@ -38,7 +38,7 @@ async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response
     return Response(data[first:end], 206, headers, "application/octet-stream")
 
 
-def part_of(size: int, first: str, last: str) -> tuple[int, int] | None:
+def find_part(size: int, first: str, last: str) -> tuple[int, int] | None:
     """The first byte of a range, and the one behind its last; None if it is not in a file of this size."""
     if first:
         begin, end = int(first), min(int(last), size - 1) + 1 if last else size

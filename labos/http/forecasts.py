@@ -10,7 +10,7 @@ from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import CampaignId
 from labos.core.model import Plan
-from labos.core.state import fold_fingerprint, picture
+from labos.core.state import encode_picture, fold_fingerprint
 from labos.http.campaign_rows import CampaignRows
 from labos.planning.hindsight import Hindsight, LookBack, Row
 from labos.planning.lab_forecast import ForecastRequest, LabForecast
@@ -86,7 +86,7 @@ class Forecasts:
         async def ask() -> ForecastJob:
             known, records = await asyncio.to_thread(self._read, kernel.durable)
             request = ForecastRequest(
-                picture=picture(kernel.state),
+                picture=encode_picture(kernel.state),
                 now=kernel.clock.now_ns(),
                 rows=rows,
                 new=new,

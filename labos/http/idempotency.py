@@ -16,7 +16,7 @@ from starlette.responses import Response
 
 from labos.core.canonical import digest
 from labos.errors import CommitInDoubt, KeyReused, LabosError
-from labos.http.problems import problem_of
+from labos.http.problems import make_problem_of_error
 from labos.http.wire import send_problem
 from labos.runtime.marks import MARK, PREFIX, Marks
 
@@ -62,7 +62,7 @@ class IdempotentAnswers:
             return None
         return (await asyncio.shield(known.answer)).response()
 
-    async def once(
+    async def answer_once(
         self,
         key: str,
         path: str,
@@ -89,7 +89,7 @@ class IdempotentAnswers:
             if logs_key and known.path == path:
                 if not known.answer.done():
                     await asyncio.wait([known.answer])
-                    return await self.once(key, path, asked, work, user=user, logs_key=logs_key)
+                    return await self.answer_once(key, path, asked, work, user=user, logs_key=logs_key)
                 await work()  # the log says best what differs
             raise _refuse_reused(key, _find_answer(known))
         return (await asyncio.shield(known.answer)).response()
@@ -161,7 +161,7 @@ async def _carry_out(work: Callable[[], Awaitable[Response]], logs_key: bool) ->
     except LabosError as error:
         if logs_key or not isinstance(error, CommitInDoubt):
             raise
-        found = send_problem(problem_of(error))
+        found = send_problem(make_problem_of_error(error))
     return _Answer(found.status_code, bytes(found.body), found.media_type)
 
 

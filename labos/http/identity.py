@@ -12,7 +12,7 @@ from starlette.requests import Request
 
 from labos.core.users import User, on_behalf
 from labos.errors import Forbidden, LabosError, NotSignedIn, StoreUnavailable
-from labos.services.accounts import HOME, Accounts, Credential, Need, allows, digest_of
+from labos.services.accounts import HOME, Accounts, Credential, Need, allows, make_digest
 
 if TYPE_CHECKING:
     from labos.services.accounts.command_line import CommandLineSignIn
@@ -85,7 +85,7 @@ class Gate:
             self.command_line = CommandLineSignIn(provider)
         self._read_users = users
         self._last_users: Users | None = None
-        self._home = digest_of(home_key) if home_key else b""
+        self._home = make_digest(home_key) if home_key else b""
         self.on_refusal: list[Callable[[str], None]] = []
 
     def users(self) -> Users:
@@ -109,7 +109,7 @@ class Gate:
         do it; ``by_link``: a token may stand in the address, if it is good for looking only. Raises
         NotSignedIn, Forbidden."""
         try:
-            who = await (self._by_link(request) if by_link else self.identify(request))
+            who = await (self._find_user_by_link(request) if by_link else self.identify(request))
             self._check(who, need, by_home)
         except LabosError as error:
             if isinstance(error, NotSignedIn | Forbidden):
@@ -131,7 +131,7 @@ class Gate:
             self._expect_service(who.behalf, who.user)
         self._check(who, need, by_home=False)
 
-    async def _by_link(self, request: Request) -> Who:
+    async def _find_user_by_link(self, request: Request) -> Who:
         """The user who asks by an address that holds a token: such an address is kept in many places. Raises
         NotSignedIn, Forbidden."""
         shown = request.query_params.get("token", "")[:200]
@@ -148,7 +148,7 @@ class Gate:
         """The user who asks, for any kind of request. Raises NotSignedIn, Forbidden."""
         shown = _bearer(request)
         if shown.startswith(HOME):
-            if not self._home or not hmac.compare_digest(digest_of(shown), self._home):
+            if not self._home or not hmac.compare_digest(make_digest(shown), self._home):
                 raise NotSignedIn("The key is not the one in the lab's folder.", remedy=SIGN_IN)
             return Who("home")
         cookie = "" if shown else request.cookies.get(self.cookie, "")
@@ -161,9 +161,9 @@ class Gate:
         credential = await self.accounts.find(shown or cookie)
         if credential.how != ("token" if shown else "session"):
             raise NotSignedIn("Send the token in the header Authorization.", remedy=SIGN_IN)
-        return Who(credential.how, credential.user, self._behalf(request, credential.user), credential)
+        return Who(credential.how, credential.user, self._find_behalf(request, credential.user), credential)
 
-    def _behalf(self, request: Request, user: str) -> str:
+    def _find_behalf(self, request: Request, user: str) -> str:
         """The person for whom a program acts. Raises Forbidden."""
         named = request.headers.get(BEHALF, "")
         self._expect_service(named, user)

@@ -114,7 +114,7 @@ class KernelLink:
 
     async def up_to_date(self, at_least: int) -> None:
         """Raises StoreUnavailable, Behind."""
-        await self._kernel.up_to_date(at_least)
+        await self._kernel.wait_until_known(at_least)
 
     async def answer(
         self, operation: Operation, asked: AdmittedRequest, work: Callable[[], Awaitable[Response]]
@@ -185,7 +185,7 @@ class KernelLink:
 
     async def _response(self, reply: KernelAnswer) -> Response:
         try:
-            await self._kernel.up_to_date(reply.position)  # who asks next sees what was done
+            await self._kernel.wait_until_known(reply.position)  # who asks next sees what was done
         except Behind:
             pass  # who says the position waits for it
         found = Response(reply.body, reply.status)

@@ -65,7 +65,7 @@ def _sight(service: LabService, place: str, what: str, by: str) -> ObserveStatio
     labware = known.barcodes.get(what, LabwareId(what))
     if labware in known.labware:
         return ObserveStation(seen.station, by, labware=labware)
-    types = service.labware_types()
+    types = service.list_labware_types()
     if what in types:
         return ObserveStation(seen.station, by, kind=what)
     raise NotFound(

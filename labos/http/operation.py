@@ -21,7 +21,7 @@ from starlette.responses import Response
 from labos.core.ids import CampaignId
 from labos.core.registry import Event
 from labos.core.viewer import Viewer
-from labos.core.visibility import find_hidden, viewer_of
+from labos.core.visibility import find_hidden, find_viewer
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http import wire
 from labos.http.body_reader import BodyReader, drain
@@ -32,10 +32,10 @@ from labos.http.limits import SMALL_BODY
 from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
 from labos.http.recorded import RepeatedRequest
-from labos.http.repeats import digest_of_request
+from labos.http.repeats import make_digest_of_request
 from labos.http.service import LabService
 from labos.http.shared import Shared
-from labos.http.views import lab_view
+from labos.http.views import make_lab_view
 from labos.services.accounts import Need
 
 JSON = "application/json"
@@ -67,7 +67,7 @@ class Api:
             viewer = None
         if (waits, viewer) not in self._states and len(self._states) >= MOST_VIEWERS:
             del self._states[next(iter(self._states))]
-        work = partial(self._view, waits=waits, viewer=viewer)
+        work = partial(self._make_view, waits=waits, viewer=viewer)
         return self._states.setdefault((waits, viewer), Shared(work, self._flush))
 
     async def _flush(self) -> None:
@@ -79,8 +79,8 @@ class Api:
         link = self.service.link
         return link.notes if link is not None else notes_of(self.service)
 
-    def _view(self, *, waits: bool, viewer: Viewer | None) -> bytes:
-        view = lab_view(
+    def _make_view(self, *, waits: bool, viewer: Viewer | None) -> bytes:
+        view = make_lab_view(
             self.kernel,
             simulated=self.service.parts.simulated,
             rejected=self._notes.rejected,
@@ -103,12 +103,12 @@ class Call:
     def user(self) -> str:
         """The user who asks: the one who has signed in; in a lab without users by the header LabOS-User.
         Raises BadInput."""
-        return self.who.actor if self.who.is_known else wire.asker(self.request)
+        return self.who.actor if self.who.is_known else wire.read_asker(self.request)
 
     @cached_property
     def viewer(self) -> Viewer | None:
         """What the user who asks sees of campaigns; None: everything."""
-        return viewer_of(self.kernel.state, self.who.actor) if self.who.is_known else None
+        return find_viewer(self.kernel.state, self.who.actor) if self.who.is_known else None
 
     @cached_property
     def hidden(self) -> frozenset[CampaignId]:
@@ -134,7 +134,7 @@ class Call:
     @property
     def key(self) -> str:
         """The idempotency key; empty if there is none. Raises BadInput."""
-        return wire.key_of(self.request)
+        return wire.read_key(self.request)
 
 
 class AdmittedRequest(msgspec.Struct, frozen=True):
@@ -224,20 +224,22 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
         async def serve(request: Request) -> Response:
             if link is not None:
-                await link.up_to_date(wire.position_of(request))
+                await link.up_to_date(wire.read_position(request))
             who = await self._admit(api, request)
             told = await self._read(api, request, who)
 
             async def work() -> Response:
                 return respond(self, await self.handler(Call(api, request, who), **told))
 
-            key = wire.key_of(request) if self.method == "POST" and not self.secret else ""
+            key = wire.read_key(request) if self.method == "POST" and not self.secret else ""
             if getattr(told.get("body"), "dry_run", False):
                 key = ""  # a check changes nothing
             asked = ""
             path = request.url.path
             if key:
-                asked = digest_of_request(path, who.user or wire.header(request, "labos-user"), told)
+                asked = make_digest_of_request(
+                    path, who.user or wire.read_header(request, "labos-user"), told
+                )
             logged = None
             if key and not self.logs_key and api.service.marks is not None:
                 again = RepeatedRequest(api, self, request, who, told)
@@ -246,7 +248,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             if link is not None:
                 found = await link.answer(self, AdmittedRequest(request, who, told, key, asked, logged), work)
             elif key:
-                found = await api.idempotent.once(
+                found = await api.idempotent.answer_once(
                     key, path, asked, work, user=who.user, logs_key=self.logs_key, logged=logged
                 )
             else:

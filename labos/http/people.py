@@ -83,11 +83,11 @@ class GrantView(msgspec.Struct, frozen=True):
     role: str
 
 
-def user_views(state: LabState) -> list[UserView]:
-    return [user_view(state, name) for name in state.users.known]
+def list_user_views(state: LabState) -> list[UserView]:
+    return [make_user_view(state, name) for name in state.users.known]
 
 
-def user_view(state: LabState, name: str) -> UserView:
+def make_user_view(state: LabState, name: str) -> UserView:
     """Raises NotFound."""
     user = state.users.known.get(name)
     if user is None:
@@ -97,11 +97,11 @@ def user_view(state: LabState, name: str) -> UserView:
     return UserView(name, user.kind, user.disabled, user.since, group, dict(roles))
 
 
-def group_views(state: LabState) -> list[GroupView]:
-    return [group_view(state, name) for name in state.shares.groups]
+def list_group_views(state: LabState) -> list[GroupView]:
+    return [make_group_view(state, name) for name in state.shares.groups]
 
 
-def group_view(state: LabState, name: str) -> GroupView:
+def make_group_view(state: LabState, name: str) -> GroupView:
     """Raises NotFound."""
     group = state.shares.groups.get(name)
     if group is None:

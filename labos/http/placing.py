@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from labos.core.bench import parts
+from labos.core.bench import split_item
 from labos.core.decide.stock import FOLLOWS, LoadStation
 from labos.core.effects import Requires, Sets
 from labos.core.ids import StationName, local
@@ -32,7 +32,7 @@ class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     variables: Variables = {}
 
 
-def loads_of(service: LabService, placings: Sequence[Placing], workcell: str, by: str) -> list[LoadStation]:
+def make_loads(service: LabService, placings: Sequence[Placing], workcell: str, by: str) -> list[LoadStation]:
     """What somebody has put where: a command for each station. Raises NotFound, BadInput, and Refused if it
     cannot stand there."""
     loads: dict[StationName, LoadStation] = {}
@@ -40,7 +40,7 @@ def loads_of(service: LabService, placings: Sequence[Placing], workcell: str, by
         written = placing.station
         name = service.station(f"{workcell}/{written}" if workcell and "/" not in written else written)
         there = loads.get(name)
-        labware, variables = _in_full(service, placing)
+        labware, variables = _read_placing(service, placing)
         service.expect_labware(labware)
         put_on = tuple(name for name in variables if variables[name])
         left_off = tuple(name for name in variables if not variables[name])
@@ -59,14 +59,14 @@ def loads_of(service: LabService, placings: Sequence[Placing], workcell: str, by
     return list(loads.values())
 
 
-def _in_full(service: LabService, placing: Placing) -> tuple[str, dict[str, bool]]:
+def _read_placing(service: LabService, placing: Placing) -> tuple[str, dict[str, bool]]:
     """The type with its lid, and what else is said of a piece. Raises BadInput for what nothing in this lab
     asks about."""
     variables, labware = dict(placing.variables), placing.labware
     is_lidded = variables.pop("lidded", None)
-    if is_lidded is False and parts(labware)[1]:
+    if is_lidded is False and split_item(labware)[1]:
         raise BadInput(f"{labware} has a lid, but is given as not lidded.", remedy="Leave one of them out.")
-    if is_lidded and not parts(labware)[1]:
+    if is_lidded and not split_item(labware)[1]:
         labware = f"{labware}+{DEFAULT_LID}"
     known = {*_list_variables(service), *FOLLOWS}
     for name in variables:

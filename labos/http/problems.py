@@ -79,35 +79,35 @@ class Problem(msgspec.Struct, frozen=True):
     details: tuple[Finding, ...] = ()
 
 
-def problem(code: str, detail: str, remedy: str = "", details: tuple[Finding, ...] = ()) -> Problem:
+def make_problem(code: str, detail: str, remedy: str = "", details: tuple[Finding, ...] = ()) -> Problem:
     """A problem of a kind."""
     kind = PROBLEMS[code]
     return Problem(f"urn:labos:problem:{code}", kind.title, kind.status, detail, code, remedy, details)
 
 
-def problem_of(error: LabosError) -> Problem:
+def make_problem_of_error(error: LabosError) -> Problem:
     """An error as a problem. Its code is that of the error itself; its status and title those of the nearest
     kind that is known of."""
     findings = error.findings if isinstance(error, SpecErrors) else ()
     if isinstance(error, SpecError):
-        return problem("spec_error", str(error), "", (make_finding(error),))
+        return make_problem("spec_error", str(error), "", (make_finding(error),))
     near = next(
-        code_of(kind)
+        make_code(kind)
         for kind in type(error).__mro__
-        if issubclass(kind, LabosError) and code_of(kind) in PROBLEMS
+        if issubclass(kind, LabosError) and make_code(kind) in PROBLEMS
     )
-    found = problem(near, error.message, error.remedy, tuple(findings))
-    code = code_of(type(error))
+    found = make_problem(near, error.message, error.remedy, tuple(findings))
+    code = make_code(type(error))
     return msgspec.structs.replace(found, code=code, type=f"urn:labos:problem:{code}")
 
 
-def plain_error(error: LabosError) -> dict[str, Any]:
+def describe_error(error: LabosError) -> dict[str, Any]:
     """An error as commands tell it in JSON: ``{error, remedy, code, details}``."""
-    found = problem_of(error)
+    found = make_problem_of_error(error)
     details = msgspec.to_builtins(found.details)
     return {"error": found.detail, "remedy": found.remedy, "code": found.code, "details": details}
 
 
-def code_of(kind: type[LabosError]) -> str:
+def make_code(kind: type[LabosError]) -> str:
     """``StoreUnavailable`` → ``store_unavailable``."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()

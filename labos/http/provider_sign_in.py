@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from labos.errors import NotFound, NotSignedIn
 from labos.http.limits import Line, says
-from labos.http.providing import user_meant
+from labos.http.providing import find_user_meant
 from labos.http.signing import Days, answer_secret, expect_users
 from labos.services.accounts import Need
 
@@ -65,7 +65,7 @@ class FinishedSignIn(msgspec.Struct, frozen=True):
 
 async def begin(call: Call, told: BeginSignIn) -> Response:
     """Raises Refused, NotFound, NotSignedIn, TooManyTries."""
-    way = _way(call)
+    way = _find_way(call)
     if told.device:
         begun, shown = await way.begin_device()
         found = ProviderSignIn(
@@ -81,13 +81,13 @@ async def finish(call: Call, told: FinishSignIn) -> Response:
     """Raises Refused, NotFound, NotSignedIn, BadInput."""
     from labos.services.accounts.command_line import RetryAfter  # few labs have a provider
 
-    way, accounts = _way(call), call.api.gate.accounts
+    way, accounts = _find_way(call), call.api.gate.accounts
     sent = {"state": told.state, "code": told.code, "iss": told.iss, "error": told.error}
     try:
         claims = await way.finish({name: text for name, text in sent.items() if text}, told.key)
         if isinstance(claims, RetryAfter):
             return answer_secret(FinishedSignIn(wait_s=claims.seconds))
-        user = await user_meant(call.api, way.provider, claims)
+        user = await find_user_meant(call.api, way.provider, claims)
     except NotSignedIn:
         accounts.tell_try("wrong")
         raise
@@ -96,7 +96,7 @@ async def finish(call: Call, told: FinishSignIn) -> Response:
     return answer_secret(FinishedSignIn(user, token.expires_at, secret))
 
 
-def _way(call: Call) -> CommandLineSignIn:
+def _find_way(call: Call) -> CommandLineSignIn:
     expect_users(call.kernel.state)
     found = call.api.gate.command_line
     if found is None:

@@ -40,7 +40,7 @@ HEADERS = {
 _log = structlog.get_logger(__name__)
 
 
-def provider_routes(api: Api, provider: Provider) -> list[Route]:
+def list_provider_routes(api: Api, provider: Provider) -> list[Route]:
     """The routes over one lab."""
 
     async def start(request: Request) -> Response:
@@ -51,7 +51,7 @@ def provider_routes(api: Api, provider: Provider) -> list[Route]:
         secure = api.gate.secure
         # Lax: it has to come along when the provider's page sends the browser back.
         answer.set_cookie(
-            _cookie(secure),
+            _name_cookie(secure),
             begun.browser,
             max_age=600,
             path="/",
@@ -63,10 +63,10 @@ def provider_routes(api: Api, provider: Provider) -> list[Route]:
 
     async def come_back(request: Request) -> Response:
         """The provider has sent the browser back."""
-        shown = request.cookies.get(_cookie(api.gate.secure), "")
+        shown = request.cookies.get(_name_cookie(api.gate.secure), "")
         try:
             claims = await provider.finish(request.query_params, shown)
-            user = await user_meant(api, provider, claims)
+            user = await find_user_meant(api, provider, claims)
         except NotSignedIn:
             api.gate.accounts.tell_try("wrong")
             raise
@@ -75,17 +75,17 @@ def provider_routes(api: Api, provider: Provider) -> list[Route]:
         secret, session = await api.gate.accounts.begin_session(user, "oidc", before)
         answer = HTMLResponse(PAGE.format(html.escape(f"You are {user}.")), headers=HEADERS)
         give_cookie(api.gate, answer, secret, session)
-        answer.delete_cookie(_cookie(api.gate.secure), path="/", secure=api.gate.secure, httponly=True)
+        answer.delete_cookie(_name_cookie(api.gate.secure), path="/", secure=api.gate.secure, httponly=True)
         return answer
 
     return [Route(START, start, methods=["GET"]), Route(WAY_BACK, come_back, methods=["GET"])]
 
 
-def _cookie(secure: bool) -> str:
+def _name_cookie(secure: bool) -> str:
     return f"__Host-{COOKIE}" if secure else COOKIE
 
 
-async def user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> str:
+async def find_user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> str:
     """The user whom a provider means; a new one, where that is allowed. Raises NotSignedIn."""
     accounts, told, state = api.gate.accounts, provider.told, api.kernel.state
     user = await accounts.user_of(told.issuer, claims.subject)
@@ -103,7 +103,7 @@ async def user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> st
         raise NotSignedIn(f"The user {user} is disabled.", remedy="Ask an admin of the lab.")
     if claims.name or claims.mail:
         await accounts.set_person(Person(user, claims.name, claims.mail))
-    for command in _changes(api, provider, user, frozenset(claims.groups)):
+    for command in _list_changes(api, provider, user, frozenset(claims.groups)):
         answer = api.kernel.submit(command, LABOS)
         if isinstance(answer, Rejection):  # the file names a group or workcell that is not there
             _log.warning("claim_not_followed", user=user, why=answer.message)
@@ -111,7 +111,7 @@ async def user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> st
     return user
 
 
-def _changes(api: Api, provider: Provider, user: str, claimed: frozenset[str]) -> list[Command]:
+def _list_changes(api: Api, provider: Provider, user: str, claimed: frozenset[str]) -> list[Command]:
     """What makes the user's group and roles those that the file says, as far as it speaks of them."""
     told, state = provider.told, api.kernel.state
     found: list[Command] = []

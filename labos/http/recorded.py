@@ -33,7 +33,7 @@ from labos.runtime.followed import FoldedLab
 from labos.runtime.kernel_log import Listener
 from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
-from labos.services.log import Log, event_of, fold_to
+from labos.services.log import Log, decode_event, fold_to
 
 if TYPE_CHECKING:
     from labos.http.operation import Api, Operation
@@ -102,7 +102,7 @@ class RecordedKernel(FoldedLab):
                 continue
             if cause and head.causation != cause:
                 return
-            event = event_of(record)
+            event = decode_event(record)
             evolve(self.state, event, head.position, head.recorded_at)
             if not cause and not head.causation.startswith(self._mark):
                 continue  # what others did in between

@@ -14,12 +14,12 @@ from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
 from labos.errors import KeyReused
 from labos.ports import LogQuery
-from labos.services.log import Log, event_of
+from labos.services.log import Log, decode_event
 
 E = TypeVar("E", bound=Event)
 
 
-def digest_of_request(*whole: Any) -> str:
+def make_digest_of_request(*whole: Any) -> str:
     """One digest for all that a request says."""
     return digest(msgspec.json.encode(whole, order="deterministic"))
 
@@ -50,5 +50,5 @@ def expect_same_experiment(log: Log, command: StartExperiment, experiment: str) 
 
 def _read_first(log: Log, stream: str, kind: type[E]) -> E | None:
     record = next(iter(log.select(LogQuery(streams=(stream,), types=(kind.TYPE,)))), None)
-    event = event_of(record) if record is not None else None
+    event = decode_event(record) if record is not None else None
     return event if isinstance(event, kind) else None

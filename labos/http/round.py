@@ -11,8 +11,8 @@ from labos.core.decide.composites import ReportRound
 from labos.core.decide.contents import list_recorded
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.rights import check_role
-from labos.core.decide.shorter import ConfirmStations, SayContents, list_to_say, must_say
-from labos.core.effects import places
+from labos.core.decide.shorter import ConfirmStations, SayContents, list_to_say, must_describe
+from labos.core.effects import list_places
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import WHOLE_LAB
@@ -121,7 +121,7 @@ def round_view(state: LabState) -> Round:
                 local(action.module),
                 action.name,
                 action.status,
-                None if action.effects is None else sorted(map(local, places(action.effects))),
+                None if action.effects is None else sorted(map(local, list_places(action.effects))),
             )
             for action in shorter.actions.values()
         ],
@@ -131,14 +131,14 @@ def round_view(state: LabState) -> Round:
             if (unknown := [variable for variable, value in module.values.items() if value is None])
         },
         stations=[
-            _station(state, name, name not in left)
+            _make_round_station(state, name, name not in left)
             for name in bench.stations
             if shorter.since and name not in bench.shelves
         ],
     )
 
 
-def _station(state: LabState, name: StationName, said: bool) -> RoundStation:
+def _make_round_station(state: LabState, name: StationName, said: bool) -> RoundStation:
     bench, station = state.bench, state.bench.stations[name]
     return RoundStation(
         station=local(name),
@@ -150,7 +150,7 @@ def _station(state: LabState, name: StationName, said: bool) -> RoundStation:
         types={item: bench.labware[item].type for item in station.labware},
         perhaps=[item.id for item in bench.labware.values() if name in item.maybe],
         said=said,
-        must_be_said=must_say(state, name),
+        must_be_said=must_describe(state, name),
     )
 
 

@@ -7,7 +7,7 @@ import asyncio
 import msgspec
 
 from labos.core.bench import Labware
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.decide.labware import PlateSamples, RegisterSamples
 from labos.core.ids import LabwareId, local
 from labos.errors import BadInput, Refused
@@ -35,9 +35,9 @@ async def register_samples(
     sheet's lines, BadInput, Refused, NotFound."""
     service.expect_role(actor, "submitter")
     report = FindingList(name)
-    rows = await service.beside(len(text), read_sheet, text, report)
-    only = _the_plate(service, labware, station)
-    plates = _by_plate(service, rows, only, report)
+    rows = await service.run_beside(len(text), read_sheet, text, report)
+    only = _find_plate(service, labware, station)
+    plates = _sort_by_plate(service, rows, only, report)
     for plate, mine in plates.items():
         await _check(service, service.kernel.state.bench.labware[plate], mine, report)
     if not rows and not report.errors:
@@ -52,7 +52,7 @@ async def register_samples(
     return {str(plate.labware): plate.count for plate in told}
 
 
-def _the_plate(service: LabService, labware: str, station: str) -> Labware | None:
+def _find_plate(service: LabService, labware: str, station: str) -> Labware | None:
     if labware and station:
         raise BadInput("A plate and a station were named.", remedy="Name one of them.")
     if labware:
@@ -67,7 +67,7 @@ def _the_plate(service: LabService, labware: str, station: str) -> Labware | Non
     return service.kernel.state.bench.labware[standing[0]]
 
 
-def _by_plate(
+def _sort_by_plate(
     service: LabService, rows: list[SheetLine], only: Labware | None, report: FindingList
 ) -> dict[LabwareId, list[SheetLine]]:
     """The rows of each plate; what names no plate here goes to the report."""
@@ -104,15 +104,15 @@ def _find_labware(service: LabService, name: str) -> Labware | BadInput:
 
 
 async def _check(service: LabService, labware: Labware, rows: list[SheetLine], report: FindingList) -> None:
-    kind = service.labware_kind(labware)
+    kind = service.find_labware_kind(labware)
     # Of a type that nobody describes, nothing is known that could be wrong.
     if kind is not None:
-        await service.beside(0, check_wells, rows, labware.type, kind.wells, report)
+        await service.run_beside(0, check_wells, rows, labware.type, kind.wells, report)
 
 
 def _pack(service: LabService, plate: LabwareId, rows: list[SheetLine]) -> PlateSamples:
     wells = tuple(row.sample for row in rows)
-    data = canonical(msgspec.to_builtins(wells))
+    data = encode_canonical(msgspec.to_builtins(wells))
     if len(data) <= LARGEST_INLINE:
         return PlateSamples(plate, len(wells), wells)
     return PlateSamples(plate, len(wells), blob=service.parts.blobs.put(data))

@@ -19,7 +19,7 @@ from labos.errors import BadInput
 from labos.http.app import create_app
 from labos.http.framing import StrictProtocol
 from labos.http.identity import Gate
-from labos.http.problems import MEDIA_TYPE, problem
+from labos.http.problems import MEDIA_TYPE, make_problem
 from labos.http.routes.log import CONNECTION
 from labos.http.service import LabService
 
@@ -35,7 +35,7 @@ MOST_CONNECTIONS = 2_000
 BUSY = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: %b\r\nconnection: close\r\n\r\n%b" % (
     MEDIA_TYPE.encode(),
     msgspec.json.encode(
-        problem("too_many", "The lab has too many connections.", "Close some, or ask again.")
+        make_problem("too_many", "The lab has too many connections.", "Close some, or ask again.")
     ),
 )
 
@@ -103,7 +103,7 @@ class _Protocol(StrictProtocol):
         if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):
             self.transport.close()
             return
-        reason = problem(
+        reason = make_problem(
             "bad_input", "The request is not HTTP, or its head is too long.", "Send less at once."
         )
         head = h11.Response(
@@ -167,7 +167,7 @@ class HttpServer:
 
     def __init__(self, service: LabService, gate: Gate, listening: Listening) -> None:
         self._service = service
-        tls = tls_of(listening)
+        tls = make_tls_context(listening)
         host = listening.host
         self._socket = listen(host, listening.port)
         bound = self._socket.getsockname()
@@ -178,7 +178,7 @@ class HttpServer:
             self.app,
             proxy_headers=listening.behind_proxy,
             forwarded_allow_ips="*" if listening.behind_proxy else "",
-            http=type("_Limited", (_Protocol,), {"most_connections": _most_connections()}),
+            http=type("_Limited", (_Protocol,), {"most_connections": _count_most_connections()}),
             log_config=None,
             access_log=False,
             lifespan="off",
@@ -210,7 +210,7 @@ class HttpServer:
         self._socket.close()
 
 
-def tls_of(listening: Listening) -> ssl.SSLContext | None:
+def make_tls_context(listening: Listening) -> ssl.SSLContext | None:
     """TLS 1.2 or newer. Raises BadInput for files that cannot be used."""
     if not listening.certificate:
         return None
@@ -254,7 +254,7 @@ def is_own_address(host: str) -> bool:
         return False
 
 
-def _most_connections() -> int:
+def _count_most_connections() -> int:
     """The kernel needs files of its own: connections may not use them up."""
     if sys.platform == "win32":
         return MOST_CONNECTIONS

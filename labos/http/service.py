@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
-from labos.core.bench import Labware, parts
+from labos.core.bench import Labware, split_item
 from labos.core.canonical import digest
 from labos.core.decide import Command
 from labos.core.decide.cancelling import CancelRun
@@ -44,18 +44,18 @@ from labos.core.ids import (
 from labos.core.model import LabwareSpec, Plan, StationSpec, Workcell
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import RunSubmitted
-from labos.core.users import Role, person_of
+from labos.core.users import Role, find_person
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.limits import FileName, Files, FileText
 from labos.http.parts import Parts
-from labos.http.placing import Placing, loads_of, with_loads
-from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
+from labos.http.placing import Placing, make_loads, with_loads
+from labos.http.repeats import expect_same_experiment, expect_same_run, make_digest_of_request
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
 from labos.planning.booked import list_without_gap
 from labos.planning.certified import check_windows
-from labos.runtime.kernel import error_of
+from labos.runtime.kernel import make_error
 from labos.runtime.marks import Marks
 from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modules
 from labos.services.interventions import describe_answer
@@ -70,7 +70,7 @@ from labos.spec import (
     parse_workflow,
 )
 from labos.spec.findings import Finding, near
-from labos.spec.labware import load_packaged_labware, spec_of
+from labos.spec.labware import load_packaged_labware, make_spec
 from labos.spec.stations import Stations
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class LabService:
         self._cells: dict[str, Workcell] = {}
         self._long_work = asyncio.Semaphore(1)
 
-    async def beside(self, size: int, work: Callable[..., R], *args: Any, **named: Any) -> R:
+    async def run_beside(self, size: int, work: Callable[..., R], *args: Any, **named: Any) -> R:
         """Do work on ``size`` characters that somebody sent, beside the event loop. Long ones are read one
         at a time: Python does one thing at a time, and the kernel needs its share."""
         if size <= LONG_TEXT:
@@ -178,7 +178,7 @@ class LabService:
             )
         return self._cells[found]
 
-    def bench(self, workcell: str) -> BenchFile:
+    def read_bench(self, workcell: str) -> BenchFile:
         """Which labware types stand in the stacks now, and which modules are not at rest though no run keeps
         them."""
         state = self.kernel.state
@@ -196,7 +196,7 @@ class LabService:
             ),
         )
 
-    def labware_types(self) -> list[str]:
+    def list_labware_types(self) -> list[str]:
         """What may be placed: the packaged types and the lab's own, what stations accept, what is on the
         bench."""
         bench = self.kernel.state.bench
@@ -209,8 +209,8 @@ class LabService:
 
     def expect_labware(self, labware: str) -> None:
         """Raises NotFound for a type that this lab does not know."""
-        known = self.labware_types()
-        labware = next((part for part in parts(labware) if part and part not in known), "")
+        known = self.list_labware_types()
+        labware = next((part for part in split_item(labware) if part and part not in known), "")
         if labware:
             meant = near(labware, known)
             slip = f"{meant} " if meant.startswith("Did you mean") else ""
@@ -220,7 +220,7 @@ class LabService:
                 "workcell file names under `labware:`.",
             )
 
-    def labware_kind(self, item: Labware) -> LabwareSpec | None:
+    def find_labware_kind(self, item: Labware) -> LabwareSpec | None:
         """The description of a piece's type: by the workcell where it stands, by another one, or LabOS'
         own; None if nobody gave one."""
         own = self.kernel.state.lab.labware
@@ -243,8 +243,8 @@ class LabService:
     ) -> Compiled:
         """``loads`` is what will have been put on the bench when it is submitted. With ``keep``, files and
         text are kept for those who submit it. Raises SpecError, SpecErrors, BadInput."""
-        cell = self.workcell(await self.workcell_for(workflow, workcell))
-        bench = with_loads(self.bench(cell.name), loads)
+        cell = self.workcell(await self.find_workcell_for(workflow, workcell))
+        bench = with_loads(self.read_bench(cell.name), loads)
         simulated = self.parts.simulated
         descriptions = self.parts.descriptions
 
@@ -259,13 +259,13 @@ class LabService:
                 self.parts.blobs.put(content)
             return compiled
 
-        return await self.beside(len(workflow.text), work)
+        return await self.run_beside(len(workflow.text), work)
 
-    async def workcell_for(self, workflow: WorkflowText, workcell: str) -> str:
+    async def find_workcell_for(self, workflow: WorkflowText, workcell: str) -> str:
         """The workcell that is named, by the workflow if by nobody else; empty if that is not needed."""
         if workcell or len(self.kernel.state.lab.workcells) == 1:
             return workcell
-        source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
+        source = await self.run_beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
         wanted = source.data.get("workcell")
         return wanted if isinstance(wanted, str) else ""
 
@@ -298,16 +298,16 @@ class LabService:
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
         due_at = parse_due(due, self.kernel.clock.now_ns())
-        workcell = await self.workcell_for(workflow, workcell)
-        loads = loads_of(self, place, workcell, user)
+        workcell = await self.find_workcell_for(workflow, workcell)
+        loads = make_loads(self, place, workcell, user)
         compiled = await self.compile(workflow, payload, workcell, loads)
         run_command = SubmitRun(
             compiled.plan,
-            person_of(user),
+            find_person(user),
             payload,
             ExperimentId(experiment),
             priority,
-            {**self.pins_of(workflow, *compiled.plans), "request": asked},
+            {**self.list_pins(workflow, *compiled.plans), "request": asked},
             request,
             propose,
             compiled.others,
@@ -334,13 +334,13 @@ class LabService:
     def expect_own(self, experiment: str, user: str) -> None:
         """Raises Refused for a run that would use somebody else's experiment, and with it their labware."""
         known = self.kernel.state.experiments.open.get(ExperimentId(experiment))
-        if known is not None and known.user != person_of(user):
+        if known is not None and known.user != find_person(user):
             raise Refused(
                 f"The experiment {known.id} is {known.user}'s; {user} cannot submit a run for it.",
                 remedy=f"Leave the experiment out, or submit it as {known.user}.",
             )
 
-    def pins_of(self, workflow: WorkflowText, *plans: Plan) -> dict[str, str]:
+    def list_pins(self, workflow: WorkflowText, *plans: Plan) -> dict[str, str]:
         """What a run is made of that follows one of these plans, by digest."""
         state = self.kernel.state
         pins = {
@@ -363,14 +363,14 @@ class LabService:
             "resume": ResumeRun(name),
         }
         if self.kernel.state.runs.get(run) is None:
-            await self.story(run)  # raises NotFound if there never was one
+            await self.read_story(run)  # raises NotFound if there never was one
         await self.kernel.execute(commands[verb], actor)
 
-    async def story(self, run: str, wait_s: float = 0.0) -> RunHistory:
+    async def read_story(self, run: str, wait_s: float = 0.0) -> RunHistory:
         """A run as the log tells it, waiting for its end for ``wait_s`` at the most. Raises
         NotFound."""
         if wait_s > 0:
-            await self.feed.until(lambda: self.kernel.state.runs.get(run) is None, wait_s)
+            await self.feed.wait_until(lambda: self.kernel.state.runs.get(run) is None, wait_s)
         await self.kernel.flush()
         if run in self._stories:
             return self._stories[run]
@@ -407,7 +407,7 @@ class LabService:
         plan = compiled.plan if compiled is not None else None
         places = tuple(self.station(place) for place in parking)
         command = StartExperiment(
-            name, person_of(user), plan, priority, request or self.kernel.ids.new(), places, propose
+            name, find_person(user), plan, priority, request or self.kernel.ids.new(), places, propose
         )
         requests = self.kernel.state.experiments.requests
         if command.request in requests or not await self.kernel.execute(command, user):
@@ -422,7 +422,7 @@ class LabService:
         """Raises Forbidden for somebody who lacks a role in a workcell (empty: in all of them)."""
         lacks = check_role(self.kernel.state, actor, needs, cell)
         if lacks is not None:
-            raise error_of(lacks)
+            raise make_error(lacks)
 
     def hear(self, experiment: str, actor: str) -> None:
         """The application is running. Raises Forbidden for somebody else's: the program that keeps it alive
@@ -434,7 +434,7 @@ class LabService:
         """Raises Forbidden for who may not add to an experiment."""
         wrong = check_rights(self.kernel.state, NoteExperiment(ExperimentId(experiment), "", ""), actor)
         if wrong is not None:
-            raise error_of(wrong)
+            raise make_error(wrong)
 
     async def note(
         self, experiment: str, kind: str, name: str, facts: dict[str, Any], actor: str, key: str = ""
@@ -511,7 +511,7 @@ class LabService:
 
     def module(self, name: str) -> ModuleName:
         """A module by its full name, or by its local one if only one bears it. Raises NotFound."""
-        return ModuleName(self._one_of(name, list(self.kernel.state.modules.by_name), "module"))
+        return ModuleName(self._find_one_of(name, list(self.kernel.state.modules.by_name), "module"))
 
     def labware(self, name: str) -> Labware:
         """A piece of labware on the bench, by its id or its barcode. Raises NotFound."""
@@ -533,7 +533,9 @@ class LabService:
         for station, there in known.items():
             if not home or workcell_of(station) == home:
                 named.setdefault(workcell_of(station), []).append(there.spec)
-        found = [match for cell, specs in named.items() for match in Stations(cell, specs).matches(written)]
+        found = [
+            match for cell, specs in named.items() for match in Stations(cell, specs).list_matches(written)
+        ]
         found = [station for station in found if local(station) == written] or found
         if len(found) == 1:
             return found[0]
@@ -543,7 +545,7 @@ class LabService:
         raise NotFound(f"This lab has no station {name!r}.", remedy=remedy)
 
     @staticmethod
-    def _one_of(name: str, names: list[str] | list[ModuleName], what: str) -> str:
+    def _find_one_of(name: str, names: list[str] | list[ModuleName], what: str) -> str:
         found = [known for known in names if name in (known, local(known))]
         if len(found) == 1:
             return str(found[0])
@@ -571,7 +573,7 @@ def digest_of_run(
 ) -> str:
     """What is asked for with a run, as one digest: it tells whether a key stands for the same run. ``files``
     are those of the workflow, by their digests."""
-    return digest_of_request(
+    return make_digest_of_request(
         workflow.text,
         files,
         payload,
@@ -588,4 +590,4 @@ def digest_of_run(
 @cache
 def _load_packaged_labware() -> Mapping[str, LabwareSpec]:
     """The labware types that come with LabOS."""
-    return {name: spec_of(name, kind) for name, kind in load_packaged_labware().items()}
+    return {name: make_spec(name, kind) for name, kind in load_packaged_labware().items()}

@@ -116,7 +116,7 @@ def is_admin(call: Call) -> bool:
     credential = call.who.credential
     group = state.shares.group_of.get(call.who.user, "")
     wide = credential is not None and allows(credential.scope, "admin")
-    return wide and state.users.role_of(call.who.user, group, "*") == NEEDS.index("admin")
+    return wide and state.users.rank_role(call.who.user, group, "*") == NEEDS.index("admin")
 
 
 def expect_self_or_admin(call: Call, user: str) -> None:
@@ -194,7 +194,7 @@ async def sign_out(call: Call) -> Response:
     return answer
 
 
-async def identity_of(call: Call) -> Identity:
+async def find_identity(call: Call) -> Identity:
     who, state = call.who, call.kernel.state
     known = state.users.known.get(who.user)
     person = (await call.api.gate.accounts.people()).get(who.user, Person(who.user))

@@ -13,7 +13,7 @@ from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http.bodies import RunSignature
 from labos.http.signing import expect_users
 from labos.services.shown import show_struct
-from labos.services.signatures import Kind, Signature, Signed, kind_of, record_of, signatures_of
+from labos.services.signatures import Kind, Signature, Signed, find_kind, list_signatures, record_of
 
 if TYPE_CHECKING:
     from labos.http.operation import Call
@@ -32,13 +32,13 @@ async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Sig
         asked.password = ""  # an API process sends the request on to the kernel, over the bus, without it
     await call.kernel.flush()
     record = await asyncio.to_thread(record_of, store, subject, kind)
-    for known in await asyncio.to_thread(signatures_of, store, subject):
+    for known in await asyncio.to_thread(list_signatures, store, subject):
         if (known.by, known.meaning) != (user, asked.meaning) or not known.holds:
             continue
         if (await asyncio.to_thread(show_struct, store, known)).why == asked.why:
             return known
     await call.kernel.execute(_command(subject, record, user, asked), call.user)
-    found = await asyncio.to_thread(signatures_of, store, subject)
+    found = await asyncio.to_thread(list_signatures, store, subject)
     return [each for each in found if each.by == user][-1]
 
 
@@ -47,16 +47,16 @@ async def list_signatures_under(call: Call, subject: str, kind: Kind) -> list[Si
     await _expect_seen(call, subject, kind)
     store = call.service.parts.store
     await call.kernel.flush()
-    if await asyncio.to_thread(kind_of, store, subject) != kind:
+    if await asyncio.to_thread(find_kind, store, subject) != kind:
         raise NotFound(f"There is no {kind} {subject!r}.", remedy="Check its name.")
-    return await asyncio.to_thread(signatures_of, store, subject)
+    return await asyncio.to_thread(list_signatures, store, subject)
 
 
 async def _expect_seen(call: Call, subject: str, kind: Kind) -> None:
     """Raises NotFound."""
     of = subject
     if kind == "run" and call.hidden:
-        of = (await call.service.story(subject)).campaign
+        of = (await call.service.read_story(subject)).campaign
     if of in call.hidden:
         raise NotFound(f"There is no {kind} {subject!r}.", remedy="Check its name.")
 

@@ -15,7 +15,7 @@ from labos.core.labware import LabwarePlaced, LabwareRemoved, StationUnloaded
 from labos.core.registry import Event
 from labos.core.resources import ResourceReplenished
 from labos.http.limits import Amount, Asker, Count, Name, says
-from labos.runtime.kernel import error_of
+from labos.runtime.kernel import make_error
 from labos.spec.units import in_unit
 
 if TYPE_CHECKING:
@@ -99,5 +99,5 @@ def check(service: LabService, command: Command, by: str) -> Iterable[Event]:
     needs one before it, as those of composite commands do."""
     found = decide(service.kernel.state, command, by)
     if isinstance(found, Rejection):
-        raise error_of(found)
+        raise make_error(found)
     return found

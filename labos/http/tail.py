@@ -21,7 +21,7 @@ import msgspec
 from labos.core.envelope import Record
 from labos.core.structs import make_from
 from labos.core.viewer import Viewer
-from labos.core.words import references_in
+from labos.core.words import list_references
 from labos.http.lines import line_of
 from labos.http.restricted import RestrictedCampaigns
 from labos.ports import LogQuery
@@ -82,10 +82,10 @@ class StreamFilter(msgspec.Struct, frozen=True):
             and (not self.streams or line.stream in self.streams)
             and (not self.correlation or line.correlation == self.correlation)
             and (not self.actor or line.actor == self.actor)
-            and (not self.mentions or self._mentions(line))
+            and (not self.mentions or self._mentions_name(line))
         )
 
-    def _mentions(self, line: StreamLine) -> bool:
+    def _mentions_name(self, line: StreamLine) -> bool:
         # In a payload the text stands as JSON writes it.
         return msgspec.json.encode(self.mentions)[1:-1] in line.payload or self.mentions in line.stream
 
@@ -167,7 +167,7 @@ class Tail:
         if first != self._end + 1:
             self._begin_at(first - 1)
         for record in records:
-            line = _line(record)
+            line = _make_line(record)
             self._lines.append(line)
             self._size += len(line.data)
         self._end = last
@@ -194,7 +194,9 @@ class Tail:
 
     # -- for those who ask ---------------------------------------------------------------------
 
-    async def page(self, query: LogQuery, *, stored: bool = False, viewer: Viewer | None = None) -> bytes:
+    async def read_page(
+        self, query: LogQuery, *, stored: bool = False, viewer: Viewer | None = None
+    ) -> bytes:
         """One page of events as JSON, and the position from which to go on: with the words that stand beside
         the log, or as it is ``stored``; without those that a ``viewer`` does not reach. Raises
         StoreUnavailable."""
@@ -204,7 +206,7 @@ class Tail:
         mine = make_from(StreamFilter, query, viewer=viewer)
         upto = self._durable()
         if _is_open(query) and self._holds_after(query.after) and self._end == upto:
-            found, full = _cut(line for line in self._since(query.after) if self._takes(mine, line))
+            found, full = _cut(line for line in self._list_since(query.after) if self._takes(mine, line))
         else:
             upto = upto if query.upto is None else min(upto, query.upto)
             found, full = await self._read(msgspec.structs.replace(query, upto=upto), mine)
@@ -235,7 +237,7 @@ class Tail:
                 if piece:
                     yield await self._show(piece, stored=stored)
                 elif me.dropped:
-                    yield _good_bye(me.sent)
+                    yield _make_last_line(me.sent)
                     return
                 elif not me.live:
                     piece = await self._catch_up(me)
@@ -257,14 +259,14 @@ class Tail:
 
     async def _show(self, data: bytes, *, stored: bool) -> bytes:
         """Put in the words that stand beside the log now. They are not kept here: they may be erased."""
-        if stored or not references_in(data):
+        if stored or not list_references(data):
             return data
         return await asyncio.to_thread(show_json, self._log, data)
 
     async def _catch_up(self, me: _Follower) -> bytes:
         """What a follower has missed, or a page of that; it is live if there is no more."""
         if me.query.last is None and (me.after > self._end or self._holds_after(me.after)):
-            piece = _encode_lines(line for line in self._since(me.after) if self._takes(me.filter, line))
+            piece = _encode_lines(line for line in self._list_since(me.after) if self._takes(me.filter, line))
             me.after, me.live = max(me.after, self._end), True
             return piece
         upto = self._durable()
@@ -284,21 +286,21 @@ class Tail:
         try:
             async with self._turn:
                 begun = time.monotonic()
-                found = await asyncio.to_thread(self._page_of, query, wanted)
+                found = await asyncio.to_thread(self._select_page, query, wanted)
                 if self._waiting > 1:
                     await asyncio.sleep((time.monotonic() - begun) * min(self._waiting, 8))
                 return found
         finally:
             self._waiting -= 1
 
-    def _page_of(self, query: LogQuery, wanted: StreamFilter) -> tuple[list[StreamLine], bool]:
-        lines = map(_line, self._log.select(query))
+    def _select_page(self, query: LogQuery, wanted: StreamFilter) -> tuple[list[StreamLine], bool]:
+        lines = map(_make_line, self._log.select(query))
         return _cut(line for line in lines if self._shows(wanted, line))
 
     def _flush(self) -> None:
         """Hand on what is new; what one filter takes is put together once."""
         self._flush_at, self._last_flush = None, asyncio.get_running_loop().time()
-        new = self._since(self._flushed)
+        new = self._list_since(self._flushed)
         self._flushed = self._end
         pieces: dict[StreamFilter, bytes] = {}
         for follower in self._followers:
@@ -316,7 +318,7 @@ class Tail:
                 piece = pieces[mine] = _encode_lines(line for line in new if self._takes(mine, line))
             follower.give(piece, self._end)
 
-    def _since(self, after: int) -> list[StreamLine]:
+    def _list_since(self, after: int) -> list[StreamLine]:
         """The lines that are kept, behind a position that is kept too."""
         skipped = max(after - self._begin, 0)
         return list(islice(self._lines, skipped, None))
@@ -344,7 +346,7 @@ class Tail:
         return bool(self._followers) or time.monotonic() < self._wanted_until
 
 
-def _line(record: Record) -> StreamLine:
+def _make_line(record: Record) -> StreamLine:
     head = record.head
     data = msgspec.json.encode(line_of(record))
     return StreamLine(
@@ -373,7 +375,7 @@ def _is_open(query: LogQuery) -> bool:
     return query.last is None and query.upto is None and query.since_ns is None and query.until_ns is None
 
 
-def _good_bye(after: int) -> bytes:
+def _make_last_line(after: int) -> bytes:
     why = "You take up events more slowly than they come. Go on with the header Last-Event-ID."
     told = msgspec.json.encode({"error": why, "after": after})
     return b"id: %d\nevent: dropped\ndata: %b\n\n" % (after, told)

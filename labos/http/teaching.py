@@ -56,7 +56,7 @@ def _list_facts(taught: Taught) -> tuple[tuple[float, ...], int, bool]:
     return taught.pose, taught.version, taught.proven
 
 
-def locations(module: Module) -> dict[str, LocationPose]:
+def make_locations(module: Module) -> dict[str, LocationPose]:
     """The poses of a module as they are now, by station."""
     written = module.spec.config
     found = {name: LocationPose(tuple(pose), 0, True) for name, pose in written.get("poses", {}).items()}

@@ -231,7 +231,7 @@ class _Server:
             while self._read < self.durable:
                 upto = min(self.durable, self._read + PAGE)
                 try:
-                    records = await asyncio.to_thread(self._records, self._read, upto)
+                    records = await asyncio.to_thread(self._read_records, self._read, upto)
                 except LabosError as error:
                     _log.warning("log_not_read", why=str(error))
                     await asyncio.sleep(RETRY_S)
@@ -239,7 +239,7 @@ class _Server:
                 self._read = records[-1].head.position if records else upto
                 self.tail.add(records)
 
-    def _records(self, after: int, upto: int) -> list[Record]:
+    def _read_records(self, after: int, upto: int) -> list[Record]:
         return list(self.store.read(after, upto))
 
     async def _serve(self, connection: socket.socket, follow: Follow, end: StreamEnd | None) -> None:

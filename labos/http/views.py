@@ -10,22 +10,31 @@ import structlog
 
 from labos.core.actions import Action
 from labos.core.bench import Labware, Station
-from labos.core.decide.access import in_motion, perhaps_in_motion
+from labos.core.decide.access import list_in_motion, list_perhaps_in_motion
 from labos.core.ids import CampaignId, ModuleName, RunId, local
 from labos.core.interventions import Intervention
 from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
 from labos.core.open_experiments import Experiment
-from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, in_play, modules_open, statuses_of
+from labos.core.runs import (
+    DONE,
+    FAILED,
+    IN_FLIGHT,
+    UNKNOWN,
+    RunState,
+    count_in_play,
+    find_open_modules,
+    list_statuses,
+)
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
 from labos.planning.due import find_time_left
-from labos.planning.forecast import setup_under_way
+from labos.planning.forecast import find_setup_under_way
 from labos.planning.obstacle import explain_wait
-from labos.services.interventions import whereabouts
+from labos.services.interventions import describe_whereabouts
 
 QUEUED_SHOWN = 100
 
@@ -251,7 +260,7 @@ class LabView(msgspec.Struct, frozen=True):
     resources: dict[str, LevelView]
 
 
-def lab_view(
+def make_lab_view(
     kernel: LabKernel,
     *,
     simulated: bool,
@@ -268,33 +277,33 @@ def lab_view(
     runs += seen[:QUEUED_SHOWN]
     flying = {(action.run, action.step): action for action in state.actions.open.values()}
     return LabView(
-        lab=_lab_info(state, simulated),
+        lab=_make_lab_info(state, simulated),
         position=state.position,
         now=now,
         modules=[
-            module_view(name, module, state, rejected, supervised)
+            make_module_view(name, module, state, rejected, supervised)
             for name, module in state.modules.by_name.items()
         ],
-        stations=[station_view(name, station) for name, station in state.bench.stations.items()],
-        labware=[_labware_view(item) for item in state.bench.labware.values()],
+        stations=[make_station_view(name, station) for name, station in state.bench.stations.items()],
+        labware=[_make_labware_view(item) for item in state.bench.labware.values()],
         runs=[run_view(kernel, run, now, flying, waits=waits) for run in runs],
         queued=len(queued),
-        interventions=[question_view(state, asked) for asked in state.interventions.open.values()],
-        experiments=[_experiment_view(item) for item in state.experiments.open.values()],
+        interventions=[make_question_view(state, asked) for asked in state.interventions.open.values()],
+        experiments=[_make_experiment_view(item) for item in state.experiments.open.values()],
         resources={
             key: LevelView(level.level, level.capacity) for key, level in state.resources.levels.items()
         },
     )
 
 
-def _lab_info(state: LabState, simulated: bool) -> LabInfo:
+def _make_lab_info(state: LabState, simulated: bool) -> LabInfo:
     access = {
         cell: AccessView(
             by=access.by,
             why=access.why,
             granted=access.granted,
-            moving=list(in_motion(state, cell)),
-            perhaps_moving=list(perhaps_in_motion(state, cell)),
+            moving=list(list_in_motion(state, cell)),
+            perhaps_moving=list(list_perhaps_in_motion(state, cell)),
         )
         for cell, access in state.lab.access.items()
     }
@@ -303,17 +312,17 @@ def _lab_info(state: LabState, simulated: bool) -> LabInfo:
     )
 
 
-def _labware_view(item: Labware) -> LabwareView:
+def _make_labware_view(item: Labware) -> LabwareView:
     return make_from(
         LabwareView, item, station=local(item.station), maybe=[local(place) for place in item.maybe]
     )
 
 
-def _experiment_view(item: Experiment) -> ExperimentView:
+def _make_experiment_view(item: Experiment) -> ExperimentView:
     return make_from(ExperimentView, item, runs=list(item.runs))
 
 
-def module_view(
+def make_module_view(
     name: str, module: Module, state: LabState, rejected: Mapping[str, str], supervised: Mapping[str, Any]
 ) -> ModuleView:
     process = supervised.get(name)
@@ -334,11 +343,11 @@ def module_view(
         variables=module.values,
         doing=[ModuleAction(a.name, a.run, a.requested_at, a.status) for a in doing],
         process=None if process is None else ProcessView(process.state, process.pid, process.starts),
-        calibrations=calibrations_of(module),
+        calibrations=list_calibrations(module),
     )
 
 
-def calibrations_of(module: Module) -> list[CalibrationView]:
+def list_calibrations(module: Module) -> list[CalibrationView]:
     """The last calibrations of a module, by what was calibrated."""
     return [
         CalibrationView(what, one.certificate, one.until, one.file, one.by, one.at)
@@ -346,18 +355,18 @@ def calibrations_of(module: Module) -> list[CalibrationView]:
     ]
 
 
-def question_view(state: LabState, question: Intervention) -> QuestionView:
+def make_question_view(state: LabState, question: Intervention) -> QuestionView:
     """What the lab asks a person, and what may be answered."""
     return make_from(
         QuestionView,
         question,
-        now=whereabouts(state, question),
+        now=describe_whereabouts(state, question),
         choices=tuple(question.choices),
         module=local(question.module),
     )
 
 
-def station_view(name: str, station: Station) -> StationView:
+def make_station_view(name: str, station: Station) -> StationView:
     return StationView(
         name=name,
         kind=station.spec.kind,
@@ -376,33 +385,33 @@ def run_view(
     """A run that is alive. ``flying`` are the open actions by run and step."""
     state = kernel.state
     plan = state.runs.plan_of(run)
-    steps = statuses_of(plan, run)
+    steps = list_statuses(plan, run)
     return make_from(
         RunView,
         run,
         workcell=plan.workcell,
         status="paused" if run.paused else run.status,
-        steps=in_play(plan, steps),
+        steps=count_in_play(plan, steps),
         done=sum(step == DONE for step in steps),
         failed=sum(step == FAILED for step in steps),
         doing=[
-            _step_view(state, flying.get((run.id, index)), index, plan.steps[index], step, now)
+            _make_step_view(state, flying.get((run.id, index)), index, plan.steps[index], step, now)
             for index, step in enumerate(steps)
             if step in (IN_FLIGHT, UNKNOWN)
         ],
-        waits=waits_view(kernel, run, now) if waits else [],
-        modules={key: list(map(local, names)) for key, names in modules_open(state.runs, run).items()},
+        waits=list_wait_views(kernel, run, now) if waits else [],
+        modules={key: list(map(local, names)) for key, names in find_open_modules(state.runs, run).items()},
         late_by_s=round((now + find_time_left(state, run) - run.due_at) / 1e9, 1) if run.due_at else None,
     )
 
 
-def _step_view(
+def _make_step_view(
     state: LabState, action: Action | None, index: int, step: PlanStep, status: str, now: int
 ) -> StepView:
     left_s = None
     if action is not None and action.status != "unknown":
         gone_s = (now - action.requested_at) / 1e9 * state.lab.pace
-        takes_s = step.duration_s + setup_under_way(state, action) / 1e9 * state.lab.pace
+        takes_s = step.duration_s + find_setup_under_way(state, action) / 1e9 * state.lab.pace
         left_s = round(max(takes_s - gone_s, 0.0), 1)
     return StepView(
         step=index,
@@ -415,7 +424,7 @@ def _step_view(
     )
 
 
-def waits_view(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
+def list_wait_views(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
     """Why a run does not go on, in one sentence for each step whose turn it is."""
     plan = kernel.state.runs.plan_of(run)
 
@@ -426,7 +435,7 @@ def waits_view(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
     if kernel.suspended:
         return [_view_failed_planning(f"Nothing is started, since planning fails: {kernel.suspended}")]
     try:
-        return [view(step, wait) for step, wait in kernel.scheduler.waits(kernel.state, run, now)]
+        return [view(step, wait) for step, wait in kernel.scheduler.list_waits(kernel.state, run, now)]
     except Exception as error:  # the rest of the view is worth having
         _log.exception("wait_not_explained", run=run.id)
         return [

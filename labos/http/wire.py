@@ -25,8 +25,8 @@ from labos.http.limits import (
     check_person,
     check_text,
 )
-from labos.http.problems import MEDIA_TYPE, Problem, problem, problem_of
-from labos.spec.mismatch import plainly
+from labos.http.problems import MEDIA_TYPE, Problem, make_problem, make_problem_of_error
+from labos.spec.mismatch import explain_plainly
 
 SEND = "Send what docs/reference/http.md says."
 OF_STATUS = {403: "forbidden", 404: "not_found", 405: "method_not_allowed"}
@@ -52,7 +52,7 @@ async def read_body(
     try:
         told = msgspec.json.decode(raw or b"{}", type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise BadInput(f"The request cannot be read: {_wrong(error)}.", remedy=SEND) from None
+        raise BadInput(f"The request cannot be read: {_explain_error(error)}.", remedy=SEND) from None
     field = asker_of(kind)
     if asker and field:
         setattr(told, field, asker)
@@ -91,32 +91,34 @@ def read_query(request: Request, kind: type[T] | None, lists: frozenset[str]) ->
     try:
         return msgspec.convert(values, kind, strict=False)
     except msgspec.MsgspecError as error:
-        raise BadInput(f"The query cannot be read: {_wrong(error)}.", remedy=SEND) from None
+        raise BadInput(f"The query cannot be read: {_explain_error(error)}.", remedy=SEND) from None
 
 
-def _wrong(error: Exception) -> str:
+def _explain_error(error: Exception) -> str:
     match error:
         case RecursionError():
             return f"it is nested more than {DEEPEST} levels deep"
         case UnicodeDecodeError():
             return "it is not UTF-8"
         case msgspec.MsgspecError():
-            return plainly(error, FORMS)
+            return explain_plainly(error, FORMS)
     return str(error)
 
 
-def asker(request: Request) -> str:
+def read_asker(request: Request) -> str:
     """Who asks, by the header LabOS-User. Raises BadInput."""
-    name = check_text(header(request, "labos-user") or "application", "The header LabOS-User", LONGEST_PERSON)
+    name = check_text(
+        read_header(request, "labos-user") or "application", "The header LabOS-User", LONGEST_PERSON
+    )
     return check_person(name, "LabOS-User")
 
 
-def key_of(request: Request) -> str:
+def read_key(request: Request) -> str:
     """The request's idempotency key; empty if it has none. Raises BadInput."""
-    return check_text(header(request, "idempotency-key"), "The header Idempotency-Key", LONGEST_NAME)
+    return check_text(read_header(request, "idempotency-key"), "The header Idempotency-Key", LONGEST_NAME)
 
 
-def position_of(request: Request) -> int:
+def read_position(request: Request) -> int:
     """The position in the log that the client knows of; 0 if none is said. Raises BadInput."""
     said = request.headers.get(POSITION, "0")
     if not (said.isascii() and said.isdecimal() and len(said) <= 19):
@@ -124,7 +126,7 @@ def position_of(request: Request) -> int:
     return int(said)
 
 
-def header(request: Request, name: str) -> str:
+def read_header(request: Request, name: str) -> str:
     """A header as text; people's names are UTF-8 there. Raises BadInput."""
     try:
         return request.headers.get(name, "").encode("latin-1").decode()
@@ -147,9 +149,9 @@ def send_problem(found: Problem, *, close: bool = False) -> Response:
     return Response(msgspec.json.encode(found), found.status, headers, MEDIA_TYPE)
 
 
-async def labos_error(request: Request, error: LabosError) -> Response:
+async def answer_labos_error(request: Request, error: LabosError) -> Response:
     unread = isinstance(error, TooLarge | TooSlow | TooMany) or request.scope.get(UNREAD, False)
-    found = send_problem(problem_of(error), close=unread)
+    found = send_problem(make_problem_of_error(error), close=unread)
     if isinstance(error, NotSignedIn):
         found.headers["www-authenticate"] = 'Bearer realm="LabOS"'
     if isinstance(error, TooManyTries):
@@ -157,14 +159,16 @@ async def labos_error(request: Request, error: LabosError) -> Response:
     return found
 
 
-async def http_error(request: Request, error: HTTPException) -> Response:
+async def answer_http_error(request: Request, error: HTTPException) -> Response:
     code = OF_STATUS.get(error.status_code, "bad_input")
-    found = send_problem(msgspec.structs.replace(problem(code, _sentence(request, code, error.detail))))
+    found = send_problem(
+        msgspec.structs.replace(make_problem(code, _describe_http_error(request, code, error.detail)))
+    )
     found.headers.update(error.headers or {})
     return found
 
 
-def _sentence(request: Request, code: str, detail: str) -> str:
+def _describe_http_error(request: Request, code: str, detail: str) -> str:
     path = request.url.path[:LONGEST_NAME]
     if code == "not_found":
         return f"There is nothing at {path!r}."
@@ -176,4 +180,4 @@ def _sentence(request: Request, code: str, detail: str) -> str:
 async def report_fault(request: Request, error: Exception) -> Response:
     _log.error("request_failed", path=request.url.path, error=repr(error))
     text = f"LabOS failed on this request ({type(error).__name__})."
-    return send_problem(problem("internal", text, "This is a fault of LabOS; its log tells more."))
+    return send_problem(make_problem("internal", text, "This is a fault of LabOS; its log tells more."))

@@ -21,7 +21,7 @@ from labos.services.trust.witness import Witness
 MOST_CONNECTIONS = 100
 
 
-def witness_app(witness: Witness) -> Starlette:
+def make_witness_app(witness: Witness) -> Starlette:
     async def add_checkpoint(request: Request) -> Response:
         body = b""
         async for piece in request.stream():
@@ -51,7 +51,7 @@ async def serve_witness(witness: Witness, host: str, port: int, ready: Callable[
         at = f"[{host}]" if ":" in host else host
         ready(f"http://{at}:{listening.getsockname()[1]}")
         config = uvicorn.Config(
-            witness_app(witness),
+            make_witness_app(witness),
             http=StrictProtocol,
             log_level="warning",
             access_log=False,

@@ -12,9 +12,9 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from labos.core.words import put_into_json, references_in
+from labos.core.words import list_references, put_into_json
 from labos.errors import LabosError
-from labos.services.shown import WordsBeside, texts_of
+from labos.services.shown import WordsBeside, read_texts
 
 STORED = "labos.stored"
 """Where a request's scope says that it asks for what is stored."""
@@ -52,11 +52,11 @@ class ShownWords:
 
     async def _show(self, scope: Scope, start: Message, message: Message) -> Message:
         body: bytes = message.get("body", b"")
-        named = references_in(body)
+        named = list_references(body)
         if not named or scope.get(STORED):
             return message
         try:
-            texts = await asyncio.to_thread(texts_of, self._beside, named)
+            texts = await asyncio.to_thread(read_texts, self._beside, named)
         except LabosError as error:
             _log.warning("words_not_read", why=str(error))
             texts = dict.fromkeys(named, NOT_READ)

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.decide.lab import in_the_way
+from labos.core.decide.lab import list_obstacles
 from labos.core.ids import local, workcell_of
 from labos.core.model import ModuleSpec, StationSpec, Workcell
 from labos.core.state import LabState
@@ -17,7 +17,7 @@ from labos.http.service import LabService
 from labos.settings import NODE_SETTINGS_FILE
 from labos.spec import Finding, parse_workcell
 from labos.spec.onsite import list_on_site
-from labos.spec.tables import table_of
+from labos.spec.tables import find_table
 
 
 class Difference(msgspec.Struct, frozen=True):
@@ -57,22 +57,24 @@ async def apply_workcell(service: LabService, told: WorkcellFile, by: str) -> Wo
     descriptions = service.parts.descriptions
     sent = {**told.labware, **told.files}
     size = len(told.text) + sum(map(len, sent.values()))
-    compiled = await service.beside(size, parse_workcell, told.text, descriptions, told.name, sent)
+    compiled = await service.run_beside(size, parse_workcell, told.text, descriptions, told.name, sent)
     new, state = compiled.workcell, service.kernel.state
     _refuse_on_site(service, new)
-    blockers = tuple(f"{found.message} {found.remedy}".strip() for found in in_the_way(state, new))
-    before = _as_applied(state, new.name)
+    blockers = tuple(f"{found.message} {found.remedy}".strip() for found in list_obstacles(state, new))
+    before = _make_applied(state, new.name)
     found = WorkcellChange(
         new.name,
         False,
-        _difference(_by_name(before.modules), _by_name(new.modules)),
-        _difference(_by_name(before.stations), _by_name(new.stations)),
-        _difference(_poses(before), _poses(new)),
-        _difference({kind.name: kind for kind in before.labware}, {kind.name: kind for kind in new.labware}),
+        _make_difference(_sort_by_name(before.modules), _sort_by_name(new.modules)),
+        _make_difference(_sort_by_name(before.stations), _sort_by_name(new.stations)),
+        _make_difference(_list_poses(before), _list_poses(new)),
+        _make_difference(
+            {kind.name: kind for kind in before.labware}, {kind.name: kind for kind in new.labware}
+        ),
         blockers,
-        _details(_by_name(before.modules), _by_name(new.modules)),
+        _describe_changes(_sort_by_name(before.modules), _sort_by_name(new.modules)),
         compiled.findings,
-        _difference(_ways(before), _ways(new)),
+        _make_difference(_list_ways(before), _list_ways(new)),
     )
     if told.dry_run:
         return found
@@ -82,7 +84,7 @@ async def apply_workcell(service: LabService, told: WorkcellFile, by: str) -> Wo
     other_nodes = [
         module.name
         for module in before.modules
-        if (spec := _by_name(new.modules).get(local(module.name))) is not None
+        if (spec := _sort_by_name(new.modules).get(local(module.name))) is not None
         and (spec.driver, spec.config, spec.regrip) != (module.driver, module.config, module.regrip)
     ]
     service.parts.follow_workcells(other_nodes)
@@ -94,11 +96,11 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
     lab has it like that already."""
     known, tables = service.kernel.state.modules.by_name, service.parts.descriptions
     for spec in new.modules:
-        table = table_of(spec.driver, tables)
+        table = find_table(spec.driver, tables)
         keys = frozenset({table.key} if table is not None else ())
         named = list_on_site(spec.config.get("config", {}), keys)
         before = known.get(spec.name)
-        if named and (before is None or _connection_of(before.spec) != _connection_of(spec)):
+        if named and (before is None or _list_connection(before.spec) != _list_connection(spec)):
             raise BadInput(
                 f"The module {local(spec.name)} says {' and '.join(named)}: a file, program or secret of its "
                 "node's computer, which cannot be said over HTTP.",
@@ -107,13 +109,13 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
             )
 
 
-def _connection_of(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
+def _list_connection(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
     """How a module's device is reached."""
     told = spec.config
     return spec.driver, told.get("interface"), told.get("config"), told.get("about"), told.get("extends")
 
 
-def _as_applied(state: LabState, cell: str) -> Workcell:
+def _make_applied(state: LabState, cell: str) -> Workcell:
     return Workcell(
         cell,
         state.lab.workcells.get(cell, ""),
@@ -124,11 +126,11 @@ def _as_applied(state: LabState, cell: str) -> Workcell:
     )
 
 
-def _by_name(specs: tuple[ModuleSpec, ...] | tuple[StationSpec, ...]) -> dict[str, Any]:
+def _sort_by_name(specs: tuple[ModuleSpec, ...] | tuple[StationSpec, ...]) -> dict[str, Any]:
     return {local(spec.name): spec for spec in specs}
 
 
-def _ways(cell: Workcell) -> dict[str, Any]:
+def _list_ways(cell: Workcell) -> dict[str, Any]:
     """The ways of transfers, by who carries and between which stations."""
     found: dict[str, Any] = {}
     for way in cell.transfers:
@@ -139,13 +141,15 @@ def _ways(cell: Workcell) -> dict[str, Any]:
     return found
 
 
-def _details(before: Mapping[str, ModuleSpec], after: Mapping[str, ModuleSpec]) -> dict[str, tuple[str, ...]]:
+def _describe_changes(
+    before: Mapping[str, ModuleSpec], after: Mapping[str, ModuleSpec]
+) -> dict[str, tuple[str, ...]]:
     """What changes of modules that stay. What a driver is told may be secret, and is named only."""
     found = {}
     for name in sorted(before.keys() & after.keys()):
         was, is_ = msgspec.to_builtins(before[name]), msgspec.to_builtins(after[name])
         changed = tuple(
-            f"{field}: {_word(was[field])} → {_word(is_[field])}" if field in OF_STEPS else field
+            f"{field}: {_show_value(was[field])} → {_show_value(is_[field])}" if field in OF_STEPS else field
             for field in is_
             if is_[field] != was[field]
         )
@@ -154,15 +158,15 @@ def _details(before: Mapping[str, ModuleSpec], after: Mapping[str, ModuleSpec]) 
     return found
 
 
-def _word(value: Any) -> str:
+def _show_value(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_word(part)}" for key, part in value.items())
+        return ", ".join(f"{key} {_show_value(part)}" for key, part in value.items())
     if isinstance(value, bool):
         return "yes" if value else "no"
     return "none" if value in ("", None) else str(value)
 
 
-def _poses(cell: Workcell) -> dict[str, Any]:
+def _list_poses(cell: Workcell) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for module in cell.modules:
         name = local(module.name)
@@ -173,7 +177,7 @@ def _poses(cell: Workcell) -> dict[str, Any]:
     return found
 
 
-def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> Difference:
+def _make_difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> Difference:
     return Difference(
         tuple(sorted(after.keys() - before.keys())),
         tuple(sorted(before.keys() - after.keys())),

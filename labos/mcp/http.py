@@ -19,8 +19,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from labos.client import LabClient
 from labos.errors import BadInput, Forbidden, LabosError, NotSignedIn
 from labos.http.identity import BEHALF
-from labos.http.problems import problem_of
-from labos.http.server import Listening, is_own_address, listen, tls_of
+from labos.http.problems import make_problem_of_error
+from labos.http.server import Listening, is_own_address, listen, make_tls_context
 from labos.http.wire import send_problem
 from labos.mcp.server import make_server, sign_in
 from labos.services.accounts import TOKEN
@@ -57,7 +57,7 @@ def serve(url: str, home: str | None, listening: Listening, tell: Callable[[str]
             remedy="Leave --host out, or give --tls-cert and --tls-key, or say --behind-proxy if another "
             "program speaks TLS for it.",
         )
-    tls = tls_of(listening)
+    tls = make_tls_context(listening)
     socket = listen(listening.host, listening.port)
     config = uvicorn.Config(
         make_app(url, home, listening),
@@ -140,7 +140,7 @@ def _read_token(request: Request) -> str:
 def _refusal(error: LabosError) -> Response:
     if isinstance(error, BadInput):  # somebody is known, and is no service account
         error = Forbidden(error.message, remedy=error.remedy)
-    found = send_problem(problem_of(error))
+    found = send_problem(make_problem_of_error(error))
     if found.status_code == 401:
         found.headers["www-authenticate"] = "Bearer"
     return found

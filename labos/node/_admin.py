@@ -16,8 +16,8 @@ from labos.clock import Clock
 from labos.core.modules import describe_stop
 from labos.errors import BadInput, LabosError, NodeError, Unreadable
 from labos.node._admission import Admission
-from labos.node._outcome import text
-from labos.node.limits import NAME_LIMIT, cut, cut_name, flaw_of, is_name, read
+from labos.node._outcome import describe_error
+from labos.node.limits import NAME_LIMIT, cut, cut_name, find_flaw, is_name, read
 from labos.node.node import Node
 from labos.node.protocol import AdminReply, AdminRequest
 
@@ -76,15 +76,15 @@ class Admin:
         except Unreadable as error:
             stop = _stop_in(payload)
             if stop is None:
-                return _encode(AdminReply(False, text(error)))
+                return _encode(AdminReply(False, describe_error(error)))
             request = stop
         return _encode(await self._answer(request))
 
-    def commands(self) -> dict[str, Command]:
+    def list_commands(self) -> dict[str, Command]:
         """By name."""
         return {
             "stop": self._stop,
-            "estop": self._emergency_stop,
+            "estop": self._stop_in_emergency,
             "observe": self._observe,
             "shutdown": self._shut_down,
             "settled": self._settle,
@@ -97,14 +97,14 @@ class Admin:
         self.stopped_at, self.stopped_by = 0, ""
 
     async def _answer(self, request: AdminRequest) -> AdminReply:
-        handler = self.commands().get(request.command)
+        handler = self.list_commands().get(request.command)
         if handler is None:
-            known = ", ".join(sorted(self.commands()))
+            known = ", ".join(sorted(self.list_commands()))
             what = cut(request.command, NAME_LIMIT)
             return AdminReply(False, f"{self._module} has no command {what!r}; it has {known}.")
         try:
             if request.command not in NEVER_FENCED:
-                if flaw := flaw_of(request.args):
+                if flaw := find_flaw(request.args):
                     raise BadInput(f"The arguments of {request.command} cannot be taken: {flaw}.")
                 self._admission.admit(request.lab, request.epoch)
                 await self._synced()
@@ -112,13 +112,13 @@ class Admin:
         except Exception as error:
             if not isinstance(error, LabosError):
                 _log.exception("command_failed", module=self._module, command=request.command)
-            return AdminReply(False, text(error))
+            return AdminReply(False, describe_error(error))
 
     async def _stop(self, args: dict[str, Any]) -> None:
         self.stops += 1
         await self._node.stop()
 
-    async def _emergency_stop(self, args: dict[str, Any]) -> int:
+    async def _stop_in_emergency(self, args: dict[str, Any]) -> int:
         by = cut_name(args.get("by"))
         if not self.stopped_at or by != self.stopped_by:  # pressed twice, or heard twice, it is one stop
             self.stopped_at, self.stopped_by = self._clock.now_ns(), by
@@ -137,7 +137,7 @@ class Admin:
         if doing := self._carrying():
             raise NodeError(f"{self._module} is carrying labware ({doing}): what is seen now is old soon.")
         seen: dict[str, Any] = msgspec.to_builtins(await self._node.observe(), str_keys=True)
-        if flaw := flaw_of(seen):
+        if flaw := find_flaw(seen):
             raise NodeError(f"What {self._module} sees cannot be told: {flaw}.")
         self.variables = {name: value for name, value in seen.items() if name != "labware"}
         return seen

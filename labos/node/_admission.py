@@ -10,7 +10,7 @@ from typing import Literal
 
 from labos.errors import BadInput
 from labos.node.journal import Journal
-from labos.node.limits import cut, flaw_of, is_name
+from labos.node.limits import cut, find_flaw, is_name
 from labos.node.protocol import (
     ATTEMPT_JUMP,
     EPOCH_JUMP,
@@ -59,7 +59,7 @@ class Admission:
 
     def check(self, message: ActionMessage) -> None:
         """Whether a kernel can have sent this. Keeps nothing. Raises NotAdmitted."""
-        if flaw := self._flaw(message):
+        if flaw := self._find_flaw(message):
             raise NotAdmitted(f"No kernel sends such a message to {self._module}: {flaw}.", "refused")
 
     def check_position(self, position: object) -> int:
@@ -72,28 +72,28 @@ class Admission:
             )
         return position
 
-    def _flaw(self, message: ActionMessage) -> str:
+    def _find_flaw(self, message: ActionMessage) -> str:
         match message:
             case Acknowledge(position=position):
-                return self._flaw_of_acknowledgement(position)
+                return self._find_flaw_of_acknowledgement(position)
             case Ask():
-                return self._flaw_of_request(message)
+                return self._find_flaw_of_request(message)
             case Start():
-                if flaw := flaw_of(message.args, limit=GREATEST):
+                if flaw := find_flaw(message.args, limit=GREATEST):
                     return f"its arguments cannot be taken, {flaw}"
-                return self._flaw_of_request(message)
+                return self._find_flaw_of_request(message)
 
-    def _flaw_of_request(self, message: Start | Ask) -> str:
+    def _find_flaw_of_request(self, message: Start | Ask) -> str:
         if not is_name(message.action):
             return f"an action is not called {cut(repr(message.action), 80)}"
         if not 1 <= message.position <= GREATEST:
             return f"no log has the position {message.position}"
-        last = self._journal.last_attempt(message.action)
+        last = self._journal.find_last_attempt(message.action)
         if not 1 <= message.attempt <= last + ATTEMPT_JUMP:
             return f"attempt {message.attempt} of {message.action} cannot follow attempt {last}"
         return ""
 
-    def _flaw_of_acknowledgement(self, position: int) -> str:
+    def _find_flaw_of_acknowledgement(self, position: int) -> str:
         if not 0 <= position <= GREATEST:
             return f"no log has the position {position}"
         if position > self._journal.seen + POSITION_JUMP:

@@ -10,7 +10,7 @@ import structlog
 
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError
-from labos.node._outcome import text
+from labos.node._outcome import describe_error
 from labos.node.limits import cut
 from labos.node.node import Node
 from labos.node.protocol import NodeStatus, Outcome
@@ -56,7 +56,7 @@ class DeviceCondition:
             await self._node.connect()
         except Exception as error:
             self.doing = ""
-            await self.fail(f"The device is not connected: {text(error)}")
+            await self.fail(f"The device is not connected: {describe_error(error)}")
             return
         self.connected = True
         await self.settle()
@@ -66,7 +66,9 @@ class DeviceCondition:
         try:
             await self._node.connect()
         except Exception as error:
-            raise DeviceError(f"The device is not connected: {text(error)}", effects="none") from error
+            raise DeviceError(
+                f"The device is not connected: {describe_error(error)}", effects="none"
+            ) from error
         self.connected = True
 
     async def look(self) -> None:
@@ -77,7 +79,7 @@ class DeviceCondition:
         try:
             trouble = cut(await self._node.trouble() or "")
         except Exception as error:
-            trouble = cut(f"The device does not answer: {text(error)}")
+            trouble = cut(f"The device does not answer: {describe_error(error)}")
         if self.error not in ("", self._trouble) or trouble == self.error:
             return
         self._trouble = trouble
@@ -87,7 +89,7 @@ class DeviceCondition:
             self.error = ""
             await self._changed()
 
-    async def rest(self) -> None:
+    async def mark_busy_until_rest(self) -> None:
         """BUSY until the device stands still, without keeping anybody waiting."""
         if not await self._is_idle():
             self._wait_for_idle()
@@ -103,7 +105,7 @@ class DeviceCondition:
         _log.error("node_in_error", module=self._module, error=self.error)
         await self._changed()
 
-    def why_not(self, spec: ActionSpec, doing: str) -> str:
+    def explain_cannot_begin(self, spec: ActionSpec, doing: str) -> str:
         """Why the action may not begin now; ``doing`` is how to name what runs."""
         if self.error and not (spec.recovers and (self.connected or spec.name == "reset")):
             return f"{self._module} is in error: {self.error}"
@@ -147,5 +149,5 @@ class DeviceCondition:
         try:
             return await self._node.is_idle()
         except Exception as error:
-            _log.warning("device_not_answering", module=self._module, error=text(error))
+            _log.warning("device_not_answering", module=self._module, error=describe_error(error))
             return False

@@ -81,7 +81,7 @@ class Memory(msgspec.Struct):
 
     def is_spent(self, position: int) -> bool:
         """Whether an acknowledgement of ``position`` lets the node forget something."""
-        return any(self._remainder(known, position) is not known for known in self.actions.values())
+        return any(self._keep_remainder(known, position) is not known for known in self.actions.values())
 
     # -- the fold ----------------------------------------------------------------------------
 
@@ -138,17 +138,17 @@ class Memory(msgspec.Struct):
                 given_up = self._attempt(record.action, record.attempt)
                 given_up.status, given_up.why = "interrupted", record.why
             case Voided():
-                self._void(record.action, record.attempt, record.position)
+                self._note_void(record.action, record.attempt, record.position)
             case Withdrawn():
                 withdrawn = self.actions[record.action].attempts.pop(record.attempt)
-                self._void(record.action, record.attempt, withdrawn.position)
+                self._note_void(record.action, record.attempt, withdrawn.position)
             case _:
                 raise TypeError(f"{type(record).__name__} is no record of a journal")
 
     def _attempt(self, action: str, number: int) -> Attempt:
         return self.actions[action].attempts[number]
 
-    def _void(self, action: str, number: int, position: int) -> None:
+    def _note_void(self, action: str, number: int, position: int) -> None:
         known = self.actions.setdefault(action, Known())
         known.void = max(known.void, number)
         known.void_position = max(known.void_position, position)
@@ -156,14 +156,14 @@ class Memory(msgspec.Struct):
 
     def _forget(self, position: int) -> None:
         for action, known in list(self.actions.items()):
-            left = self._remainder(known, position)
+            left = self._keep_remainder(known, position)
             if left is None:
                 del self.actions[action]
             else:
                 self.actions[action] = left
 
     @staticmethod
-    def _remainder(known: Known, position: int) -> Known | None:
+    def _keep_remainder(known: Known, position: int) -> Known | None:
         """What is still to be remembered of an action; itself if that is all."""
         attempts = {n: a for n, a in known.attempts.items() if not _is_spent(a, position)}
         if not attempts and known.void_position <= position:
@@ -206,7 +206,7 @@ class Memory(msgspec.Struct):
 
     # -- writing anew ------------------------------------------------------------------------
 
-    def records(self) -> list[Record]:
+    def list_records(self) -> list[Record]:
         """The shortest journal that is remembered like this one."""
         records: list[Record] = [Opened(self.id, FORMAT), *self.corrections]
         if self.lab:

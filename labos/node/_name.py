@@ -33,11 +33,11 @@ async def claim(
         held.append(await bus.declare_alive(keys.name(module, instance, "has")))
         # Somebody may have taken it in the same moment, before either could know.
         await asyncio.sleep(settle_s)
-        if others.have_it_before():
-            raise _name_taken(module)
+        if others.has_earlier_claim():
+            raise _make_name_taken_error(module)
     except TimeoutError:
         _let_go(held)
-        raise _name_taken(module) from None
+        raise _make_name_taken_error(module) from None
     except BaseException:
         _let_go(held)
         raise
@@ -70,7 +70,7 @@ class _Others:
             for instance, stages in self._stages.items()
         )
 
-    def have_it_before(self) -> bool:
+    def has_earlier_claim(self) -> bool:
         """Whether one that goes before this one has the name too."""
         return any(
             stages - {"wants"} and instance < self._instance for instance, stages in self._stages.items()
@@ -96,7 +96,7 @@ def _let_go(handles: list[Handle]) -> None:
         handle.close()
 
 
-def _name_taken(module: str) -> NameTaken:
+def _make_name_taken_error(module: str) -> NameTaken:
     return NameTaken(
         f"Another node already answers as {module!r}.",
         remedy="Stop it first, or give this one another name in the workcell.",

@@ -13,7 +13,7 @@ import msgspec
 import structlog
 
 from labos.errors import Collision, DeviceError, LabosError, OutcomeUnknown
-from labos.node.limits import cut, flaw_of
+from labos.node.limits import cut, find_flaw
 from labos.node.node import ActionMethod
 from labos.node.protocol import EffectsDone, Outcome
 from labos.node.world import Crash
@@ -32,7 +32,7 @@ async def call(method: ActionMethod, kwargs: dict[str, Any], run_blocking: RunBl
     return await result if inspect.isawaitable(result) else result
 
 
-async def outcome_of(
+async def find_outcome(
     name: str, calling: Awaitable[Any], *, broken_off: Callable[[], bool], **which: str
 ) -> Outcome:
     """How the action ``name`` ended. A cancellation is the node's own if ``broken_off`` says so, and
@@ -44,18 +44,18 @@ async def outcome_of(
         raise
     except DeviceError as error:
         collided = isinstance(error, Collision)
-        return Outcome(False, _effects(error.effects), error=text(error), collided=collided)
+        return Outcome(False, _parse_effects(error.effects), error=describe_error(error), collided=collided)
     except asyncio.CancelledError:
         if broken_off():
             raise
         return Outcome(False, "unknown", error="The action was cancelled by its driver.")
     except Exception as error:
         _log.exception("action_failed", name=name, **which)
-        return Outcome(False, "unknown", error=text(error), collided=isinstance(error, Crash))
-    return _success(name, result)
+        return Outcome(False, "unknown", error=describe_error(error), collided=isinstance(error, Crash))
+    return _make_success(name, result)
 
 
-def text(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """An error as a person reads it, no longer than the log takes it."""
     try:
         said = str(error)
@@ -64,13 +64,15 @@ def text(error: BaseException) -> str:
     return cut(said if isinstance(error, LabosError) else f"{type(error).__name__}: {said}")
 
 
-def _success(name: str, result: Any) -> Outcome:
+def _make_success(name: str, result: Any) -> Outcome:
     """The outcome of an action that did all it should; a result that cannot be encoded is a failure."""
     try:
         plain = msgspec.to_builtins(result, str_keys=True)
-        flaw = flaw_of(plain)
+        flaw = find_flaw(plain)
     except (TypeError, ValueError, RecursionError, msgspec.MsgspecError) as error:
-        flaw = text(error) if not isinstance(error, RecursionError) else "it is nested without an end"
+        flaw = (
+            describe_error(error) if not isinstance(error, RecursionError) else "it is nested without an end"
+        )
     if flaw:
         return Outcome(
             False, "all", error=f"{name} was done, but its result cannot be recorded: {flaw.rstrip('.')}."
@@ -78,7 +80,7 @@ def _success(name: str, result: Any) -> Outcome:
     return Outcome(True, "all", plain)
 
 
-def _effects(said: str) -> EffectsDone:
+def _parse_effects(said: str) -> EffectsDone:
     match said:
         case "all" | "none" | "partial":
             return said

@@ -172,11 +172,11 @@ def read_lines(data: bytes) -> tuple[list[Record], bytes]:
     while start < len(data):
         newline = data.find(b"\n", start)
         line = data[start:] if newline < 0 else data[start:newline]
-        body = _body(line)
+        body = _check_body(line)
         if body is None and newline < 0:
             # Perhaps only the mark of its end is gone, and somebody was answered for it.
             line = line[:-1]
-            body = _body(line)
+            body = _check_body(line)
         if body is None:
             # What a power cut leaves of the last write has no end, or sectors of zeros in it.
             if newline < 0 or (newline + 1 == len(data) and b"\0" in line):
@@ -198,7 +198,7 @@ def read_lines(data: bytes) -> tuple[list[Record], bytes]:
     return records, data
 
 
-def _body(line: bytes) -> bytes | None:
+def _check_body(line: bytes) -> bytes | None:
     """The line's content if its checksum is right."""
     checksum, _, body = line.partition(b" ")
     return body if checksum == b"%08x" % zlib.crc32(body) else None

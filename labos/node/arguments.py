@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.arguments import describe_arg, find_flaw, names_of, shorten
+from labos.core.arguments import describe_arg, find_flaw, list_names, shorten
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid
 
@@ -23,10 +23,10 @@ class ArgumentProblem(msgspec.Struct, frozen=True):
     message: str
 
 
-def problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[ArgumentProblem]:
+def list_problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[ArgumentProblem]:
     """Everything that is wrong with a call, in the order of declaration; unknown names last."""
     found: list[ArgumentProblem] = []
-    meant = names_of(spec)
+    meant = list_names(spec)
     for arg in spec.args:
         written = [name for name in args if meant.get(name) is arg]
         if len(written) > 1:
@@ -51,9 +51,9 @@ def bind(spec: ActionSpec, args: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises ActionInvalid with one sentence about the first thing that is wrong.
     """
-    for problem in problems(spec, args):
+    for problem in list_problems(spec, args):
         raise ActionInvalid(f"{spec.name}: argument {problem.argument!r} {problem.message}.")
-    meant = names_of(spec)
+    meant = list_names(spec)
     return {
         meant[name].name: float(value) if meant[name].type == "float" and value is not None else value
         for name, value in args.items()

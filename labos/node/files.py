@@ -54,7 +54,7 @@ class Files:
     async def fetch(self, sha256: str, name: str) -> Path:
         """The file of that digest, under its own name. Raises DeviceError (nothing moved) if the
         lab has no such file, waits for a lab that is away."""
-        path = self._folder / sha256[:16] / _plain(name)
+        path = self._folder / sha256[:16] / _simplify_name(name)
         if await asyncio.to_thread(_is_whole, path, sha256):
             return path
         data = bytearray()
@@ -79,7 +79,7 @@ class Files:
     async def send(self, attachment: Attachment) -> dict[str, Any]:
         """Hand a file over to the lab; returns what stands for it in the result. Waits for a lab
         that is away. Raises DeviceError (all was done) if the lab does not take it."""
-        data = await _content(attachment)
+        data = await _read_content(attachment)
         if len(data) > LARGEST:
             raise DeviceError(
                 f"The file {attachment.name} has {len(data)} bytes; {LARGEST} are allowed.", effects="all"
@@ -129,7 +129,7 @@ async def hand_over(result: Any, files: Files | None, depth: int = 0) -> Any:
     return result
 
 
-async def _content(attachment: Attachment) -> bytes:
+async def _read_content(attachment: Attachment) -> bytes:
     """Raises DeviceError (all was done)."""
     if isinstance(attachment.content, bytes):
         return attachment.content
@@ -143,7 +143,7 @@ async def _content(attachment: Attachment) -> bytes:
         ) from error
 
 
-def _plain(name: str) -> str:
+def _simplify_name(name: str) -> str:
     """The last part of a file's name, as every system can write it: of a long one the end, which says what
     kind of file it is."""
     last = PurePosixPath(name.replace("\\", "/")).name

@@ -77,7 +77,7 @@ class GenericDevice:
     async def carry_out(self, spec: ActionSpec, args: dict[str, Any]) -> Any:
         """Do what an action's effects say, in its time. Raises DeviceError, Crash."""
         if not spec.exclusive:
-            await asyncio.sleep(self._random_duration_s(spec.duration_s) / self._setup.pace)
+            await asyncio.sleep(self._draw_duration_s(spec.duration_s) / self._setup.pace)
             return self._work(spec, self._resolve(spec, args))
         if self._is_stopped:
             raise DeviceError(f"{self.name} is stopped.", effects="none", remedy="Reset it.")
@@ -111,7 +111,7 @@ class GenericDevice:
 
     def find_held_plate(self) -> str:
         """What the hand holds, or empty."""
-        return self._top(f"hand:{self.name}")
+        return self._find_top(f"hand:{self.name}")
 
     # -- what an action does -----------------------------------------------------------------
 
@@ -135,26 +135,26 @@ class GenericDevice:
                 )
 
     async def _move(self, effect: Move | Take, took_s: float) -> None:
-        source, target = self._ends(effect)
+        source, target = self._find_ends(effect)
         if source != f"hand:{self.name}":
             self.world.enter(self.name, source)
             await self._take_time(0.4 * took_s)
-            self.world.grip(self.name, self._lid_at(source, effect, Unlid), effect.source_grip)
+            self.world.grip(self.name, self._find_lid_at(source, effect, Unlid), effect.source_grip)
         await self._take_time(0.3 * took_s)
         if target != f"hand:{self.name}":
             self.world.enter(self.name, target)
-            self._put_down(self._lid_at(target, effect, Relid), effect.target_grip)
+            self._put_down(self._find_lid_at(target, effect, Relid), effect.target_grip)
             await self._take_time(0.3 * took_s)
 
-    def _ends(self, effect: Move | Take) -> tuple[str, str]:
+    def _find_ends(self, effect: Move | Take) -> tuple[str, str]:
         """Where a motion begins and ends; its own hand is a place too."""
         hand = {f"{self.name}.{s.name}" for s in self._description.stations if s.kind == "gripper"}
         ends = (effect.source, effect.target)
         return tuple(f"hand:{self.name}" if place in hand else place for place in ends)  # type: ignore[return-value]
 
-    def _lid_at(self, place: str, effect: Move | Take, kind: type[Move]) -> str:
+    def _find_lid_at(self, place: str, effect: Move | Take, kind: type[Move]) -> str:
         """The lid of the plate at a place, where it is the lid that is carried from or to it."""
-        return lid_of(self._top(place)) if isinstance(effect, kind) else place
+        return lid_of(self._find_top(place)) if isinstance(effect, kind) else place
 
     def _put_down(self, place: str, grip: str) -> None:
         chutes = {self._place(name) for name in self._setup.config.get("waste", ())}
@@ -170,11 +170,11 @@ class GenericDevice:
         for effect in effects:
             match effect:
                 case Needs():
-                    at = effect.station or self._own_place()
+                    at = effect.station or self._find_own_place()
                 case Consumes() if not isinstance(effect.amount, str):
                     self.world.use(self.name, effect.resource, effect.amount)
                 case Reads():
-                    result = {"barcode": self.world.barcode(self._top(at or self._own_place()))}
+                    result = {"barcode": self.world.barcode(self._find_top(at or self._find_own_place()))}
                 case Sets(of="labware") if not is_reported(effect.value):
                     self.world.work(self.name, VERBS.get((effect.variable, effect.value), spec.name), at)
                 case Sets(of="module") if not is_reported(effect.value):
@@ -203,7 +203,7 @@ class GenericDevice:
     async def _take_time(self, nominal_s: float) -> None:
         """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
         self._at_work = asyncio.ensure_future(
-            asyncio.sleep(self._random_duration_s(nominal_s) / self._setup.pace)
+            asyncio.sleep(self._draw_duration_s(nominal_s) / self._setup.pace)
         )
         try:
             await asyncio.wait({self._at_work})
@@ -213,7 +213,7 @@ class GenericDevice:
         if self._is_stopped:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
 
-    def _random_duration_s(self, nominal_s: float) -> float:
+    def _draw_duration_s(self, nominal_s: float) -> float:
         """How long it takes this time."""
         return nominal_s * self._random.uniform(1 - SCATTER, 1 + SCATTER)
 
@@ -222,7 +222,7 @@ class GenericDevice:
         bare = local(StationName(text)).replace(".positions.", ".")
         return bare if "." in bare else self._setup.place(bare)
 
-    def _own_place(self) -> str:
+    def _find_own_place(self) -> str:
         """The module's own station where labware stands; empty if there is none."""
         taken, own = self._list_taken(), self._list_own()
         return taken[0] if taken else own[0] if own else ""
@@ -240,7 +240,7 @@ class GenericDevice:
             if plates and (place in own or place.startswith(tuple(shelves)))
         ]
 
-    def _top(self, place: str) -> str:
+    def _find_top(self, place: str) -> str:
         plates = self.world.at(place)
         return plates[-1] if plates else ""
 
@@ -269,7 +269,7 @@ class GenericNode(Node):
 
     def methods(self) -> dict[str, ActionMethod]:
         return {
-            spec.name: self.reset if spec.name == "reset" else _method(self.device, spec)
+            spec.name: self.reset if spec.name == "reset" else _make_method(self.device, spec)
             for spec in self.described.actions
         }
 
@@ -286,7 +286,7 @@ class GenericNode(Node):
         return dict(self.device.variables)
 
 
-def generic_node(description: Description) -> type[Node]:
+def make_generic_node(description: Description) -> type[Node]:
     """The node class of a simulated module with this description, which has the action ``reset``."""
     return type("GenericNode", (GenericNode,), {"described": description, "driver": description.driver})
 
@@ -305,9 +305,9 @@ def extend_node(base: type[Node], description: Description) -> type[Node]:
         theirs = base.methods(self)
         device = devices[id(self)] = GenericDevice(self.setup, added)
         return {
-            spec.name: _method(device, spec)
-            if spec.name not in known or _takes_its_place(spec, known[spec.name])
-            else _without_new(theirs[spec.name], spec, known[spec.name])
+            spec.name: _make_method(device, spec)
+            if spec.name not in known or _replaces_action(spec, known[spec.name])
+            else _drop_new_arguments(theirs[spec.name], spec, known[spec.name])
             for spec in description.actions
         }
 
@@ -326,13 +326,13 @@ def extend_node(base: type[Node], description: Description) -> type[Node]:
     return type(base.__name__, (base,), {**offers, "is_idle": is_idle, "stop": stop, "reset": reset})
 
 
-def _takes_its_place(spec: ActionSpec, known: ActionSpec) -> bool:
+def _replaces_action(spec: ActionSpec, known: ActionSpec) -> bool:
     """Whether an action is another than the driver's of that name."""
     lacks = {arg.name for arg in known.args} - {arg.name for arg in spec.args}
     return bool(lacks) or spec.effects != known.effects
 
 
-def _without_new(method: ActionMethod, spec: ActionSpec, known: ActionSpec) -> ActionMethod:
+def _drop_new_arguments(method: ActionMethod, spec: ActionSpec, known: ActionSpec) -> ActionMethod:
     """A driver's method for an action that was given more arguments than it knows."""
     new = {arg.name for arg in spec.args} - {arg.name for arg in known.args}
 
@@ -350,7 +350,7 @@ def _without_new(method: ActionMethod, spec: ActionSpec, known: ActionSpec) -> A
     return carry_out if inspect.iscoroutinefunction(method) else carry_out_blocking
 
 
-def _method(device: GenericDevice, spec: ActionSpec) -> ActionMethod:
+def _make_method(device: GenericDevice, spec: ActionSpec) -> ActionMethod:
     async def carry_out(**args: Any) -> Any:
         return await device.carry_out(set_duration(spec, args), args)
 

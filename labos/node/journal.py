@@ -163,13 +163,13 @@ class Journal:
         entry = self.memory.actions.get(action)
         return entry.attempts.get(attempt) if entry else None
 
-    def earlier(self, action: str, attempt: int) -> Attempt | None:
+    def find_earlier(self, action: str, attempt: int) -> Attempt | None:
         """The latest accepted attempt below ``attempt``."""
         entry = self.memory.actions.get(action)
         numbers = [n for n in entry.attempts if n < attempt] if entry else []
         return entry.attempts[max(numbers)] if entry and numbers else None
 
-    def last_attempt(self, action: str) -> int:
+    def find_last_attempt(self, action: str) -> int:
         """The greatest number of an attempt, accepted or void, that is remembered; 0 if none is."""
         entry = self.memory.actions.get(action)
         return max(entry.void, *entry.attempts, 0) if entry else 0
@@ -359,7 +359,7 @@ class Journal:
 
     def _snapshot(self) -> bytes:
         """The whole journal as one that was just written; what is forgotten is left out."""
-        return b"".join(write_line([encode(record)]) for record in self.memory.records())
+        return b"".join(write_line([encode(record)]) for record in self.memory.list_records())
 
 
 def knows_more(acknowledged: int, by: int, end: int, starts: Sequence[tuple[int, int]]) -> bool:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 import structlog
 
-from labos.core.texts import CONTROL_IN_NOTE, printable
+from labos.core.texts import CONTROL_IN_NOTE, strip_unprintable
 from labos.core.texts import cut as cut_text
 from labos.errors import Unreadable
 
@@ -51,15 +51,15 @@ def cut(text: str, limit: int = TEXT_LIMIT) -> str:
     """A text in the form in which it is sent and recorded: not longer than ``limit`` characters, without
     control characters, and with nothing that has no UTF-8. The whole of what is cut goes to the node's
     log file."""
-    clean = printable(text)
+    clean = strip_unprintable(text)
     if len(clean) <= limit:
         return clean
-    _log_whole(clean)
+    _log_once(clean)
     ending = f" … (cut: it has {len(clean)} characters, see the node's log file)"
     return clean[: limit - len(ending)] + ending
 
 
-def _log_whole(text: str) -> None:
+def _log_once(text: str) -> None:
     """Once: a device may say the same every second."""
     mark = hash(text)
     if mark not in _logged:
@@ -77,7 +77,7 @@ def is_name(text: str) -> bool:
     return _NAME.fullmatch(text) is not None
 
 
-def flaw_of(value: Any, *, limit: int = RESULT_LIMIT) -> str:
+def find_flaw(value: Any, *, limit: int = RESULT_LIMIT) -> str:
     """Why a value of plain JSON types cannot be recorded; empty if it can. ``limit`` is in bytes."""
     level, depth = [value], 0
     while level:
@@ -86,21 +86,21 @@ def flaw_of(value: Any, *, limit: int = RESULT_LIMIT) -> str:
         if len(level) > limit:
             return f"it has more than {limit} parts"
         for item in level:
-            if flaw := _flaw_of_one(item):
+            if flaw := _find_flaw_of_one(item):
                 return flaw
-        level = [inner for item in level for inner in _inside(item)]
+        level = [inner for item in level for inner in _list_inner(item)]
         depth += 1
     size = len(_encode(value))
     return f"it has {size} bytes; {limit} are allowed" if size > limit else ""
 
 
-def _inside(item: Any) -> list[Any]:
+def _list_inner(item: Any) -> list[Any]:
     if isinstance(item, dict):
         return [*item, *item.values()]
     return list(item) if isinstance(item, list | tuple) else []
 
 
-def _flaw_of_one(item: Any) -> str:
+def _find_flaw_of_one(item: Any) -> str:
     match item:
         case bool():
             return ""

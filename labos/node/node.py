@@ -242,7 +242,7 @@ class Node:
 
     def methods(self) -> dict[str, ActionMethod]:
         """What carries each action out."""
-        return {name: getattr(self, name) for name, _ in actions_of(type(self))}
+        return {name: getattr(self, name) for name, _ in list_actions(type(self))}
 
     @classmethod
     def describe(cls) -> Description:
@@ -251,11 +251,11 @@ class Node:
             Description,
             cls,
             description=inspect.cleandoc(cls.__doc__ or "").partition("\n")[0],
-            actions=tuple(describe_action(name, method) for name, method in actions_of(cls)),
+            actions=tuple(describe_action(name, method) for name, method in list_actions(cls)),
         )
 
 
-def actions_of(cls: type[Node]) -> list[tuple[str, Callable[..., Any]]]:
+def list_actions(cls: type[Node]) -> list[tuple[str, Callable[..., Any]]]:
     """(name, function) of every action, in order of definition, bases first, recoveries last. A
     method that overrides an action without saying more is the action its base declared."""
     found: dict[str, Callable[..., Any]] = {}
@@ -277,7 +277,7 @@ def describe_action(name: str, method: Callable[..., Any]) -> ActionSpec:
         name=name,
         description=inspect.cleandoc(method.__doc__ or "").partition("\n")[0],
         args=tuple(args),
-        result="" if returns is type(None) else _type_name(returns),
+        result="" if returns is type(None) else _name_type(returns),
         **method.__labos_action__,  # type: ignore[attr-defined]
     )
 
@@ -295,15 +295,15 @@ def _describe_arg(parameter: inspect.Parameter, hint: Any) -> Arg:
         Arg,
         param,
         name=parameter.name,
-        type="station" if param.place else "file" if param.file else _type_name(hint),
+        type="station" if param.place else "file" if param.file else _name_type(hint),
         required=required,
         default=None if required else parameter.default,
     )
 
 
-def _type_name(hint: Any) -> str:
+def _name_type(hint: Any) -> str:
     origin = typing.get_origin(hint)
     if origin in (types.UnionType, typing.Union):
         inner = [arg for arg in typing.get_args(hint) if arg is not type(None)]
-        return _type_name(inner[0]) if len(inner) == 1 else "any"
+        return _name_type(inner[0]) if len(inner) == 1 else "any"
     return _SCALARS.get(origin or hint, "any")

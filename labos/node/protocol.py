@@ -193,7 +193,7 @@ OLDEST_PROTOCOL = 1
 """The oldest version of nodes and kernels that this one works with."""
 
 
-def skew_with(protocol: int, other: str, version: str) -> str:
+def explain_skew(protocol: int, other: str, version: str) -> str:
     """Why this LabOS and another node or kernel (``other``) cannot work together; empty if they can."""
     if OLDEST_PROTOCOL <= protocol <= PROTOCOL:
         return ""

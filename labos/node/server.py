@@ -17,7 +17,7 @@ import msgspec
 import structlog
 
 from labos.clock import Clock, Ids
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.effects import list_carried
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown, Unreadable
@@ -27,10 +27,10 @@ from labos.node._admission import Admission, NotAdmitted
 from labos.node._condition import DeviceCondition
 from labos.node._gathering import Gathering
 from labos.node._name import claim
-from labos.node._outcome import RunBlocking, call, outcome_of, text
+from labos.node._outcome import RunBlocking, call, describe_error, find_outcome
 from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
-from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, cut, flaw_of, read
+from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, cut, find_flaw, read
 from labos.node.node import INTERRUPTED, Node, current_action, current_together, handle_keeper
 from labos.node.protocol import (
     AboutReport,
@@ -168,7 +168,7 @@ class NodeServer:
             self._handles.append(await self._bus.serve(key, handler))
         self._alive = await self._bus.declare_alive(self._keys.alive(self.module, self.instance))
         self._handles.append(self._alive)
-        self._spawn(self._heartbeat())
+        self._spawn(self._send_heartbeats())
         await self._condition.connect()
         for attempt, spec in left:
             task = asyncio.get_running_loop().create_task(self._go_on(attempt, spec))
@@ -245,7 +245,7 @@ class NodeServer:
             module=self.module,
             journal=self.journal.id,
             instance=self.instance,
-            digest=digest(canonical(description)),
+            digest=digest(encode_canonical(description)),
             description=description,
             simulated=self._simulated,
             open=self.journal.list_unacknowledged(),
@@ -264,7 +264,7 @@ class NodeServer:
             await self._condition.look()
             await asyncio.sleep(self._heartbeat_s)
 
-    async def _heartbeat(self) -> None:
+    async def _send_heartbeats(self) -> None:
         while True:
             await self._publish_state()
             await asyncio.sleep(self._heartbeat_s)
@@ -283,11 +283,11 @@ class NodeServer:
         try:
             told = await self.node.resources()
             levels = {str(name): float(level) for name, level in told.items()}
-            if flaw := flaw_of(levels):
+            if flaw := find_flaw(levels):
                 raise DeviceError(f"The levels of {self.module} cannot be told: {flaw}.")
             return _encode(ResourcesReport(levels))
         except Exception as error:
-            return _encode(ResourcesReport(error=text(error)))
+            return _encode(ResourcesReport(error=describe_error(error)))
 
     async def _on_action(self, payload: bytes) -> bytes:
         return await self._on_message(payload, _action_message)
@@ -351,14 +351,14 @@ class NodeServer:
             if recovering and not spec.recovers:
                 raise ActionInvalid(f"{spec.name} does not bring {self.module} out of an error.")
             kwargs = arguments.bind(spec, start.args)
-            why, transient = self._why_not_now(spec), True
+            why, transient = self._explain_cannot_begin(spec), True
         except ActionInvalid as error:
             why, transient = str(error), False
         if spec is not None and not why and isinstance(start, JointStart):
             joint = spec
             why = await self._gathering.gather(
                 start,
-                lambda: self._why_not_now(joint),
+                lambda: self._explain_cannot_begin(joint),
                 lambda starts: self._begin(starts, joint, kwargs),
             )
         if why or spec is None:
@@ -408,12 +408,12 @@ class NodeServer:
         self._spawn(self._publish_state())
         return self._reply("accepted", attempt=start.attempt)
 
-    def _why_not_now(self, spec: ActionSpec) -> str:
+    def _explain_cannot_begin(self, spec: ActionSpec) -> str:
         if self._closed or self._retired:
             return f"{self.module} is shutting down."
-        return self._condition.why_not(spec, self._current_action())
+        return self._condition.explain_cannot_begin(spec, self._find_current_action())
 
-    def _current_action(self) -> str:
+    def _find_current_action(self) -> str:
         running = next((a for a in self.journal.open_attempts() if a.action == self._condition.doing), None)
         return f"{running.name} ({running.action})" if running else self._condition.doing
 
@@ -429,7 +429,7 @@ class NodeServer:
     def _reply_from_journal(self, action: str, attempt: int, position: int) -> ActionReply | None:
         """What the journal says of an attempt, if it says anything. An earlier attempt that was
         accepted is the action's truth."""
-        known = self.journal.find(action, attempt) or self.journal.earlier(action, attempt)
+        known = self.journal.find(action, attempt) or self.journal.find_earlier(action, attempt)
         if known is not None:
             return self._reply_about(known)
         if self.journal.is_void(action, attempt):
@@ -487,7 +487,7 @@ class NodeServer:
         """Wait for the driver, and record how it ended, if that can be known."""
         self._tell_driver(attempts)
         try:
-            outcome = await outcome_of(
+            outcome = await find_outcome(
                 spec.name,
                 calling,
                 broken_off=lambda: self._closed,
@@ -553,7 +553,7 @@ class NodeServer:
         """Which action this is, and where to keep a handle that the device gives to it."""
 
         async def keep(handle: str) -> None:
-            if flaw_of(handle, limit=TEXT_LIMIT):
+            if find_flaw(handle, limit=TEXT_LIMIT):
                 raise DeviceError(f"The device's own id cannot be kept: it is {cut(repr(handle), 80)}.")
             for attempt in attempts:
                 self.journal.note_handle(attempt.action, attempt.attempt, handle)
@@ -597,7 +597,7 @@ class NodeServer:
             result = await call(self.node.reset, kwargs, self._run_blocking)
         else:
             await self._condition.reconnect()
-        await self._condition.rest()
+        await self._condition.mark_busy_until_rest()
         return result
 
     async def _sync_if_possible(self) -> None:
@@ -621,7 +621,7 @@ class NodeServer:
         try:
             await self._bus.publish(key, _encode(message()))
         except Exception as error:
-            _log.warning("not_published", module=self.module, key=key, error=text(error))
+            _log.warning("not_published", module=self.module, key=key, error=describe_error(error))
 
     def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.get_running_loop().create_task(coroutine)

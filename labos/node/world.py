@@ -127,7 +127,7 @@ class World:
     def is_full(self, place: str) -> bool:
         """Whether no plate can be put there."""
         with self._turn():
-            return len(self._here(place)) >= self._capacity.get(place, 1)
+            return len(self._list_here(place)) >= self._capacity.get(place, 1)
 
     def carry(self, plate: str, target: str) -> None:
         """A person carries a plate to a place (``""`` for out of the lab)."""
@@ -162,11 +162,11 @@ class World:
         empty: as it fits); returns the plate."""
         with self._turn():
             self._reach(device, place)
-            if not self._here(place):
+            if not self._list_here(place):
                 self._crash(device, place, "grips empty air")
-            if self._here(f"hand:{device}"):
+            if self._list_here(f"hand:{device}"):
                 self._crash(device, place, "grips with a full hand")
-            plate = self._here(place)[-1]
+            plate = self._list_here(place)[-1]
             self._get_round(device, place, plate, how)
             self._record(device, "grip", place, plate, {"how": how})
             return plate
@@ -175,14 +175,14 @@ class World:
         """The device's hand puts its plate down; returns the plate."""
         with self._turn():
             self._reach(device, place)
-            held = self._here(f"hand:{device}")
+            held = self._list_here(f"hand:{device}")
             if not held:
                 self._crash(device, place, "releases nothing")
-            if len(self._here(place)) >= self._capacity.get(place, 1):
+            if len(self._list_here(place)) >= self._capacity.get(place, 1):
                 self._crash(device, place, "puts a plate on a plate")
             plate = held[-1]
             self._get_round(device, place, plate, how)
-            way = self._way_into(place, plate, how)
+            way = self._compute_way(place, plate, how)
             if self._only.get(place) not in (None, way):
                 self._crash(device, place, "sets a plate crosswise into its nest")
             self._record(device, "release", place, plate, {"how": how, "way": way})
@@ -191,7 +191,7 @@ class World:
     def discard(self, device: str, place: str) -> str:
         """The device's hand drops its plate into a waste chute; returns the plate."""
         with self._turn():
-            held = self._here(f"hand:{device}")
+            held = self._list_here(f"hand:{device}")
             if not held:
                 self._crash(device, place, "discards nothing")
             if place in self._capacity and self._thrown.get(place, 0) >= self._capacity[place]:
@@ -212,7 +212,7 @@ class World:
     def drop(self, device: str) -> str:
         """What the device's hand holds falls to the floor; returns the plate, empty if it held none."""
         with self._turn():
-            held = self._here(f"hand:{device}")
+            held = self._list_here(f"hand:{device}")
             if not held:
                 return ""
             plate = held[-1]
@@ -247,9 +247,9 @@ class World:
         with self._turn():
             plate = ""
             if place:
-                if not self._here(place):
+                if not self._list_here(place):
                     self._crash(device, place, f"would {verb} a plate that is not there")
-                plate = self._here(place)[-1]
+                plate = self._list_here(place)[-1]
             self._record(device, verb, place, plate, facts)
             return plate
 
@@ -271,7 +271,7 @@ class World:
     def at(self, place: str) -> list[str]:
         """Plates at a place, bottom to top; ``hand:<device>`` is a device's hand."""
         with self._turn():
-            return list(self._here(place))
+            return list(self._list_here(place))
 
     def kind(self, plate: str) -> str:
         with self._turn():
@@ -361,14 +361,14 @@ class World:
 
     # -- inside ------------------------------------------------------------------------------
 
-    def _here(self, place: str) -> list[str]:
+    def _list_here(self, place: str) -> list[str]:
         return self._plates.get(place, [])
 
     def _reach(self, device: str, place: str) -> None:
         if place in self._shut:
             self._crash(device, place, "reaches into a closed gate")
 
-    def _way_into(self, place: str, plate: str, how: str) -> int:
+    def _compute_way(self, place: str, plate: str, how: str) -> int:
         """Fingers come from where the nest faces: held the other way, a plate lies crosswise."""
         held = self._held.get(plate, "")
         quarter = 0 if "" in (held, how) or held == how else 90 if how == "wide" else -90

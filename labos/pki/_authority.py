@@ -56,7 +56,7 @@ class Authority:
     def members_file(self) -> Path:
         return self.folder / MEMBERS
 
-    def members(self) -> Members:
+    def read_members(self) -> Members:
         """The list of certificates. Raises NotFound if the authority does not exist, BadInput if the list
         cannot be read."""
         if self.exists and not self.members_file.exists():
@@ -67,13 +67,13 @@ class Authority:
         """A value that changes with the list of certificates."""
         return stamp_of(self.members_file)
 
-    def not_after(self) -> int:
+    def find_end(self) -> int:
         """The end of its own certificate (UTC ns). Raises BadInput."""
         from labos.pki._signing import end_of, read_certificate
 
         return end_of(read_certificate(_read(self.folder / CA), str(self.folder / CA)))
 
-    def private_files(self) -> list[Path]:
+    def list_private_files(self) -> list[Path]:
         """The files that nobody else may read."""
         return [self.folder, self.folder / CA_KEY, *sorted(self.folder.glob(f"issued/**/{KEY}"))]
 
@@ -84,7 +84,7 @@ class Authority:
     def ensure(self, identity: PartyIdentity, *, addresses: Sequence[str] = ()) -> Credentials:
         """The certificate of a party. It is issued if there is none, and renewed if it is due or does not
         have all ``addresses``. Raises Refused if the site issues certificates and has issued none."""
-        entry = self.members().find(identity)
+        entry = self.read_members().find(identity)
         if entry is None:
             self.issue(identity, addresses=addresses)
         elif entry.own and self.issues:
@@ -97,7 +97,7 @@ class Authority:
     def find(self, name: str) -> CertificateEntry:
         """Find a certificate by the name of its folder, ``workcell/module`` or its CN. A valid one takes
         precedence over a revoked one. Raises NotFound, BadInput if several labs have one of that name."""
-        entries = [entry for entry in self.members().entries if name in entry.names]
+        entries = [entry for entry in self.read_members().entries if name in entry.names]
         valid = [entry for entry in entries if not entry.revoked_at]
         if not entries:
             raise NotFound(f"No certificate is called {name!r}.", remedy="labos pki list shows them.")
@@ -129,7 +129,7 @@ class Authority:
                 ca, key = make_ca(name, self._clock.now_ns(), days)
                 replace_file(self.folder / CA_KEY, key)
             replace_file(self.folder / CA, ca)
-            self._keep(self.members())
+            self._keep(self.read_members())
 
     def issue(
         self,
@@ -141,7 +141,7 @@ class Authority:
         """Make a certificate for a party that has none. Raises Refused if it has one, or if the site issues
         them, BadInput, NotFound."""
         with self._lock():
-            members = self.members()
+            members = self.read_members()
             if members.find(identity) is not None:
                 raise Refused(
                     f"There is a certificate already for the {identity.shown}: "
@@ -157,7 +157,7 @@ class Authority:
         site issues them, BadInput, NotFound."""
         now = self._clock.now_ns()
         with self._lock():
-            entries = {entry.common_name: entry for entry in self.members().entries}
+            entries = {entry.common_name: entry for entry in self.read_members().entries}
             changed = False
             for identity in identities:
                 had = Members(tuple(entries.values())).find(identity)
@@ -176,7 +176,7 @@ class Authority:
         open the bus again. Without ``addresses`` and ``days``, they stay the same. Raises Refused,
         BadInput."""
         with self._lock():
-            members = self.members()
+            members = self.read_members()
             if entry.revoked_at:
                 raise Refused(
                     f"The certificate of the {entry.identity.shown} is revoked.",
@@ -197,7 +197,7 @@ class Authority:
     def admit(self, identity: PartyIdentity, certificate: Path, key: Path) -> CertificateEntry:
         """Take over a certificate that the site issued: copy it to the party's folder and accept its CN for
         the party. Raises Refused, BadInput."""
-        from labos.pki._signing import entry_of, fits, is_issued_by, read_certificate
+        from labos.pki._signing import entry_of, is_issued_by, is_key_of, read_certificate
 
         cert, private = _read(certificate), _read(key)
         parsed = read_certificate(cert, str(certificate))
@@ -206,13 +206,13 @@ class Authority:
                 f"{certificate} was not issued by the authority in {self.folder / CA}.",
                 remedy="That file has to hold the certificate of who issued it: labos pki init --ca FILE.",
             )
-        if not fits(parsed, private):
+        if not is_key_of(parsed, private):
             raise BadInput(
                 f"{key} is not the key of {certificate}.", remedy="Give the two that belong together."
             )
         entry = entry_of(parsed, identity, own=False)
         with self._lock():
-            members = self.members()
+            members = self.read_members()
             taken = next((e for e in members.entries if e.common_name == entry.common_name), None)
             if taken is not None and (taken.revoked_at or taken.identity != identity):
                 state = "revoked" if taken.revoked_at else "that of another party"
@@ -229,7 +229,7 @@ class Authority:
         """Revoke a certificate, and write the list of revoked ones. Raises Refused."""
         now = self._clock.now_ns()
         with self._lock():
-            members = self.members()
+            members = self.read_members()
             if entry.revoked_at:
                 raise Refused(f"The certificate of the {entry.identity.shown} is revoked already.")
             ended = msgspec.structs.replace(entry, revoked_at=now, why=why)
@@ -251,12 +251,12 @@ class Authority:
         from labos.pki._signing import entry_of, make_certificate, read_certificate
 
         now = self._clock.now_ns()
-        cert, key = make_certificate(self._ca(), identity, common_name, addresses, now, days)
+        cert, key = make_certificate(self._read_ca(), identity, common_name, addresses, now, days)
         entry = entry_of(read_certificate(cert, common_name), identity, own=True)
         self._hand_out(identity, cert, key)
         return entry
 
-    def _ca(self) -> tuple[bytes, bytes]:
+    def _read_ca(self) -> tuple[bytes, bytes]:
         if not self.issues:
             raise Refused(
                 f"There is no {self.folder / CA_KEY}: the site issues the certificates of this lab.",
@@ -276,19 +276,19 @@ class Authority:
 
     def _keep(self, members: Members) -> None:
         """Write the list with the next number. It is signed if the authority's key is here."""
-        number = self.members().number + 1
+        number = self.read_members().number + 1
         members = Members(members.entries, number)
         if self.issues:
             from labos.pki._signing import sign
 
-            signature = sign(self._ca()[1], members.signed_bytes)
+            signature = sign(self._read_ca()[1], members.signed_bytes)
             members = msgspec.structs.replace(members, signature=signature)
         text = msgspec.json.format(msgspec.json.encode(members), indent=1) + b"\n"
         if self.issues:
             from labos.pki._signing import make_revocation_list
 
             revoked = [entry for entry in members.entries if entry.revoked_at and entry.own]
-            listed = make_revocation_list(self._ca(), revoked, self._clock.now_ns(), DAYS)
+            listed = make_revocation_list(self._read_ca(), revoked, self._clock.now_ns(), DAYS)
             replace_file(self.folder / REVOKED, listed)
         for entry in members.admitted:
             if entry.identity.kind in SERVERS:

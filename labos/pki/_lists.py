@@ -59,7 +59,7 @@ class ReceivedList:
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise BadInput(f"A list was sent that cannot be read: {error}.") from None
         with _turn:
-            if found.number <= max(self._read_known(), self._present()):
+            if found.number <= max(self._read_known(), self._find_number()):
                 return False
             self._check(found, signed=True)
             self._write(MEMBERS, data)
@@ -94,7 +94,7 @@ class ReceivedList:
                 f"{file} cannot be read: {error}.", remedy="Write the number of the newest list into it."
             ) from None
 
-    def _present(self) -> int:
+    def _find_number(self) -> int:
         return read_members(self.file).number if self.file.is_file() else 0
 
     def _write(self, name: str, data: bytes) -> None:

@@ -41,7 +41,7 @@ class PartyIdentity(msgspec.Struct, frozen=True):
         return f"{self.kind} {self.name}" if self.name else self.kind
 
 
-def identity_in(uri: str) -> PartyIdentity | None:
+def parse_identity(uri: str) -> PartyIdentity | None:
     """The identity in a URI; None if there is none."""
     if not uri.startswith(URN):
         return None

@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID as Usage
 from cryptography.x509.oid import NameOID
 
 from labos.errors import BadInput
-from labos.pki._party import SERVERS, CertificateEntry, PartyIdentity, identity_in
+from labos.pki._party import SERVERS, CertificateEntry, PartyIdentity, parse_identity
 
 DAY_NS = 86_400 * 10**9
 BEFORE_NS = 600 * 10**9
@@ -33,10 +33,10 @@ def make_ca(name: str, now_ns: int, days: int) -> tuple[bytes, bytes]:
     certificate = (
         _builder(subject, subject, key.public_key(), now_ns, now_ns + days * DAY_NS)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(_key_usage(signs_others=True), critical=True)
+        .add_extension(_make_key_usage(signs_others=True), critical=True)
         .sign(key, hashes.SHA256())
     )
-    return certificate.public_bytes(serialization.Encoding.PEM), _pem(key)
+    return certificate.public_bytes(serialization.Encoding.PEM), _encode_pem(key)
 
 
 def make_certificate(
@@ -54,12 +54,12 @@ def make_certificate(
     serves = identity.kind in SERVERS
     usages = [Usage.SERVER_AUTH, Usage.CLIENT_AUTH] if serves else [Usage.CLIENT_AUTH]
     names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(identity.uri)]
-    names += [_address(address) for address in addresses if serves]
-    end_ns = min(now_ns + days * DAY_NS, _ns(issuer.not_valid_after_utc))
+    names += [_make_address(address) for address in addresses if serves]
+    end_ns = min(now_ns + days * DAY_NS, _convert_to_ns(issuer.not_valid_after_utc))
     certificate = (
         _builder(_name(common_name), issuer.subject, key.public_key(), now_ns, end_ns)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_key_usage(signs_others=False), critical=True)
+        .add_extension(_make_key_usage(signs_others=False), critical=True)
         .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
         .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(
@@ -68,7 +68,7 @@ def make_certificate(
         )
         .sign(_key(ca[1]), hashes.SHA256())
     )
-    return certificate.public_bytes(serialization.Encoding.PEM), _pem(key)
+    return certificate.public_bytes(serialization.Encoding.PEM), _encode_pem(key)
 
 
 def make_revocation_list(
@@ -79,12 +79,14 @@ def make_revocation_list(
     builder = (
         x509.CertificateRevocationListBuilder()
         .issuer_name(issuer.subject)
-        .last_update(_time(now_ns))
-        .next_update(_time(now_ns + days * DAY_NS))
+        .last_update(_convert_to_time(now_ns))
+        .next_update(_convert_to_time(now_ns + days * DAY_NS))
     )
     for entry in revoked:
         one = x509.RevokedCertificateBuilder().serial_number(int(entry.serial, 16))
-        builder = builder.add_revoked_certificate(one.revocation_date(_time(entry.revoked_at)).build())
+        builder = builder.add_revoked_certificate(
+            one.revocation_date(_convert_to_time(entry.revoked_at)).build()
+        )
     return builder.sign(_key(ca[1]), hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
 
 
@@ -125,7 +127,7 @@ def identity_of(certificate: x509.Certificate) -> PartyIdentity | None:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
         return None
-    found = map(identity_in, names.get_values_for_type(x509.UniformResourceIdentifier))
+    found = map(parse_identity, names.get_values_for_type(x509.UniformResourceIdentifier))
     return next((identity for identity in found if identity is not None), None)
 
 
@@ -141,8 +143,8 @@ def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: boo
         identity,
         common_name,
         f"{certificate.serial_number:x}",
-        _ns(certificate.not_valid_before_utc),
-        _ns(certificate.not_valid_after_utc),
+        _convert_to_ns(certificate.not_valid_before_utc),
+        _convert_to_ns(certificate.not_valid_after_utc),
         addresses_of(certificate),
         own,
     )
@@ -150,7 +152,7 @@ def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: boo
 
 def end_of(certificate: x509.Certificate) -> int:
     """The end of its validity (UTC ns)."""
-    return _ns(certificate.not_valid_after_utc)
+    return _convert_to_ns(certificate.not_valid_after_utc)
 
 
 def addresses_of(certificate: x509.Certificate) -> tuple[str, ...]:
@@ -163,7 +165,7 @@ def addresses_of(certificate: x509.Certificate) -> tuple[str, ...]:
     return (*hosts, *map(str, names.get_values_for_type(x509.IPAddress)))
 
 
-def fits(certificate: x509.Certificate, key: bytes) -> bool:
+def is_key_of(certificate: x509.Certificate, key: bytes) -> bool:
     """Whether a private key belongs to the certificate. Raises BadInput if it cannot be read."""
     try:
         private = serialization.load_pem_private_key(key, password=None)
@@ -195,13 +197,13 @@ def _builder(
         .issuer_name(issuer)
         .public_key(key)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(_time(now_ns - BEFORE_NS))
-        .not_valid_after(_time(end_ns))
+        .not_valid_before(_convert_to_time(now_ns - BEFORE_NS))
+        .not_valid_after(_convert_to_time(end_ns))
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
     )
 
 
-def _key_usage(*, signs_others: bool) -> x509.KeyUsage:
+def _make_key_usage(*, signs_others: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
         digital_signature=not signs_others,
         content_commitment=False,
@@ -215,7 +217,7 @@ def _key_usage(*, signs_others: bool) -> x509.KeyUsage:
     )
 
 
-def _address(address: str) -> x509.GeneralName:
+def _make_address(address: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(address))
     except ValueError:
@@ -232,7 +234,7 @@ def _name(common_name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
 
 
-def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+def _encode_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
@@ -244,9 +246,9 @@ def _key(pem: bytes) -> ec.EllipticCurvePrivateKey:
     return key
 
 
-def _time(ns: int) -> datetime:
+def _convert_to_time(ns: int) -> datetime:
     return datetime.fromtimestamp(ns // 10**9, UTC)
 
 
-def _ns(time: datetime) -> int:
+def _convert_to_ns(time: datetime) -> int:
     return int(time.timestamp()) * 10**9

@@ -13,17 +13,17 @@ SPREAD = 0.1
 by up to this part, each with the same likelihood."""
 
 
-def at_level(lengths: Lengths, step: PlanStep, pace: float, level: float) -> int:
+def estimate_at_level(lengths: Lengths, step: PlanStep, pace: float, level: float) -> int:
     """How long a step takes (ns of wall time) at a level between 0 and 1."""
     planned = step.duration_s * 1e9 / pace
-    times, is_part = lengths.times_of(step)
+    times, is_part = lengths.find_times(step)
     if times is None:
         return int(planned * (1 + SPREAD * (2 * level - 1)))
-    found = quantile(sorted(times.took), level)
+    found = find_quantile(sorted(times.took), level)
     return int(found * planned / 1e6 if is_part else found)
 
 
-def quantile(ordered: Sequence[float], level: float) -> float:
+def find_quantile(ordered: Sequence[float], level: float) -> float:
     """The value at a level between 0 and 1 of values in order, between two of them in proportion."""
     place = level * (len(ordered) - 1)
     below = min(int(place), len(ordered) - 1)

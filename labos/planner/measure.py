@@ -49,7 +49,7 @@ class Rated(msgspec.Struct, frozen=True):
     due: int = 0
 
 
-def rate(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId, Rated]:
+def rate_runs(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId, Rated]:
     """The classes of runs among one another."""
     found = {run.id: (run, (is_urgent(state, run, now), run.priority)) for run in runs}
     ranks = {known: rank for rank, known in enumerate(sorted({known for _, known in found.values()}))}
@@ -66,10 +66,10 @@ def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
     return Score(
         sum(score.stays for score in scores),
         sum(score.missed for score in scores),
-        _mean([score.overdue_s for score in scores]),
-        tuple(_mean(list(times)) for times in zip(*(score.first_s for score in scores), strict=True)),
-        _mean([score.avoidable_s for score in scores]),
-        _mean([score.cost_s for score in scores]),
+        _compute_mean([score.overdue_s for score in scores]),
+        tuple(_compute_mean(list(times)) for times in zip(*(score.first_s for score in scores), strict=True)),
+        _compute_mean([score.avoidable_s for score in scores]),
+        _compute_mean([score.cost_s for score in scores]),
     )
 
 
@@ -80,7 +80,7 @@ def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int) -> Score:
     deadlines = {run: (rated[run].deadline - now) / 1e9 for run in ends if rated[run].deadline}
     overdue_s = sum(max(0.0, ends[run] - deadline) for run, deadline in deadlines.items())
     goes_on = sum(end for run, end in ends.items() if rated[run].more)
-    cost_s = max(ends.values(), default=0.0) + GOES_ON * goes_on + _mean(list(ends.values()))
+    cost_s = max(ends.values(), default=0.0) + GOES_ON * goes_on + _compute_mean(list(ends.values()))
     avoidable_s = _find_avoidable(ends, rated, now)
     stays = sum(run in rated for run in play.stays)
     return Score(stays, play.missed, overdue_s, first_s, avoidable_s, cost_s)
@@ -115,5 +115,5 @@ def _goes_on(state: LabState, name: RunId) -> bool:
     return run is not None and bool(run.experiment)
 
 
-def _mean(numbers: list[float]) -> float:
+def _compute_mean(numbers: list[float]) -> float:
     return sum(numbers) / len(numbers) if numbers else 0.0

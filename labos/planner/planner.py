@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import Suggested
@@ -56,7 +56,7 @@ class Planner:
         if rehearsal.order is not None:
             before = rehearsal.go(rehearsal.order)
             best = without if rehearsal.is_better(without, before) else before
-        found = self._search(state, cell, problem, now, rehearsal.starts(best))
+        found = self._search(state, cell, problem, now, rehearsal.list_starts(best))
         if found is not None and rehearsal.is_better(rehearsal.go(found), best):
             return found
         if rehearsal.order is None or best is not without:
@@ -82,7 +82,7 @@ class Planner:
         if found is None:
             return None
         starts = {
-            (task.run, task.step): now + lab_ns(state, start)
+            (task.run, task.step): now + convert_lab_s(state, start)
             for task, start in zip(problem.tasks, found.starts_s, strict=True)
         }
         steps = tuple(
@@ -92,7 +92,7 @@ class Planner:
         )
         if not steps:
             return None
-        until = max(step.start for step in steps) + lab_ns(state, STAYS_GOOD_S)
+        until = max(step.start for step in steps) + convert_lab_s(state, STAYS_GOOD_S)
         ordered = tuple(sorted(steps, key=lambda step: step.start))
         return SuggestOrder(cell, self.name, until, ordered, state.position)
 

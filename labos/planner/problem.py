@@ -17,7 +17,7 @@ import msgspec
 from msgspec.structs import replace
 
 from labos.core.actions import ActionStatus
-from labos.core.booked import contacts, find_blocked, is_exempt
+from labos.core.booked import find_blocked, find_contacts, is_exempt
 from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, RunId, StationName, experiment_owner, run_owner
 from labos.core.model import MAIN, PlanStep
@@ -25,9 +25,9 @@ from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, fi
 from labos.core.state import LabState
 from labos.core.suggestions import MOST_STEPS
 from labos.core.waits import station_key
-from labos.planner.lengths import at_level
-from labos.planner.measure import rate
-from labos.planning.forecast import setup_under_way
+from labos.planner.lengths import estimate_at_level
+from labos.planner.measure import rate_runs
+from labos.planning.forecast import find_setup_under_way
 from labos.planning.taken import list_taken
 
 MOST_WAITING = 30
@@ -113,7 +113,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
     """The runs that are looked at together: those inside, and the first of those that wait."""
-    inside = [run for run in state.runs.inside(cell) if _goes_on(run)]
+    inside = [run for run in state.runs.list_inside(cell) if _goes_on(run)]
     outside = [run for run in islice(waiting, MOST_WAITING) if not find_holds(run)]
     found: list[RunState] = []
     steps, windowed = 0, False
@@ -134,10 +134,10 @@ def problem_of(
     reader = _Reader(state, now, level)
     for run in runs:
         reader.read(run)
-    rated = rate(state, runs, now)
+    rated = rate_runs(state, runs, now)
     users = Counter(run.user for run in runs)
     return replace(
-        reader.problem(cell),
+        reader.make_problem(cell),
         ranks=tuple(rated[run.id].rank for run in runs),
         due_s=tuple(_find_time_to(state, rated[run.id].deadline, now) for run in runs),
         own_due_s=tuple(
@@ -171,8 +171,8 @@ def _list_setups(state: LabState, tasks: Sequence[Task]) -> Iterator[SetupCosts]
         values = [found[setup.argument] for found in args.values()]
         yield SetupCosts(
             tuple(args),
-            tuple(setup.cost_s(module.set_up_for, found) for found in args.values()),
-            tuple(tuple(setup.cost_s(before, found) for found in args.values()) for before in values),
+            tuple(setup.compute_cost_s(module.set_up_for, found) for found in args.values()),
+            tuple(tuple(setup.compute_cost_s(before, found) for found in args.values()) for before in values),
         )
 
 
@@ -208,8 +208,8 @@ class _Reader:
             step = plan.steps[index]
             after = tuple(numbers[before] for before in step.after if before in numbers)
             flying = run.has_started and run.steps[index].status == IN_FLIGHT
-            lags = tuple(self._lags(step, numbers, ended))
-            duration_s = self._find_left_s(run, index, step) if flying else self._takes_s(step)
+            lags = tuple(self._list_lags(step, numbers, ended))
+            duration_s = self._find_left_s(run, index, step) if flying else self._estimate_s(step)
             taken = tuple(list_taken(self.state, step))
             shut = () if flying else tuple(self._shut(run, step))
             self.tasks.append(Task(run.id, index, duration_s, taken, after, lags, runs=flying, shut=shut))
@@ -225,7 +225,7 @@ class _Reader:
                 self._like.append((self._looks[look], base))
             self._looks[look] = base
 
-    def _lags(
+    def _list_lags(
         self, step: PlanStep, numbers: dict[int, int], ended: dict[int, int | None]
     ) -> Iterator[TimeLag]:
         for window in step.windows:
@@ -241,21 +241,21 @@ class _Reader:
         state, now = self.state, self.now
         if not state.bookings.open or is_exempt(state, run, step):
             return
-        for module, clears in contacts(state, step).items():
+        for module, clears in find_contacts(state, step).items():
             for span in find_blocked(state, run.user, module, now, now + AHEAD_NS, clears=clears):
                 begins, ends = ((at - now) / 1e9 * state.lab.pace for at in (span.begins, span.ends))
                 yield max(0.0, begins), ends
 
     def _find_left_s(self, run: RunState, index: int, step: PlanStep) -> float:
-        for action in self.state.actions.within(self.state.runs.plan_of(run).workcell):
+        for action in self.state.actions.list_in_cell(self.state.runs.plan_of(run).workcell):
             if action.run == run.id and action.step == index and action.status != ActionStatus.UNKNOWN:
-                gone_ns = self.now - action.requested_at - setup_under_way(self.state, action)
-                return max(self._takes_s(step) - gone_ns / 1e9 * self.state.lab.pace, LEAST_S)
+                gone_ns = self.now - action.requested_at - find_setup_under_way(self.state, action)
+                return max(self._estimate_s(step) - gone_ns / 1e9 * self.state.lab.pace, LEAST_S)
         return LEAST_S
 
-    def _takes_s(self, step: PlanStep) -> float:
+    def _estimate_s(self, step: PlanStep) -> float:
         pace = self.state.lab.pace
-        return round(at_level(self.state.lengths, step, pace, self.level) / 1e9 * pace, 3)
+        return round(estimate_at_level(self.state.lengths, step, pace, self.level) / 1e9 * pace, 3)
 
     def _carry(self, run: RunState, steps: tuple[PlanStep, ...], numbers: dict[int, int]) -> None:
         standing: dict[str, list[int | None]] = {}
@@ -274,10 +274,10 @@ class _Reader:
                     if place.startswith(DECK) and len(pieces) > 1:
                         pieces.pop()  # the run has the deck until its last piece has left
                     elif pieces:
-                        self._stay(place, pieces.pop(0), number)
-                    elif self._stands(place):
+                        self._add_stay(place, pieces.pop(0), number)
+                    elif self._is_standing(place):
                         self._taken[place] = self._taken.get(place, 0) + 1
-                        self._stay(place, None, number)
+                        self._add_stay(place, None, number)
                 for place in self._list_counted_keys(what.filled):
                     standing.setdefault(place, []).append(number)
         # What a run leaves behind stands there for good. Not in an experiment: its next run will fetch
@@ -285,14 +285,14 @@ class _Reader:
         last = max(numbers.values(), default=None) if run.experiment else None
         for place, pieces in standing.items():
             for first in pieces[:1] if place.startswith(DECK) else pieces:
-                self._stay(place, first, last)
+                self._add_stay(place, first, last)
 
-    def _stands(self, place: str) -> bool:
+    def _is_standing(self, place: str) -> bool:
         """Whether labware stands at a place and no run was found that fetches it."""
         name = StationName(place.partition(":")[2])
-        return not place.startswith(DECK) and self._strangers(name) > self._taken.get(place, 0)
+        return not place.startswith(DECK) and self._count_strangers(name) > self._taken.get(place, 0)
 
-    def _stay(self, place: str, first: int | None, last: int | None) -> None:
+    def _add_stay(self, place: str, first: int | None, last: int | None) -> None:
         self._places[place] = True
         self.stays.append(RoomUse(place, first, last))
 
@@ -303,7 +303,7 @@ class _Reader:
         keys = [station_key(place)]
         return [*keys, f"{DECK}{station.spec.claim}"] if station.spec.claim else keys
 
-    def problem(self, cell: str) -> SchedulingProblem:
+    def make_problem(self, cell: str) -> SchedulingProblem:
         room: dict[str, int] = {}
         for key in self._places:
             name = key.partition(":")[2]
@@ -313,7 +313,7 @@ class _Reader:
             station = self.state.bench.stations[StationName(name)]
             shelves = self.state.bench.shelves.get(station.spec.name, [])
             capacity = sum(self.state.bench.stations[s].spec.capacity for s in shelves)
-            strangers = self._strangers(station.spec.name) - self._taken.get(key, 0)
+            strangers = self._count_strangers(station.spec.name) - self._taken.get(key, 0)
             room[key] = (capacity or station.spec.capacity) - strangers
         return SchedulingProblem(
             tuple(self.tasks),
@@ -324,7 +324,7 @@ class _Reader:
             tuple(self._more),
         )
 
-    def _strangers(self, place: StationName) -> int:
+    def _count_strangers(self, place: StationName) -> int:
         """How many pieces stand at a place that none of these runs, and no experiment, will carry away."""
         mine = {run_owner(run) for run in self.read_runs}
         mine.update(map(experiment_owner, self.state.experiments.open))

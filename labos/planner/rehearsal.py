@@ -17,10 +17,10 @@ from labos.core.ids import RunId
 from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
 from labos.core.runs import RunCancelled, RunState
-from labos.core.state import LabState, from_picture, picture
+from labos.core.state import LabState, encode_picture, from_picture
 from labos.core.suggestions import OrderSuggested
-from labos.planner.lengths import at_level, draw
-from labos.planner.measure import Score, judge, rate
+from labos.planner.lengths import draw, estimate_at_level
+from labos.planner.measure import Score, judge, rate_runs
 from labos.planning.virtual import Lasts, Play, VirtualLab
 
 DRAWN = 3
@@ -53,7 +53,7 @@ class OrderRehearsal:
         drawn: int = DRAWN,
     ) -> None:
         self.cell, self.now, self.level = cell, now, level
-        copy = from_picture(picture(state))
+        copy = from_picture(encode_picture(state))
         copy.lab.paused.clear()  # what is paused goes on some time, and in the same order
         known = {run.id for run in runs}
         for name in [name for name in copy.runs.queued if name not in known]:
@@ -63,8 +63,8 @@ class OrderRehearsal:
         self.order = order if order is not None and order.steps and order.until > now else None
         windowed = any(state.runs.plans[run.plan].windowed for run in runs)
         self._most = 1 + drawn * windowed
-        self._rated = rate(copy, runs, now)
-        self._base = picture(copy)
+        self._rated = rate_runs(copy, runs, now)
+        self._base = encode_picture(copy)
 
     def go(self, order: Order | None) -> Way:
         """A way with this order, played once; with none if there is none."""
@@ -72,7 +72,7 @@ class OrderRehearsal:
         self._play(way)
         return way
 
-    def starts(self, way: Way) -> dict[tuple[RunId, int], int]:
+    def list_starts(self, way: Way) -> dict[tuple[RunId, int], int]:
         """When steps would start (UTC ns)."""
         return way.plays[0].begun
 
@@ -84,11 +84,11 @@ class OrderRehearsal:
             for way in (one, other):
                 if len(way.plays) < plays:
                     self._play(way)
-            if not self._score(one, plays) < self._score(other, plays):
+            if not self._compute_score(one, plays) < self._compute_score(other, plays):
                 return False
         return True
 
-    def _score(self, way: Way, plays: int) -> Score:
+    def _compute_score(self, way: Way, plays: int) -> Score:
         return judge(way.plays[:plays], self._rated, self.now)
 
     def _play(self, way: Way) -> None:
@@ -98,15 +98,15 @@ class OrderRehearsal:
             state.suggestions.orders[self.cell] = OrderSuggested(
                 order.workcell, order.by, order.until, order.steps
             )
-        lasts = _lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
+        lasts = _make_lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
         way.plays.append(VirtualLab(state, self.now, lasts).go_on())
 
 
-def _lasts(lengths: Lengths, pace: float, level: float, number: int) -> Lasts:
+def _make_lasts(lengths: Lengths, pace: float, level: float, number: int) -> Lasts:
     """Number 0 takes the durations that are planned with; others draw them."""
 
     def lasts(action: Action, step: PlanStep) -> int:
         drawn = draw(f"{number}/{action.run}/{action.step}/{action.attempt}") if number else level
-        return at_level(lengths, step, pace, drawn)
+        return estimate_at_level(lengths, step, pace, drawn)
 
     return lasts

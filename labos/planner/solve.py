@@ -145,7 +145,7 @@ def solve(
     solver = cp_model.CpSolver()
     solver.parameters.num_workers = 2
     solver.parameters.interleave_search = counted
-    _limit(solver, seconds * (1 - TIDY), counted=counted)
+    _set_limit(solver, seconds * (1 - TIDY), counted=counted)
     status = solver.solve(model)
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return None
@@ -156,7 +156,7 @@ def solve(
     model.clear_hints()
     for start, value in zip(begin, starts, strict=True):
         model.add_hint(start, value)
-    _limit(solver, seconds * TIDY, counted=counted)
+    _set_limit(solver, seconds * TIDY, counted=counted)
     if solver.solve(model) in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         starts, makespan = [solver.value(start) for start in begin], max(map(solver.value, end), default=0)
     return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
@@ -246,7 +246,7 @@ def _merge_closed(
     return [model.new_fixed_size_interval_var(b, e - b, f"shut{n}") for n, (b, e) in enumerate(found)]
 
 
-def _limit(solver: cp_model.CpSolver, seconds: float, *, counted: bool) -> None:
+def _set_limit(solver: cp_model.CpSolver, seconds: float, *, counted: bool) -> None:
     if counted:
         solver.parameters.max_deterministic_time = seconds
     else:

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState, find_holds
 from labos.core.state import LabState
 from labos.planner.problem import MOST_WAITING
@@ -50,9 +50,9 @@ class CellWatch:
         seen = self._seen.get(cell)
         if seen is None or _has_changed(state, seen, _list_runs(state, cell, waiting)):
             return True
-        if not seen.has_found and seen.looked_at + lab_ns(state, DRIFT_S * 2**seen.in_vain) < now:
+        if not seen.has_found and seen.looked_at + convert_lab_s(state, DRIFT_S * 2**seen.in_vain) < now:
             return True  # on a busy computer, a search may end before it has found anything
-        patience = lab_ns(state, DRIFT_S * 2**seen.repeated)
+        patience = convert_lab_s(state, DRIFT_S * 2**seen.repeated)
         steps = seen.order.steps if seen.order is not None else ()
         return any(
             state.runs.get(one.run) is None
@@ -83,7 +83,7 @@ def list_waiting(state: LabState, cell: str) -> list[RunState]:
 
 def _list_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> dict[RunId, bool]:
     """The runs that are looked at, and whether something keeps each of them from being started."""
-    runs = [*state.runs.inside(cell), *islice(waiting, MOST_WAITING)]
+    runs = [*state.runs.list_inside(cell), *islice(waiting, MOST_WAITING)]
     return {run.id: bool(find_holds(run)) for run in runs}
 
 

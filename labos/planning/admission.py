@@ -15,8 +15,8 @@ from labos.core.effects import list_carried
 from labos.core.runs import RunState, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.choosing import options_in_order
-from labos.planning.pilot import MOST_WAITING, Candidate, Pilot, differ
+from labos.planning.choosing import sort_options
+from labos.planning.pilot import MOST_WAITING, Candidate, Pilot, are_different
 from labos.planning.ranking import Ranking
 from labos.planning.reservations import Reservations
 from labos.planning.suggested import Adviser
@@ -70,11 +70,11 @@ class Admission:
 
     def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
         """Who of a bundle is next."""
-        first = self._room.first(state, bundle, partial(self._ranking.make_turn_key, state, now))
+        first = self._room.find_first(state, bundle, partial(self._ranking.make_turn_key, state, now))
         if first is None or not self._adviser.has_orders(state) or self._room.is_overtaken(state, first):
             return first
         if self._adviser.own.find(state.runs.plan_of(first).workcell) is not None:
-            heads = self._room.heads(state, bundle)
+            heads = self._room.list_heads(state, bundle)
             starts = [(self._adviser.start_of(state, head, None, now), head.position) for head in heads]
             return heads[starts.index(min(starts))]
         return self._adviser.find_next(state, first, now)
@@ -86,15 +86,15 @@ class Admission:
             isinstance(wait.reason, reasons.AfterElder) for wait in possible.waits
         ):
             # Somebody older than the elder need not wait with the others.
-            run = self._room.oldest(state, bundle) or run
+            run = self._room.find_oldest(state, bundle) or run
             possible = self._find_start(state, run, now)
         return self._look_ahead(state, run, possible, now)
 
     def explain(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """What a run waits for that may start, if the look ahead is against it."""
-        for option in options_in_order(state, run, now):
+        for option in sort_options(state, run, now):
             for step in state.runs.plans[option.plan].starts:
-                with self._reservations.only_asking():
+                with self._reservations.forget_afterwards():
                     wait = self._check_start(state, option, step, now, only_asking=True)
                     if wait is None:
                         possible = PossibleStart((option, step), [])
@@ -109,14 +109,14 @@ class Admission:
         own = self._adviser.own
         if not own.is_used:
             return False
-        if own.find(cell) is None and not 0 < len(self._room.within(cell)) <= MOST_WAITING:
+        if own.find(cell) is None and not 0 < len(self._room.list_in_cell(cell)) <= MOST_WAITING:
             return False
-        inside = state.runs.inside(cell)
+        inside = state.runs.list_inside(cell)
         if len(inside) > MOST_INSIDE or cell in state.suggestions.orders:
             return own.drop(cell)
         waiting = self._list_waiting(state, cell, now)
         runs = [*inside, *waiting] if waiting is not None else []
-        if len(runs) < 2 or not differ(state, runs, runs[0]):
+        if len(runs) < 2 or not are_different(state, runs, runs[0]):
             return own.drop(cell)
         return own.search(state, cell, inside, waiting or [], now)
 
@@ -124,10 +124,10 @@ class Admission:
         """All runs that wait for a workcell, the oldest first; None if there are too many of them, if they
         differ in rank, or carry nothing."""
         found: list[RunState] = []
-        if len(self._room.within(cell)) > MOST_WAITING:
+        if len(self._room.list_in_cell(cell)) > MOST_WAITING:
             return None
         for head in self._list_heads(state, cell):
-            group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+            group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
             found += [state.runs.queued[name] for name in islice(group, MOST_WAITING + 1)]
             if len(found) > MOST_WAITING:
                 return None
@@ -142,7 +142,7 @@ class Admission:
 
     def _find_start(self, state: LabState, run: RunState, now: int) -> PossibleStart:
         waits: list[Wait] = []
-        for option in options_in_order(state, run, now):
+        for option in sort_options(state, run, now):
             for step in self._ranking.behind.sort(state, option.plan, state.runs.plans[option.plan].starts):
                 wait = self._check_start(state, option, step, now)
                 if wait is None:
@@ -158,7 +158,7 @@ class Admission:
         start, waits = possible.start, possible.waits
         early = start is None
         if start is None and waits and all(isinstance(wait.reason, reasons.WouldBlock) for wait in waits):
-            option = options_in_order(state, run, now)[0]
+            option = sort_options(state, run, now)[0]
             start = option, state.runs.plans[option.plan].starts[0]
         if start is None:
             return waits
@@ -173,7 +173,9 @@ class Admission:
         if goes_first or not stands or self._adviser.has_order(state, cell):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
-        if len(equals) >= MOST_WAITING or not differ(state, [*state.runs.inside(cell), *equals], option):
+        if len(equals) >= MOST_WAITING or not are_different(
+            state, [*state.runs.list_inside(cell), *equals], option
+        ):
             return waits if early else first
         enter = partial(self._find_candidate, state, now=now)
         chosen = self.pilot.choose(state, first, equals, now, enter)
@@ -191,7 +193,7 @@ class Admission:
     def _find_candidate(self, state: LabState, run: RunState, now: int) -> Candidate | None:
         """The step with which a run may start now; None if there is none."""
         step = state.runs.plans[run.plan].starts[0]
-        with self._reservations.only_asking():
+        with self._reservations.forget_afterwards():
             wait = self._check_start(state, run, step, now, only_asking=True)
             if wait is None:
                 return Candidate(run, step)
@@ -209,7 +211,7 @@ class Admission:
         for head in self._list_heads(state, cell):
             if self._make_rank(state, head, now) != rank or find_holds(head):
                 continue
-            group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+            group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
             found += [state.runs.queued[name] for name in islice(group, MOST_WAITING)]
         found = [other for other in found if other.id != run.id and other.id not in state.runs.windowed]
         return sorted(found, key=lambda other: other.position)
@@ -217,8 +219,8 @@ class Admission:
     def list_next(self, state: LabState, cell: str, most: int, now: int) -> list[RunState]:
         """The first of the waiting runs in a workcell, so many at most, that differ in rank only by age."""
         heads: list[RunState] = []
-        for bundle in self._room.within(cell)[: 4 * most]:
-            heads += [head for head in self._room.heads(state, bundle) if not find_holds(head)]
+        for bundle in self._room.list_in_cell(cell)[: 4 * most]:
+            heads += [head for head in self._room.list_heads(state, bundle) if not find_holds(head)]
         if not heads:
             return []
         ranks = {head.id: self._make_rank(state, head, now) for head in heads}
@@ -226,13 +228,13 @@ class Admission:
         found: list[RunState] = []
         for head in heads:
             if ranks[head.id] == first:
-                group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+                group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
                 found += [state.runs.queued[name] for name in islice(group, most)]
         return sorted(found, key=lambda run: run.position)[:most]
 
     def _list_heads(self, state: LabState, cell: str) -> Iterator[RunState]:
-        for bundle in self._room.within(cell)[:MOST_WAITING]:
-            yield from self._room.heads(state, bundle)
+        for bundle in self._room.list_in_cell(cell)[:MOST_WAITING]:
+            yield from self._room.list_heads(state, bundle)
 
     def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
         """The rank of a waiting run without its age."""

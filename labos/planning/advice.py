@@ -9,11 +9,11 @@ from labos.core.model import PlanStep
 from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState
 from labos.planning.forecast import find_pending_before
-from labos.planning.player import FAR, Step, Who, step_of
+from labos.planning.player import FAR, Step, Who, find_step
 from labos.planning.rehearsal import Advice, RehearsalResult
 
 
-def options(
+def list_options(
     state: LabState,
     run: RunState | None,
     advice: Advice,
@@ -29,15 +29,15 @@ def options(
     what = state.runs.plan_of(mover)
     if outcome.trap is not None and outcome.trap[0] != forced:
         yield from _let_pass(state, advice, *outcome.trap)
-    for step, other in _in_the_way(mover, find_pending_before(mover, what, late[1]), advice, outcome):
-        begun = step_of(other)
+    for step, other in _list_in_the_way(mover, find_pending_before(mover, what, late[1]), advice, outcome):
+        begun = find_step(other)
         if begun in outcome.starts and begun is not None and begun != forced:
             yield advice.put_behind(begun, step)
         can_go = RunId(other[0]) in state.runs.active or (run is not None and other[0] == run.id)
         if other[0] not in advice.leaving and can_go:
             yield advice.let_leave(other[0])
     by = outcome.late[late]
-    for index in _clocks_of(what.steps[late[1]]):
+    for index in _list_clocks(what.steps[late[1]]):
         anchor = (late[0], index)
         if anchor in outcome.starts and anchor != forced and by < FAR:
             yield advice.put_off(anchor, outcome.starts[anchor] + by)
@@ -52,7 +52,7 @@ def _let_pass(state: LabState, advice: Advice, start: Step, lost: Sequence[str])
             yield advice.let_leave(name).put_behind(start, (name, last))
 
 
-def _in_the_way(
+def _list_in_the_way(
     run: RunState, chain: Sequence[int], advice: Advice, outcome: RehearsalResult
 ) -> Iterator[tuple[Step, Who]]:
     """The runs that these steps had to wait for, and in turn the runs that those should have gone before."""
@@ -69,6 +69,6 @@ def _in_the_way(
                 blocked += [who for who in outcome.blame if who[0] == other[0]]
 
 
-def _clocks_of(step: PlanStep) -> list[int]:
+def _list_clocks(step: PlanStep) -> list[int]:
     """The steps that start a step's clocks."""
     return [w.anchor for w in step.windows if w.anchor is not None and w.within_s is not None]

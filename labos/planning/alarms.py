@@ -26,13 +26,13 @@ class Alarms(Generic[Name]):
             self._count += 1
             heapq.heappush(self._heap, (at, self._count, name))
 
-    def first(self) -> int | None:
+    def find_first(self) -> int | None:
         """The earliest time; None if none is set."""
         while self._heap and self._is_over(self._heap[0]):
             heapq.heappop(self._heap)
         return self._heap[0][0] if self._heap else None
 
-    def due(self, now: int) -> list[Name]:
+    def list_due(self, now: int) -> list[Name]:
         """The names whose time has come, the earliest first. They stay until they are set anew."""
         if not self._heap or self._heap[0][0] > now:
             return []

@@ -16,11 +16,11 @@ from collections.abc import Iterable, Iterator
 from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
-from labos.core.effects import arrivals, list_carried
+from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import Owner, RunId, StationName, run_owner, workcell_of
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -38,13 +38,13 @@ def check_arrival(state: LabState, run: RunState, step: int, now: int, others: I
     plan = state.runs.plan_of(run)
     if run.id in state.runs.windowed or not _is_moving(state, plan.workcell):
         return None
-    first = _first_stop(state, plan, step)
+    first = _find_first_stop(state, plan, step)
     if first is None:
         return None
     stop, onward, after = first
-    free_at = _free_at(state, onward, now)
+    free_at = _find_free_time(state, onward, now)
     arrives = now + sum(find_longest_time(state, plan.steps[i]) for i in (step, *after))
-    if free_at is None or free_at < arrives + lab_ns(state, LEAST_S):
+    if free_at is None or free_at < arrives + convert_lab_s(state, LEAST_S):
         return None
     if not any(_leads_elsewhere(other, stop, onward) for other in others if other is not plan):
         return None
@@ -53,10 +53,10 @@ def check_arrival(state: LabState, run: RunState, step: int, now: int, others: I
 
 
 def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))
 
 
-def _first_stop(
+def _find_first_stop(
     state: LabState, plan: Plan, step: int
 ) -> tuple[StationName, StationName, tuple[int, ...]] | None:
     """Where a first step brings labware if it fills that place, where it is carried from there, and the
@@ -66,7 +66,7 @@ def _first_stop(
         return None
     between: list[int] = []
     for index, later in enumerate(plan.steps):
-        if index == step or step not in _before(plan, index):
+        if index == step or step not in _list_before(plan, index):
             continue
         for what in list_carried(later.effects):
             if what.emptied == stop:
@@ -75,7 +75,7 @@ def _first_stop(
     return None
 
 
-def _before(plan: Plan, index: int) -> set[int]:
+def _list_before(plan: Plan, index: int) -> set[int]:
     found, open_ = set[int](), [index]
     while open_:
         for before in plan.steps[open_.pop()].after:
@@ -95,34 +95,36 @@ def _leads_elsewhere(plan: Plan, stop: StationName, onward: StationName) -> bool
     return any(what.emptied == stop and what.filled != onward for what in moves)
 
 
-def _free_at(state: LabState, place: StationName, now: int) -> int | None:
+def _find_free_time(state: LabState, place: StationName, now: int) -> int | None:
     """When a place can be entered, at the earliest (UTC ns); None if nobody can tell."""
     station = state.bench.stations[place]
     times = [now]
-    for owner in _in_the_way(state, station):
-        leaves = _leaves_at(state, owner, place, now)
+    for owner in _list_in_the_way(state, station):
+        leaves = _find_leave_time(state, owner, place, now)
         if leaves is None:
             return None
         times.append(leaves)
     if station.spec.module and not station.spec.stands_apart:
-        at_work = (a for a in state.actions.within(workcell_of(place)) if a.module == station.spec.module)
-        times += [_ends_at(state, action, now) for action in at_work if action.exclusive]
+        at_work = (
+            a for a in state.actions.list_in_cell(workcell_of(place)) if a.module == station.spec.module
+        )
+        times += [_find_end_time(state, action, now) for action in at_work if action.exclusive]
     return max(times)
 
 
-def _in_the_way(state: LabState, station: Station) -> Iterator[Owner]:
+def _list_in_the_way(state: LabState, station: Station) -> Iterator[Owner]:
     """Whose labware has to leave a place, or is on its way there, before more can come."""
     if not station.full and not station.spec.claim:
         return
     for labware in station.labware:
         yield state.bench.labware[labware].owner
     if station.expected:
-        for action in state.actions.within(workcell_of(station.spec.name)):
-            if station.spec.name in arrivals(action.effects):
+        for action in state.actions.list_in_cell(workcell_of(station.spec.name)):
+            if station.spec.name in list_arrivals(action.effects):
                 yield run_owner(action.run)
 
 
-def _leaves_at(state: LabState, owner: Owner, place: StationName, now: int) -> int | None:
+def _find_leave_time(state: LabState, owner: Owner, place: StationName, now: int) -> int | None:
     """When a run will have carried its labware away from a place, at the earliest (UTC ns); None if it does
     not, or does not go on now."""
     kind, _, name = owner.partition(":")
@@ -138,19 +140,21 @@ def _leaves_at(state: LabState, owner: Owner, place: StationName, now: int) -> i
     last = next(leaving, None)
     if last is None:
         return None
-    flying = [action for action in state.actions.within(plan.workcell) if action.run == run.id]
-    begin = max([now, *(_ends_at(state, action, now) for action in flying)])
-    return begin + sum(_shortest(state, plan.steps[step]) for step in find_pending_before(run, plan, last))
+    flying = [action for action in state.actions.list_in_cell(plan.workcell) if action.run == run.id]
+    begin = max([now, *(_find_end_time(state, action, now) for action in flying)])
+    return begin + sum(
+        _find_shortest_time(state, plan.steps[step]) for step in find_pending_before(run, plan, last)
+    )
 
 
-def _ends_at(state: LabState, action: Action, now: int) -> int:
+def _find_end_time(state: LabState, action: Action, now: int) -> int:
     """When an action will have ended, at the earliest (UTC ns)."""
     run = state.runs.active.get(action.run)
     if run is None:
         return now
     step = state.runs.plan_of(run).steps[action.step]
-    return max(now, action.requested_at + _shortest(state, step))
+    return max(now, action.requested_at + _find_shortest_time(state, step))
 
 
-def _shortest(state: LabState, step: PlanStep) -> int:
+def _find_shortest_time(state: LabState, step: PlanStep) -> int:
     return find_longest_time(state, step) - find_spread(state, step)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from labos.core import reasons
 from labos.core.binding import check_door_open
-from labos.core.effects import places
+from labos.core.effects import list_places
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, RunStatus
@@ -41,11 +41,11 @@ def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) ->
     left = [s for s, at in zip(plan.steps, run.steps, strict=True) if at.status not in SETTLED]
     dead = {s.module for s in left if is_down(state, s.module)}
     wanted = _find_wanted(state, run)
-    actor = safety.actor(state, run)
+    actor = safety.make_actor(state, run)
     floor = lay_out(state, plan.workcell, [actor], hopeful=True)
     if not wanted.isdisjoint(_find_kept(floor, actor)):
         return None  # it is in the way here too
-    stands = list(_stands(state, floor, actor, step, dead))
+    stands = list(_list_kept(state, floor, actor, step, dead))
     if not stands or any(wanted.isdisjoint(kept) for kept in stands):
         return None
     keys = (cell_key(plan.workcell), near_key(plan.workcell), *map(module_key, sorted(dead)))
@@ -56,19 +56,19 @@ def _find_wanted(state: LabState, run: RunState) -> set[str]:
     """What a run that comes to a stand keeps from others: any module, as somebody may come who needs it, and
     the places on the ways of those who are inside or waiting and can go to their ends."""
     cell = state.runs.plan_of(run).workcell
-    wanted: set[str] = {name for name, _ in state.modules.within(cell)}
+    wanted: set[str] = {name for name, _ in state.modules.list_in_cell(cell)}
     for known in state.runs.plans.values():
         if known.plan.workcell == cell and not any(is_down(state, s.module) for s in known.plan.steps):
-            wanted.update(place for s in known.plan.steps for place in places(s.effects))
-    for other in state.runs.inside(cell):
+            wanted.update(place for s in known.plan.steps for place in list_places(s.effects))
+    for other in state.runs.list_inside(cell):
         plan = state.runs.plan_of(other)
         if other.id != run.id and find_block(state, other) is None:
             left = [s for s, at in zip(plan.steps, other.steps, strict=True) if at.status not in SETTLED]
-            wanted.update(place for s in left for place in places(s.effects))
+            wanted.update(place for s in left for place in list_places(s.effects))
     return wanted
 
 
-def _stands(
+def _list_kept(
     state: LabState, floor: Floor, actor: Actor, step: int, dead: set[ModuleName]
 ) -> Iterator[set[str]]:
     """What the run keeps from others after each step on its way, from this one on, until it comes to a
@@ -77,7 +77,7 @@ def _stands(
     first = [motion for motion in actor.motions if motion.step == step]
     way = [*first, *(motion for motion in actor.motions if motion.step != step)]
     for number, motion in enumerate(way):
-        if isinstance(motion.step, int) and _needs(state, steps[motion.step], dead):
+        if isinstance(motion.step, int) and _needs_closed_module(state, steps[motion.step], dead):
             return
         move(floor, actor, motion)
         if number + 1 == len(way) or way[number + 1].step != motion.step:
@@ -85,12 +85,14 @@ def _stands(
     yield set()  # its way forks before it comes to a stand: nobody knows where that is
 
 
-def _needs(state: LabState, step: PlanStep, dead: set[ModuleName]) -> bool:
+def _needs_closed_module(state: LabState, step: PlanStep, dead: set[ModuleName]) -> bool:
     """Whether a step needs a module that is down, or an arm would have to reach into one that is shut or
     stopped in the midst of something."""
     if step.module in dead:
         return True
-    reached = [place for place in places(step.effects) if state.bench.stations[place].spec.module in dead]
+    reached = [
+        place for place in list_places(step.effects) if state.bench.stations[place].spec.module in dead
+    ]
     modules = [state.modules.by_name.get(state.bench.stations[place].spec.module) for place in reached]
     return any(module is None or module.cut_off for module in modules) or any(
         check_door_open(state, place) for place in reached

@@ -14,14 +14,14 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from labos.core.booked import HORIZON_NS, check_gap, contacts, find_blocked, is_exempt, make_wait
+from labos.core.booked import HORIZON_NS, check_gap, find_blocked, find_contacts, is_exempt, make_wait
 from labos.core.bookings import Bookings, BookingSpan
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
 from labos.core.effects import Carrying, Sets, list_carried
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.model import MAIN, Plan, PlanStep
-from labos.core.runs import PENDING, RunState, statuses_of
+from labos.core.runs import PENDING, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.forecast import find_earliest_start, find_usual_time
@@ -41,20 +41,20 @@ class ModuleUse(msgspec.Struct, frozen=True):
 
 def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
     """What booking a start would run into; None if there is room. The rules must allow it."""
-    if not state.bookings.in_cell(state.runs.plan_of(run).workcell):
+    if not state.bookings.list_in_cell(state.runs.plan_of(run).workcell):
         return None
     plan = state.runs.plan_of(run)
     if is_exempt(state, run, plan.steps[step]):
         return None
-    times = _times(state, run, plan, step, now)
+    times = _foresee_times(state, run, plan, step, now)
     if not run.has_started:
         every = list(_list_stays(state, plan, times, times))
         for wait in _list_without_gap(state, run, every, now):
             return wait
-        if _first_fit(state, run.user, every, now) is not None:
-            return _room_for(state, run, plan, every, now)
+        if _find_first_fit(state, run.user, every, now) is not None:
+            return _check_room_for(state, run, plan, every, now)
     together = {step, *find_chained(run, plan, [step])}
-    return _room_for(state, run, plan, list(_list_stays(state, plan, times, together)), now)
+    return _check_room_for(state, run, plan, list(_list_stays(state, plan, times, together)), now)
 
 
 def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
@@ -62,7 +62,7 @@ def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
     no such time within the days that are looked at."""
     run = state.runs.queued[name]
     plan = state.runs.plan_of(run)
-    times = _times(state, run, plan, 0, now)
+    times = _foresee_times(state, run, plan, 0, now)
     found = (
         span.begins - stay.ends + 1
         for stay in _list_stays(state, plan, times, times)
@@ -76,9 +76,9 @@ def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
 def list_without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
     """The modules on which bookings of others leave no gap that is long enough for a run that waits."""
     plan = state.runs.plan_of(run)
-    if not state.bookings.in_cell(plan.workcell):
+    if not state.bookings.list_in_cell(plan.workcell):
         return []
-    times = _times(state, run, plan, 0, now)
+    times = _foresee_times(state, run, plan, 0, now)
     return list(_list_without_gap(state, run, _list_stays(state, plan, times, times), now))
 
 
@@ -94,20 +94,22 @@ def _list_without_gap(state: LabState, run: RunState, stays: Iterable[ModuleUse]
             yield wait
 
 
-def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[ModuleUse], now: int) -> Wait | None:
+def _check_room_for(
+    state: LabState, run: RunState, plan: Plan, stays: list[ModuleUse], now: int
+) -> Wait | None:
     """The wait for a time at which there is room for all these stays; None if it is now."""
-    met = _first_met(state, run.user, stays, now)
+    met = _find_first_met(state, run.user, stays, now)
     if met is None:
         return None
     stay, span = met
     for wait in _list_without_gap(state, run, stays, now):
         return wait
     return make_wait(
-        state, stay.module, span, plan.steps[stay.step].key, now, _first_fit(state, run.user, stays, now)
+        state, stay.module, span, plan.steps[stay.step].key, now, _find_first_fit(state, run.user, stays, now)
     )
 
 
-def _first_met(
+def _find_first_met(
     state: LabState, user: str, stays: Iterable[ModuleUse], now: int
 ) -> tuple[ModuleUse, BookingSpan] | None:
     for stay in stays:
@@ -117,12 +119,12 @@ def _first_met(
     return None
 
 
-def _first_fit(state: LabState, user: str, stays: list[ModuleUse], now: int) -> int | None:
+def _find_first_fit(state: LabState, user: str, stays: list[ModuleUse], now: int) -> int | None:
     """When all stays have room, if they begin together as late as that (UTC ns); None if that is not within
     the days that are looked at."""
     time = now
     while time <= now + HORIZON_NS:
-        met = _first_met(state, user, stays, time)
+        met = _find_first_met(state, user, stays, time)
         if met is None:
             return time
         stay, span = met
@@ -130,12 +132,14 @@ def _first_fit(state: LabState, user: str, stays: list[ModuleUse], now: int) -> 
     return None
 
 
-def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> dict[int, tuple[int, int]]:
+def _foresee_times(
+    state: LabState, run: RunState, plan: Plan, first: int, now: int
+) -> dict[int, tuple[int, int]]:
     """When each step that is still to come would begin and end if ``first`` started now and nothing else
     were in its way (ns from now on)."""
     known: dict[int, int] = {}
     found: dict[int, tuple[int, int]] = {}
-    statuses = statuses_of(plan, run)
+    statuses = list_statuses(plan, run)
     left = {
         i
         for i, status in enumerate(statuses)
@@ -168,7 +172,7 @@ def _list_stays(
             continue
         begins, ends = times[index]
         step = plan.steps[index]
-        for module, clears in contacts(state, step).items():
+        for module, clears in find_contacts(state, step).items():
             last = (
                 ends if clears else max([ends, *_list_end_times(state, plan, times, in_time, index, module)])
             )
@@ -197,13 +201,13 @@ def _list_end_times(
     for what in list_carried(step.effects):
         place = what.filled
         if place and _is_inside(state, place, module):
-            gone = next((i for i in later if _empties(plan.steps[i], place)), None)
+            gone = next((i for i in later if _takes_last_from(plan.steps[i], place)), None)
             if gone is not None:
                 yield times[gone][1]
             else:
-                yield from (times[i][1] for i in later if module in contacts(state, plan.steps[i]))
+                yield from (times[i][1] for i in later if module in find_contacts(state, plan.steps[i]))
     if step.module == module:
-        yield from _closes(state, plan, times, later, step)
+        yield from _list_closing_times(state, plan, times, later, step)
 
 
 def _is_inside(state: LabState, place: StationName, module: ModuleName) -> bool:
@@ -211,11 +215,11 @@ def _is_inside(state: LabState, place: StationName, module: ModuleName) -> bool:
     return spec.module == module and not spec.stands_apart and spec.kind != "waste"
 
 
-def _empties(step: PlanStep, place: StationName) -> bool:
+def _takes_last_from(step: PlanStep, place: StationName) -> bool:
     return any(isinstance(e, Carrying) and e.emptied == place and not e.stock for e in step.effects)
 
 
-def _closes(
+def _list_closing_times(
     state: LabState, plan: Plan, times: dict[int, tuple[int, int]], later: list[int], step: PlanStep
 ) -> Iterator[int]:
     """When a door or lid that a step moves away from rest is at rest again."""
@@ -244,7 +248,7 @@ class BookingTimes:
         self._seen: int | None = None
         self._first: int | None = None
 
-    def first(self, bookings: Bookings) -> int | None:
+    def find_first(self, bookings: Bookings) -> int | None:
         """The earliest change that is to come, or is due (UTC ns)."""
         if not bookings.open:
             return None
@@ -253,9 +257,9 @@ class BookingTimes:
             self._first = min(booking.next_change for booking in bookings.open.values())
         return self._first
 
-    def due(self, bookings: Bookings, now: int) -> Iterator[Command]:
+    def iterate_due(self, bookings: Bookings, now: int) -> Iterator[Command]:
         """What has become due, one after the other for each booking."""
-        first = self.first(bookings)
+        first = self.find_first(bookings)
         if first is None or now < first:
             return
         for booking in list(bookings.open.values()):

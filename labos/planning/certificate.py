@@ -132,13 +132,13 @@ def certify(
     for sooner, later in _find_neighbours(plan, workcell, order):
         fixed.follow(later, sooner)
     for index, anchor, window in known:
-        fixed.follow(index, anchor, _us(window.wait_s))
+        fixed.follow(index, anchor, _convert_to_us(window.wait_s))
     width = {
-        number: _us(window.within_s)
+        number: _convert_to_us(window.within_s)
         for number, (_, _, window) in enumerate(known)
         if window.within_s is not None
     }
-    sources = [node for step in reversed(order) for node in (_end(step), _sure(step), _begin(step))]
+    sources = [node for step in reversed(order) for node in (_end(step), _number_end(step), _begin(step))]
     broken: dict[int, int] = {}
     paths: dict[int, tuple[StepTime, ...]] = {}
     for number, most in width.items():
@@ -227,7 +227,7 @@ def _begin(step: int) -> int:
     return 3 * step
 
 
-def _sure(step: int) -> int:
+def _number_end(step: int) -> int:
     return 3 * step + 1
 
 
@@ -235,7 +235,7 @@ def _end(step: int) -> int:
     return 3 * step + 2
 
 
-def _us(seconds: float) -> int:
+def _convert_to_us(seconds: float) -> int:
     return round(seconds * US)
 
 
@@ -249,8 +249,8 @@ class _Fixed:
 
     def add_durations(self, steps: Sequence[int], limits: Sequence[Range]) -> None:
         for step in steps:
-            least, most = _us(limits[step][0]), _us(limits[step][1])
-            begin, sure, end = _begin(step), _sure(step), _end(step)
+            least, most = _convert_to_us(limits[step][0]), _convert_to_us(limits[step][1])
+            begin, sure, end = _begin(step), _number_end(step), _end(step)
             self.longest[step] = most
             self.edges += (_Edge(begin, sure, least), _Edge(sure, begin, -least, step=step))
             self.edges += (_Edge(sure, end, most - least), _Edge(end, sure, 0))
@@ -312,7 +312,7 @@ def _find_shortfall(ways: Sequence[Sequence[_Edge]], window: int) -> int:
     """By how much a window has to be wider so that a cycle through it is none any more (µs): its length, or
     less where that lets a step take its shortest again. Less than this does not help."""
     total = sum(edge.weight for way in ways for edge in way)
-    found = [-(total // sum(_passes(edge, window) for way in ways for edge in way))]
+    found = [-(total // sum(_count_passes(edge, window) for way in ways for edge in way))]
     open_ = list(ways)
     while open_:
         sum_, passes = 0, 0
@@ -322,11 +322,11 @@ def _find_shortfall(ways: Sequence[Sequence[_Edge]], window: int) -> int:
             elif edge.case < 0 and passes:
                 found.append(-(sum_ // passes))
             sum_ += edge.weight
-            passes += _passes(edge, window)
+            passes += _count_passes(edge, window)
     return min(found)
 
 
-def _passes(edge: _Edge, window: int) -> int:
+def _count_passes(edge: _Edge, window: int) -> int:
     return sum(part.is_window and part.step == window for part in edge.expand())
 
 
@@ -364,11 +364,11 @@ class _Search:
             if distance >= 0 and node == source:
                 continue
             if distance >= 0:
-                parts = tuple(self._path(node, source, first))
+                parts = tuple(self._find_path(node, source, first))
                 self.into.setdefault(source, []).append(_Edge(node, source, distance, parts=parts))
                 continue
             if node in self.negative and node not in self.done:
-                yield node, self._path(node, source, first)
+                yield node, self._find_path(node, source, first)
             for edge in self.into.get(node, ()):
                 is_own = edge.case < 0 and edge.step == own
                 if edge.weight < 0 or is_own or edge.start in passed:
@@ -377,7 +377,7 @@ class _Search:
                     least[edge.start], first[edge.start] = distance + edge.weight, edge
                     heapq.heappush(queue, (distance + edge.weight, edge.start))
 
-    def _path(self, node: int, source: int, first: dict[int, _Edge]) -> list[_Edge]:
+    def _find_path(self, node: int, source: int, first: dict[int, _Edge]) -> list[_Edge]:
         path = [first[node]]
         while path[-1].end != source:
             path.append(first[path[-1].end])

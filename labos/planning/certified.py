@@ -45,11 +45,11 @@ def certify_all(compiled: Compiled, workcell: Workcell) -> Certificate:
 def describe_window(window: WindowVerdict, spread: float) -> str:
     """A window, and whether it can be kept, without a full stop."""
     if window.is_kept:
-        return f"{_limits(window)}: kept for all durations within ±{spread * 100:g} %"
+        return f"{_describe_limits(window)}: kept for all durations within ±{spread * 100:g} %"
     if window.path:
         times = " and ".join(f"{taken.step!r} takes {taken.takes_s:g} s" for taken in window.path)
-        return f"{_limits(window)}: can be missed by {window.breaks_by_s:g} s, if {times}"
-    return f"{_limits(window)}: is missed by {window.breaks_by_s:g} s"
+        return f"{_describe_limits(window)}: can be missed by {window.breaks_by_s:g} s, if {times}"
+    return f"{_describe_limits(window)}: is missed by {window.breaks_by_s:g} s"
 
 
 def describe_certificate(found: Certificate) -> Iterator[str]:
@@ -62,7 +62,7 @@ def describe_certificate(found: Certificate) -> Iterator[str]:
         yield f"{step!r} has a window whose clock another run starts: nothing can be said of it before."
 
 
-def _limits(window: WindowVerdict) -> str:
+def _describe_limits(window: WindowVerdict) -> str:
     least = f"at least {window.wait_s:g} s"
     if window.within_s is None:
         return f"{window.step!r} {least} after the end of {window.anchor!r}"

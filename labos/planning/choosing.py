@@ -12,7 +12,7 @@ import msgspec
 
 from labos.core.decide.choices import BindAnew, can_change_to
 from labos.core.ids import ModuleName, local
-from labos.core.runs import SETTLED, RunState, modules_chosen, options
+from labos.core.runs import SETTLED, RunState, find_chosen_modules, list_options
 from labos.core.state import LabState
 from labos.planning.forecast import find_usual_time
 from labos.planning.layout import is_down
@@ -20,19 +20,19 @@ from labos.planning.safety import Safety
 from labos.planning.stuck import find_block
 
 
-def options_in_order(state: LabState, run: RunState, now: int) -> list[RunState]:
+def sort_options(state: LabState, run: RunState, now: int) -> list[RunState]:
     """A run that waits as it would be with each of its plans, the one first by whose modules it would be done
     first; one that has no choice as it is."""
-    found = options(run)
+    found = list_options(run)
     if len(found) == 1:
         return found
     loads: dict[ModuleName, int] = {}
 
     def estimate_end(option: RunState) -> int:
-        chosen = set(modules_chosen(state.runs, option).values())
+        chosen = set(find_chosen_modules(state.runs, option).values())
         for module in chosen - loads.keys():
             loads[module] = _load(state, module, now)
-        return max((loads[module] + _own(state, option, module) for module in chosen), default=0)
+        return max((loads[module] + _sum_own_time(state, option, module) for module in chosen), default=0)
 
     return sorted(found, key=estimate_end)
 
@@ -41,18 +41,18 @@ def _load(state: LabState, module: ModuleName, now: int) -> int:
     """How long a module still has to work for the runs inside (lab time in wall ns)."""
     cell = module.partition("/")[0]
     total = 0
-    for run in state.runs.inside(cell):
+    for run in state.runs.list_inside(cell):
         steps = state.runs.plan_of(run).steps
         for index, step in enumerate(run.steps):
             if steps[index].module == module and step.status not in SETTLED:
                 total += find_usual_time(state, steps[index])
-    for action in state.actions.within(cell):
+    for action in state.actions.list_in_cell(cell):
         if action.module == module:
             total -= max(0, now - action.requested_at)
     return max(0, total)
 
 
-def _own(state: LabState, run: RunState, module: ModuleName) -> int:
+def _sum_own_time(state: LabState, run: RunState, module: ModuleName) -> int:
     return sum(find_usual_time(state, s) for s in state.runs.plan_of(run).steps if s.module == module)
 
 

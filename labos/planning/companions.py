@@ -15,11 +15,11 @@ from labos.core.actions import ActionStatus
 from labos.core.decide import Command
 from labos.core.decide.actions import StartStep
 from labos.core.decide.together import StartTogether, find_planned_wish, find_wish
-from labos.core.effects import places
+from labos.core.effects import list_places
 from labos.core.ids import ActionId, ModuleName, RunId
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
-from labos.core.rules import examine, lab_ns
+from labos.core.rules import convert_lab_s, examine
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.together import find_together
@@ -59,7 +59,7 @@ def find_companions(state: LabState, run: RunState, index: int, now: int) -> lis
 def _list_ready(state: LabState, run: RunState, module: ModuleName) -> Iterator[RunStep]:
     """A step of each other run inside whose turn it is on a module."""
     plan = state.runs.plan_of(run)
-    for other in state.runs.inside(plan.workcell):
+    for other in state.runs.list_inside(plan.workcell):
         steps = state.runs.plan_of(other).steps if other.id != run.id else ()
         for index, step in enumerate(steps):
             if step.module == module and _is_next(other, step, index):
@@ -87,7 +87,9 @@ def check_for_others(
     if together is None or not run.has_started:
         return None
     members = [(run, index), *companions]
-    until = min(find_ready_time(state, one, at) for one, at in members) + lab_ns(state, together.wait_s)
+    until = min(find_ready_time(state, one, at) for one, at in members) + convert_lab_s(
+        state, together.wait_s
+    )
     stations = [state.bench.stations[place] for place in state.bench.by_module.get(step.module, ())]
     stations = [station for station in stations if not station.spec.hotel]
     taken = sum(len(station.labware) for station in stations)
@@ -121,7 +123,7 @@ def find_ready_time(state: LabState, run: RunState, index: int) -> int:
 
 
 def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))
 
 
 def _has_clock(state: LabState, cell: str, module: ModuleName) -> bool:
@@ -135,7 +137,7 @@ def _has_clock(state: LabState, cell: str, module: ModuleName) -> bool:
 
 
 def _reaches(state: LabState, step: PlanStep, module: ModuleName) -> bool:
-    return any(state.bench.stations[place].spec.module == module for place in places(step.effects))
+    return any(state.bench.stations[place].spec.module == module for place in list_places(step.effects))
 
 
 def _can_anybody_come(
@@ -151,7 +153,7 @@ def _can_anybody_come(
     wish, names = find_planned_wish(plan, step), {run.id for run, _ in members}
     if wish is None:
         return False
-    for other in state.runs.inside(plan.workcell):
+    for other in state.runs.list_inside(plan.workcell):
         theirs = state.runs.plan_of(other)
         for index in _list_wishes(theirs, step, wish) if other.id not in names else ():
             if other.steps[index].status is PENDING and _comes_by(state, other, index, now, until):
@@ -180,7 +182,7 @@ def _comes_by(state: LabState, run: RunState, index: int, now: int, until: int) 
     plan = state.runs.plan_of(run)
     *before, _ = find_pending_before(run, plan, index)
     at = now
-    for action in state.actions.within(plan.workcell):
+    for action in state.actions.list_in_cell(plan.workcell):
         if action.run == run.id:
             at = max(at, action.requested_at + find_usual_time(state, plan.steps[action.step]))
     return at + sum(find_usual_time(state, plan.steps[each]) for each in before) <= until

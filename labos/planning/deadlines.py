@@ -14,7 +14,13 @@ from labos.core.decide.runs import BreachWindow
 from labos.core.decide.steps import TimeOutAction
 from labos.core.decide.work import NoteOverdue
 from labos.core.ids import ActionId, InterventionId, RunId
-from labos.core.rules import closes_late_at, due_at, find_give_up_time, find_standstill_time, lab_ns
+from labos.core.rules import (
+    convert_lab_s,
+    find_due_time,
+    find_give_up_time,
+    find_late_close,
+    find_standstill_time,
+)
 from labos.core.runs import find_anchor
 from labos.core.state import LabState
 from labos.planning.alarms import Alarms
@@ -50,42 +56,42 @@ class Deadlines:
                     self._note_action(state, ActionId(name))
                     self._note_question(state, InterventionId(name))
 
-    def due(self, state: LabState, now: int) -> Iterator[Command]:
+    def iterate_due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for."""
         if not self._filled:
             self._fill(state)
-        for run in self._windows.due(now):
-            for step, window, deadline in list(_windows(state, run)):
+        for run in self._windows.list_due(now):
+            for step, window, deadline in list(_list_windows(state, run)):
                 if now > deadline:
                     yield BreachWindow(run, step, window, now)
-        for action in self._actions.due(now):
+        for action in self._actions.list_due(now):
             self._note_action(state, action)  # what it is allowed may have become more since
-        for action in self._actions.due(now):
+        for action in self._actions.list_due(now):
             yield TimeOutAction(action, now)
         for module, back_at in list(state.modules.back_at.items()):
             if back_at <= now:
                 yield EndOutage(module, now)
-        yield from self._bookings.due(state.bookings, now)
-        for run in self._closings.due(now):
+        yield from self._bookings.iterate_due(state.bookings, now)
+        for run in self._closings.list_due(now):
             self._note_closing(state, run)  # somebody may have been told since
-        for run in self._closings.due(now):
+        for run in self._closings.list_due(now):
             yield AskAboutClosing(run, now)
-        for question in self._questions.due(now):
+        for question in self._questions.list_due(now):
             yield NoteOverdue(question, now)
 
-    def first(self, state: LabState) -> int | None:
+    def find_first(self, state: LabState) -> int | None:
         """The earliest time that is still to come, or has come and nothing followed (UTC ns)."""
         if not self._filled:
             self._fill(state)
-        while (at := self._actions.first()) is not None:
+        while (at := self._actions.find_first()) is not None:
             # What an action is allowed may have become more since: its device has answered.
-            action = self._actions.due(at)[0]
-            due = _due(state, action)
+            action = self._actions.list_due(at)[0]
+            due = _find_due_time(state, action)
             if due == at:
                 break
             self._actions.set(action, due)
-        alarms = (self._windows.first(), self._closings.first(), at, self._questions.first())
-        times = [*alarms, *state.modules.back_at.values(), self._bookings.first(state.bookings)]
+        alarms = (self._windows.find_first(), self._closings.find_first(), at, self._questions.find_first())
+        times = [*alarms, *state.modules.back_at.values(), self._bookings.find_first(state.bookings)]
         return min((time for time in times if time is not None), default=None)
 
     # -- working out -------------------------------------------------------------------------
@@ -108,22 +114,22 @@ class Deadlines:
     def _note_cell(self, state: LabState, cell: str) -> None:
         for run in state.runs.windowed_in.get(cell, ()):
             self._note_windows(state, run)
-        for action in state.actions.within(cell):
+        for action in state.actions.list_in_cell(cell):
             self._note_action(state, action.id)
 
     def _note_closing(self, state: LabState, name: RunId) -> None:
         run = state.runs.queued.get(name)
-        due = closes_late_at(state, run) if run is not None else None
+        due = find_late_close(state, run) if run is not None else None
         self._closings.set(name, None if due is None else due + 1)
 
     def _note_windows(self, state: LabState, run: RunId) -> None:
         if run in state.runs.windowed:
-            self._windows.set(run, min((at + 1 for _, _, at in _windows(state, run)), default=None))
+            self._windows.set(run, min((at + 1 for _, _, at in _list_windows(state, run)), default=None))
         else:
             self._windows.set(run, None)
 
     def _note_action(self, state: LabState, action: ActionId) -> None:
-        self._actions.set(action, _due(state, action))
+        self._actions.set(action, _find_due_time(state, action))
 
     def _note_question(self, state: LabState, name: InterventionId) -> None:
         question = state.interventions.open.get(name)
@@ -131,18 +137,22 @@ class Deadlines:
         self._questions.set(name, question.due_at if question is not None and waits else None)
 
 
-def _due(state: LabState, name: ActionId) -> int | None:
+def _find_due_time(state: LabState, name: ActionId) -> int | None:
     """When the time of an action in flight is over (UTC ns), as its step limits it, its node is gone or its
     device stands still; None if it is not limited."""
     action = state.actions.open.get(name)
     if action is None:
         return None
-    times = (due_at(state, action), find_give_up_time(state, action), find_standstill_time(state, action))
+    times = (
+        find_due_time(state, action),
+        find_give_up_time(state, action),
+        find_standstill_time(state, action),
+    )
     known = [due for due in times if due is not None]
     return min(known) + 1 if known else None
 
 
-def _windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
+def _list_windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
     """(step, window, deadline) of every running window of a run's steps that have not started, and for which
     it is not known yet that they are late."""
     run = state.runs.get(name)
@@ -153,4 +163,4 @@ def _windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
         for number, window in enumerate(plan.plan.steps[index].windows):
             ended = find_anchor(run, window)
             if ended is not None and window.within_s is not None:
-                yield index, number, ended + lab_ns(state, window.within_s)
+                yield index, number, ended + convert_lab_s(state, window.within_s)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from labos.core.ids import ModuleName, RunId
 from labos.core.rules import examine
-from labos.core.runs import RunState, find_holds, options
+from labos.core.runs import RunState, find_holds, list_options
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
-from labos.planning.obstacle import obstacle
+from labos.planning.obstacle import find_obstacle
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.stuck import find_block
-from labos.planning.waiting import WaitingRoom, modules_of
+from labos.planning.waiting import WaitingRoom, list_modules
 
 
 class Elders:
@@ -33,9 +33,9 @@ class Elders:
             if elder.position >= run.position or find_holds(elder):
                 continue
             mine = mine or {step.module for step in plan.plan.steps}
-            if mine.isdisjoint(modules_of(state, elder)):
+            if mine.isdisjoint(list_modules(state, elder)):
                 continue
-            if any(self._is_next(state, option, now, bool(plan.windowed)) for option in options(elder)):
+            if any(self._is_next(state, option, now, bool(plan.windowed)) for option in list_options(elder)):
                 return str(elder.id)
         return ""
 
@@ -59,6 +59,6 @@ class Elders:
             self._hopeless.clear()
         known = self._hopeless.get((elder.id, elder.plan))
         if known is None:
-            known = find_block(state, elder) is not None or bool(obstacle(self._safety, state, elder))
+            known = find_block(state, elder) is not None or bool(find_obstacle(self._safety, state, elder))
             self._hopeless[elder.id, elder.plan] = known
         return known

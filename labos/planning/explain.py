@@ -5,11 +5,11 @@ from __future__ import annotations
 from labos.core.waits import Wait
 
 
-def remedy(wait: Wait) -> str:
+def find_remedy(wait: Wait) -> str:
     """What a person can do about a wait; empty if there is nothing to do but wait."""
     return wait.reason.remedy
 
 
-def sentence(wait: Wait) -> str:
+def describe_wait(wait: Wait) -> str:
     """What a wait is for, in words a scientist uses."""
     return wait.reason.sentence

@@ -10,15 +10,15 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
 from labos.core.actions import Action
-from labos.core.algebra import away_from_rest, settings_after
+from labos.core.algebra import compute_settings_after, list_away_from_rest
 from labos.core.effects import Carrying, list_carried
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep, Window
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import PENDING, RunState, find_anchor
 from labos.core.state import LabState
 from labos.core.waits import module_key, station_key, zone_key
-from labos.core.zones import zones_of
+from labos.core.zones import find_zones
 
 MARGIN = 1.1
 """Durations scatter: a forecast counts each of them this much longer, and as long as the longest that was
@@ -32,29 +32,29 @@ def find_longest_time(state: LabState, step: PlanStep) -> int:
     """The longest time that a step takes if nothing is in its way (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
-        return max(known.high, int(known.usual * MARGIN)) + setup_ns(state, step)
-    return lab_ns(state, step.duration_s * MARGIN) + setup_ns(state, step)
+        return max(known.high, int(known.usual * MARGIN)) + find_setup_ns(state, step)
+    return convert_lab_s(state, step.duration_s * MARGIN) + find_setup_ns(state, step)
 
 
 def find_usual_time(state: LabState, step: PlanStep) -> int:
     """The usual time that a step takes (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
-    own = known.usual if known is not None else lab_ns(state, step.duration_s)
-    return own + setup_ns(state, step)
+    own = known.usual if known is not None else convert_lab_s(state, step.duration_s)
+    return own + find_setup_ns(state, step)
 
 
-def setup_ns(state: LabState, step: PlanStep) -> int:
+def find_setup_ns(state: LabState, step: PlanStep) -> int:
     """How much longer a step would take now, as its module is set up for something else (ns of wall time)."""
     module = state.modules.by_name.get(step.module)
     if module is None or module.spec.setup is None:
         return 0
-    return lab_ns(state, module.spec.setup.cost_s(module.set_up_for, step.args))
+    return convert_lab_s(state, module.spec.setup.compute_cost_s(module.set_up_for, step.args))
 
 
-def setup_under_way(state: LabState, action: Action) -> int:
+def find_setup_under_way(state: LabState, action: Action) -> int:
     """How much longer an action in flight takes, as its module is set up for it first (ns of wall time)."""
     flight = state.modules.by_name[action.module].in_flight.get(action.id)
-    return lab_ns(state, flight.setup_s) if flight is not None and flight.setup_s else 0
+    return convert_lab_s(state, flight.setup_s) if flight is not None and flight.setup_s else 0
 
 
 def find_spread(state: LabState, step: PlanStep) -> int:
@@ -65,8 +65,8 @@ def find_spread(state: LabState, step: PlanStep) -> int:
         margin = int(known.usual * (MARGIN - 1))
         own = max(known.high, known.usual + margin) - min(known.low, known.usual - margin)
     else:
-        own = lab_ns(state, step.duration_s * 2 * (MARGIN - 1))
-    return own + setup_ns(state, step)
+        own = convert_lab_s(state, step.duration_s * 2 * (MARGIN - 1))
+    return own + find_setup_ns(state, step)
 
 
 def is_pending(run: RunState, index: int) -> bool:
@@ -98,21 +98,21 @@ def list_uses(state: LabState, run: RunState, index: int, now: int) -> dict[str,
     for how long (ns): while it is carried out; while labware stands where it was brought; while a door
     or lid is away from rest; while the plan holds a module."""
     found: dict[str, int] = {}
-    for key, time in _uses(state, run, index, now):
+    for key, time in _list_uses(state, run, index, now):
         found[key] = max(found.get(key, 0), time)
     return found
 
 
-def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tuple[str, int]]:
+def _list_uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tuple[str, int]]:
     plan = state.runs.plan_of(run)
     step = plan.steps[index]
     takes = find_longest_time(state, step)
     for hold in plan.holds:
         if hold.first == index:
-            yield module_key(hold.module), _to_the_end_of(state, run, index, hold.last, now)
+            yield module_key(hold.module), _measure_to_end(state, run, index, hold.last, now)
     if step.exclusive:
         yield module_key(step.module), takes
-        for zone in zones_of(state, step.module, step.effects):
+        for zone in find_zones(state, step.module, step.effects):
             yield zone_key(zone), takes
     for effect in step.effects:
         if isinstance(effect, Carrying):
@@ -121,17 +121,17 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
             if effect.via:
                 yield station_key(effect.via), takes
             if effect.filled:
-                yield from _arrival(state, run, index, effect.filled, now)
+                yield from _list_arrivals(state, run, index, effect.filled, now)
     module = state.modules.by_name.get(step.module)
     rest = module.spec.rest if module is not None else {}
-    left = settings_after(step.effects).variables if rest else {}
-    for variable in away_from_rest(left, rest):
+    left = compute_settings_after(step.effects).variables if rest else {}
+    for variable in list_away_from_rest(left, rest):
 
         def closes(other: PlanStep, variable: str = variable) -> bool:
-            after = settings_after(other.effects).variables
+            after = compute_settings_after(other.effects).variables
             return other.module == step.module and after.get(variable) == rest[variable]
 
-        yield module_key(step.module), _until(state, run, index, now, closes)
+        yield module_key(step.module), _measure_until(state, run, index, now, closes)
 
 
 def _find_reached(state: LabState, place: StationName, takes: int) -> Iterator[tuple[str, int]]:
@@ -140,7 +140,7 @@ def _find_reached(state: LabState, place: StationName, takes: int) -> Iterator[t
         yield module_key(spec.module), takes
 
 
-def _arrival(
+def _list_arrivals(
     state: LabState, run: RunState, index: int, place: StationName, now: int
 ) -> Iterator[tuple[str, int]]:
     """What labware occupies where a step brings it, until a later step carries it away."""
@@ -151,23 +151,25 @@ def _arrival(
     def leaves(step: PlanStep) -> bool:
         return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
 
-    stay = _until(state, run, index, now, leaves)
+    stay = _measure_until(state, run, index, now, leaves)
     if station.count + 1 >= station.spec.capacity:
         yield station_key(place), stay
     if (station.spec.claim or station.spec.kind == "gripper") and station.spec.module:
         yield module_key(station.spec.module), stay
 
 
-def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]) -> int:
+def _measure_until(
+    state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]
+) -> int:
     """How long it takes from a step's start to the end of the next step for which ``ends`` is true,
     with the steps between them one after the other and their waits; for ever if there is none."""
     plan = state.runs.plan_of(run)
     later = (i for i, step in enumerate(plan.steps) if i != index and is_pending(run, i) and ends(step))
     last = next(later, None)
-    return FOR_EVER if last is None else _to_the_end_of(state, run, index, last, now)
+    return FOR_EVER if last is None else _measure_to_end(state, run, index, last, now)
 
 
-def _to_the_end_of(state: LabState, run: RunState, index: int, last: int, now: int) -> int:
+def _measure_to_end(state: LabState, run: RunState, index: int, last: int, now: int) -> int:
     plan = state.runs.plan_of(run)
     time = find_longest_time(state, plan.steps[index])
     if last == index:
@@ -184,7 +186,10 @@ def _to_the_end_of(state: LabState, run: RunState, index: int, last: int, now: i
 def find_earliest_start(state: LabState, run: RunState, index: int, known: Mapping[int, int]) -> int:
     """When the windows of a step let it start, as far as their clocks run (0: at once). ``known``
     are ends of steps that are foreseen."""
-    return max((ended + lab_ns(state, w.wait_s) for w, ended in _clocks(state, run, index, known)), default=0)
+    return max(
+        (ended + convert_lab_s(state, w.wait_s) for w, ended in _list_clocks(state, run, index, known)),
+        default=0,
+    )
 
 
 def find_deadline(
@@ -193,15 +198,15 @@ def find_deadline(
     """When a step has to have started at the latest; None if no clock of its windows runs."""
     return min(
         (
-            ended + lab_ns(state, window.within_s)
-            for window, ended in _clocks(state, run, index, known)
+            ended + convert_lab_s(state, window.within_s)
+            for window, ended in _list_clocks(state, run, index, known)
             if window.within_s is not None
         ),
         default=None,
     )
 
 
-def _clocks(
+def _list_clocks(
     state: LabState, run: RunState, index: int, known: Mapping[int, int]
 ) -> Iterator[tuple[Window, int]]:
     """The windows of a step whose clock runs, and since when (UTC ns)."""

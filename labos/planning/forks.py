@@ -21,10 +21,10 @@ from labos.core.branches import Way, find_decided, may_leave_out
 from labos.core.effects import NOWHERE, Relid, Unlid
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
-from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
+from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, find_results
 from labos.planning.floor import OTHERS, UNSETTLED, Actor, Branch, Floor, change_claim
 from labos.planning.moves import Undo, may_move, move, take_back
-from labos.planning.paths import FORKED, Motion, Path, carry, left_by
+from labos.planning.paths import FORKED, Motion, Path, carry, name_leftover_owner
 
 FORK = Motion(FORKED)
 
@@ -54,7 +54,7 @@ def find_branches(
     """What is left of a way that forks, given the states of the run's steps: the motions before the first
     fork, and the branches behind it. ``tail`` follows at the end of each, ``failing`` at the end of those on
     which the run fails."""
-    troubles, known = _list_failed(run), find_decided(plan, steps, results_of(plan, run))
+    troubles, known = _list_failed(run), find_decided(plan, steps, find_results(plan, run))
     over = {
         index
         for index, status in enumerate(steps)
@@ -66,12 +66,12 @@ def find_branches(
         (way, motions)
         for way, motions in path.ways
         if all(known.get(what, value) == value for what, value in way.said)
-        and _possible(way, plan, steps, troubles)
+        and _is_possible(way, plan, steps, troubles)
     ]
     flying = _list_undecided([way for way, _ in possible], run, steps)
     for way, motions in possible:
         left = tuple(motion for motion in motions if motion.step not in over)
-        outcome = [motion for index in flying for motion in _outcome(path, way, motions, index)]
+        outcome = [motion for index in flying for motion in _list_outcome(path, way, motions, index)]
         whole = (*outcome, *left, *(failing if way.fails else tail))
         branches[whole] = branches.get(whole, True) and way.fails
     lists = list(branches)
@@ -87,7 +87,7 @@ def find_branches(
     return lists[0][:common], tuple(sorted(forks, key=lambda branch: branch.fails))
 
 
-def _possible(way: Way, plan: Plan, steps: Sequence[StepStatus], troubles: Collection[int]) -> bool:
+def _is_possible(way: Way, plan: Plan, steps: Sequence[StepStatus], troubles: Collection[int]) -> bool:
     """Whether a run whose steps have these states may still go this way."""
     for index, status in enumerate(steps):
         if plan.steps[index].part != MAIN:
@@ -125,14 +125,14 @@ def find_kept(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]
     that their labware comes from, and what they let go of. A setpoint that they change is nobody else's:
     it may stay as it is."""
     possible = [
-        (way, motions) for way, motions in path.ways if _possible(way, plan, steps, _list_failed(run))
+        (way, motions) for way, motions in path.ways if _is_possible(way, plan, steps, _list_failed(run))
     ]
     grabs = {grab: True for _, motions in path.ways for motion in motions for grab in motion.grabs}
     changing = {key for key, number in Counter(key for key, _ in grabs).items() if number > 1}
     values = {key: None if key in changing else value for key, value in grabs}
     kept: list[Motion] = []
     for index in _list_undecided([way for way, _ in possible], run, steps):
-        kept += [Motion(index, place, back=True) for place in _find_left(motions_of(path, index))]
+        kept += [Motion(index, place, back=True) for place in _find_left(list_motions(path, index))]
         own = [motion for _, motions in possible for motion in motions if motion.step == index]
         held = {key: values.get(key) for motion in own for key in motion.frees}
         held |= {key: None for motion in own for key, _ in motion.grabs if key in changing}
@@ -146,10 +146,10 @@ def _find_left(motions: Iterable[Motion]) -> list[StationName]:
     return [motion.emptied for motion in motions if motion.emptied and not motion.new]
 
 
-def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list[Motion]:
+def _list_outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list[Motion]:
     """How a step in flight ends on this way. On the floor it counts as done, and what ``find_kept`` says is
     kept for the case that it fails."""
-    motions = motions_of(path, index)
+    motions = list_motions(path, index)
     found = [Motion(index, place, back=True) for place in _find_left(motions)]
     if index not in way.without | way.rescued:
         done = [motion for motion in on_way if motion.step == index]
@@ -163,7 +163,7 @@ def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list
     return found
 
 
-def motions_of(path: Path, step: int) -> list[Motion]:
+def list_motions(path: Path, step: int) -> list[Motion]:
     """The motions of a step, on whichever way it is done. Where it would be the last on one way, but not on
     another, it lets go only of what it lets go of on both."""
     lists = [motions for _, motions in path.ways] if path.ways else [path.motions]
@@ -191,13 +191,13 @@ def finish(floor: Floor, actor: Actor) -> ActorEnds | None:
             last.append((motion, move(floor, actor, motion)))
         if not branch.fails:
             values.append(dict(floor.values))
-            ends.append({number: dict(table) for number, table in enumerate(_tables(floor, actor))})
+            ends.append({number: dict(table) for number, table in enumerate(_list_tables(floor, actor))})
     if not lasting:
         _take_back_all(floor, actor, last)
         hands_over = [motion for branch in actor.forks[:1] for motion in branch.motions if motion.heir]
         last = [(motion, move(floor, actor, motion)) for motion in hands_over]
     changes: list[Change] = []
-    for number, table in enumerate(_tables(floor, actor)):
+    for number, table in enumerate(_list_tables(floor, actor)):
         worst = max if number < 3 else min
         for end in ends:
             for key in end[number].keys() | table.keys():
@@ -216,7 +216,7 @@ def finish(floor: Floor, actor: Actor) -> ActorEnds | None:
     return ActorEnds(last, changes, unsettled)
 
 
-def unfinish(floor: Floor, actor: Actor, ends: ActorEnds) -> None:
+def undo_finish(floor: Floor, actor: Actor, ends: ActorEnds) -> None:
     """Take back what ``finish`` did."""
     floor.values.update(ends.values)
     _claim(floor, actor, ends.changes, -1)
@@ -225,10 +225,10 @@ def unfinish(floor: Floor, actor: Actor, ends: ActorEnds) -> None:
     _take_back_all(floor, actor, ends.motions)
 
 
-def _tables(floor: Floor, actor: Actor) -> list[dict[Any, int]]:
+def _list_tables(floor: Floor, actor: Actor) -> list[dict[Any, int]]:
     """Counts of which the others would rather see less (three), then those of which they want more."""
     pools = [floor.pools[owner] for owner in actor.inputs if owner in floor.pools]
-    left = floor.pools.setdefault(left_by(actor.home), {}) if actor.home else {}
+    left = floor.pools.setdefault(name_leftover_owner(actor.home), {}) if actor.home else {}
     return [floor.count, actor.own, left, floor.stock, *pools]
 
 
@@ -236,7 +236,7 @@ def _claim(floor: Floor, actor: Actor, changes: list[Change], sign: int) -> None
     for table, key, change in changes:
         if table is actor.own:
             change_claim(floor, key, actor.name, sign * change)
-        elif actor.home and table is floor.pools.get(left_by(actor.home)):
+        elif actor.home and table is floor.pools.get(name_leftover_owner(actor.home)):
             change_claim(floor, key, OTHERS, sign * change)
 
 
@@ -245,4 +245,4 @@ def _take_back_all(floor: Floor, actor: Actor, trail: list[tuple[Motion, Undo | 
         take_back(floor, actor, motion, taken)
 
 
-__all__ = ["FORK", "ActorEnds", "find_branches", "finish", "motions_of", "unfinish"]
+__all__ = ["FORK", "ActorEnds", "find_branches", "finish", "list_motions", "undo_finish"]

@@ -10,15 +10,15 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.algebra import check_effect
-from labos.core.effects import Carrying, Claims, Consumes, Needs, Requires, hand_of, list_carried
-from labos.core.ids import ModuleName, Owner, RunId, StationName, owner_parts, run_owner
+from labos.core.effects import Carrying, Claims, Consumes, Needs, Requires, list_carried, name_hand
+from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner, split_owner
 from labos.core.model import PlanStep
 from labos.core.rules import examine
 from labos.core.runs import RunState
 from labos.core.state import LabState
-from labos.core.waits import Wait, party
+from labos.core.waits import Wait, list_party
 from labos.planning.forecast import find_pending_before, is_pending
-from labos.planning.layout import destination, labware_in
+from labos.planning.layout import find_destination, list_labware_in
 from labos.planning.safety import Safety
 
 ANYWHERE = StationName("")
@@ -38,14 +38,14 @@ class Helpers(msgspec.Struct):
         """Whether a run is one of them."""
         if self.in_vain or run.id in self.runs:
             return True
-        owners = party(run)
+        owners = list_party(run)
         return any(
             owner in owners and (place == ANYWHERE or _carries_from(state, run, place))
             for place, owner in self.parked
         )
 
 
-def helpers_of(state: LabState, run: RunState, chain: Iterable[int], now: int, safety: Safety) -> Helpers:
+def find_helpers(state: LabState, run: RunState, chain: Iterable[int], now: int, safety: Safety) -> Helpers:
     """Who has to move first so that these steps of a run can be carried out."""
     search = _Search(state, now, safety, state.runs.plan_of(run).workcell)
     search.add_blockers(run, set(chain))
@@ -58,14 +58,14 @@ class _Search:
         self.found = Helpers()
         self._seen: set[tuple[RunId, StationName]] = set()
         self._standing: dict[StationName, list[Owner]] = {}
-        for item in labware_in(state, cell):
-            place = destination(state.bench, item)
+        for item in list_labware_in(state, cell):
+            place = find_destination(state.bench, item)
             if place:
                 self._standing.setdefault(place, []).append(item.owner)
-        for action in state.actions.within(cell):
+        for action in state.actions.list_in_cell(cell):
             for what in list_carried(action.effects):
                 if what.stock:
-                    target = state.bench.as_planned(what.target)
+                    target = state.bench.find_planned_place(what.target)
                     self._standing.setdefault(target, []).append(run_owner(action.run))
 
     def add_blockers(self, run: RunState, steps: set[int]) -> None:
@@ -93,7 +93,7 @@ class _Search:
 
     def add_holders(self, name: ModuleName, run: RunState) -> None:
         """The runs that hold a module have to come away from it, shut its door, do what they held it for."""
-        bench, mine = self.state.bench, party(run)
+        bench, mine = self.state.bench, list_party(run)
         for place in bench.by_module.get(name, ()):
             if bench.stations[place].spec.claim:
                 for owner in self._standing.get(place, ()):
@@ -103,7 +103,7 @@ class _Search:
             if holder != run.id:
                 self._add(ANYWHERE, run_owner(holder))
         module = self.state.modules.by_name[name]
-        for left in module.away_from_rest().values():
+        for left in module.list_away_from_rest().values():
             by = RunId(left.by)
             if by != run.id and by in self.state.runs.active:
                 self._add(ANYWHERE, run_owner(by))
@@ -118,15 +118,15 @@ class _Search:
 
     def _add(self, place: StationName, owner: Owner) -> None:
         """Labware of an owner has to leave a place (any: everything that its run has left to do)."""
-        kind, name = owner_parts(owner)
+        kind, name = split_owner(owner)
         if kind == "run":
             self._add_run(RunId(name), place)
             return
         if (place, owner) in self.found.parked:
             return
         self.found.parked[place, owner] = True
-        for run in self.state.runs.inside(self.cell):
-            if owner in party(run) and _carries_from(self.state, run, place):
+        for run in self.state.runs.list_inside(self.cell):
+            if owner in list_party(run) and _carries_from(self.state, run, place):
                 self._add_run(run.id, place)
 
     def _add_run(self, name: RunId, place: StationName) -> None:
@@ -137,7 +137,7 @@ class _Search:
         self.found.runs[name] = True
         plan = self.state.runs.plan_of(run)
         pending = [index for index in range(len(plan.steps)) if is_pending(run, index)]
-        leaving = next((index for index in pending if _carries(plan.steps[index], place)), None)
+        leaving = next((index for index in pending if _takes_from(plan.steps[index], place)), None)
         steps = pending if place == ANYWHERE or leaving is None else find_pending_before(run, plan, leaving)
         self.add_blockers(run, set(steps))
 
@@ -151,7 +151,7 @@ class _Search:
                 continue
             if run.has_started and not self.safety.changes_anything(self.state, run, index):
                 continue
-            trapped = self.safety.traps(self.state, run, index, only_asking=True)
+            trapped = self.safety.list_trapped(self.state, run, index, only_asking=True)
             self.found.in_vain |= trapped == [run.id]
             for name in trapped:
                 if name.startswith("experiment:"):
@@ -162,10 +162,10 @@ class _Search:
 
 def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
     steps = state.runs.plan_of(run).steps
-    return any(is_pending(run, index) and _carries(step, place) for index, step in enumerate(steps))
+    return any(is_pending(run, index) and _takes_from(step, place) for index, step in enumerate(steps))
 
 
-def _carries(step: PlanStep, place: StationName) -> bool:
+def _takes_from(step: PlanStep, place: StationName) -> bool:
     return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
 
 
@@ -179,32 +179,32 @@ class _Clearing:
     def stock(self, what: Carrying, stack: StationName) -> None:
         self.search.add_occupants(stack, self.run)
 
-    def stands(self, what: Carrying, place: StationName) -> None:
+    def check_stands(self, what: Carrying, place: StationName) -> None:
         """Of others' labware on a hotel or a nest it is not known whether it is in the way."""
 
-    def fits(self, what: Carrying) -> None:
+    def check_fits(self, what: Carrying) -> None:
         """What keeps a run from its end by its labware makes it stuck."""
 
-    def hand(self, what: Carrying) -> None:
-        self.search.add_occupants(hand_of(self.step.module), self.run)
+    def check_hand(self, what: Carrying) -> None:
+        self.search.add_occupants(name_hand(self.step.module), self.run)
 
-    def entry(self, what: Carrying, place: StationName) -> None:
+    def check_entry(self, what: Carrying, place: StationName) -> None:
         spec = self.search.state.bench.stations[place].spec
         if spec.claim and spec.module:
             self.search.add_holders(spec.module, self.run)
 
-    def room(self, what: Carrying, place: StationName) -> None:
+    def check_room(self, what: Carrying, place: StationName) -> None:
         if self.search.is_full(place):
             self.search.add_occupants(place, self.run)
 
-    def labware(self, needs: Needs) -> None:
+    def check_labware(self, needs: Needs) -> None:
         """Nobody knows who might bring it."""
 
     def value(self, requires: Requires) -> None:
         """Nobody knows who might change it."""
 
-    def setpoint(self, claims: Claims) -> None:
+    def check_setpoint(self, claims: Claims) -> None:
         self.search.add_setpoint_holders(self.step.module, claims, self.run)
 
-    def amount(self, consumes: Consumes) -> None:
+    def check_amount(self, consumes: Consumes) -> None:
         """A person has to fill it up."""

@@ -24,7 +24,7 @@ from labos.core.fold import evolve
 from labos.core.ids import RunId
 from labos.core.registry import Event, decode
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
-from labos.core.state import LabState, from_picture, picture
+from labos.core.state import LabState, encode_picture, from_picture
 from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab, keep_first
 
@@ -159,17 +159,17 @@ class Hindsight(msgspec.Struct):
         known = self.ended if age < NEW_NS else self.ended_again
         asked = _RangeRequest(what, foreseen, now, age)
         return ExpectedTimes(
-            self._range(asked, "usual", self._possible(known, now), ASSUMED),
-            self._range(asked, "alone", [past for past in known if past.is_alone(what)], ASSUMED_ALONE),
+            self._find_range(asked, "usual", self._list_possible(known, now), ASSUMED),
+            self._find_range(asked, "alone", [past for past in known if past.is_alone(what)], ASSUMED_ALONE),
         )
 
-    def _possible(self, known: list[PastForecast], now: int) -> list[PastForecast]:
+    def _list_possible(self, known: list[PastForecast], now: int) -> list[PastForecast]:
         """The runs after which nobody came for as long as nobody has come now; all, if these are few."""
         waited = now - self.last_at if self.last_at else 0
         quiet = [past for past in known if not past.next_at or past.next_at - past.at >= waited]
         return quiet if len(quiet) >= ENOUGH else known
 
-    def _range(
+    def _find_range(
         self, asked: _RangeRequest, kind: str, known: list[PastForecast], assumed: Sequence[float]
     ) -> TimeRange:
         pauses = self.pauses if kind == "usual" else []
@@ -177,8 +177,10 @@ class Hindsight(msgspec.Struct):
         if len(parts) < ENOUGH:
             parts += assumed
         parts.sort()
-        low, high = _narrowest(parts, self.levels.get(_level_of(asked.what, kind, asked.age), self.target))
-        middle, scale = _middle(parts), _scale(asked.foreseen - asked.now)
+        low, high = _find_narrowest_range(
+            parts, self.levels.get(_name_level(asked.what, kind, asked.age), self.target)
+        )
+        middle, scale = _find_median(parts), _scale(asked.foreseen - asked.now)
         return TimeRange(
             *(max(asked.now, int(asked.foreseen + part * scale)) for part in (low, middle, high))
         )
@@ -242,7 +244,7 @@ class Hindsight(msgspec.Struct):
         for kind in ("usual", "alone"):
             if kind == "alone" and not past.is_alone(what):
                 continue
-            told, name = past.find_range(what, kind), _level_of(what, kind, past.age)
+            told, name = past.find_range(what, kind), _name_level(what, kind, past.age)
             missed = not told.earliest_at <= came <= told.latest_at
             level = self.levels.get(name, self.target) + RATE * (missed - (1 - self.target))
             self.levels[name] = min(MOST_LEVEL, max(self.target - MOST_BELOW, level))
@@ -272,7 +274,7 @@ class _RangeRequest(msgspec.Struct, frozen=True):
         return differs
 
 
-def _level_of(what: str, kind: str, age: int) -> str:
+def _name_level(what: str, kind: str, age: int) -> str:
     return f"{what} {kind}{'' if age < NEW_NS else ' again'}"
 
 
@@ -280,14 +282,14 @@ def _scale(foreseen_ns: int) -> int:
     return max(FLOOR_NS, foreseen_ns)
 
 
-def _narrowest(ordered: Sequence[float], level: float) -> tuple[float, float]:
+def _find_narrowest_range(ordered: Sequence[float], level: float) -> tuple[float, float]:
     """The narrowest range that holds such a part of all that could be, of which these are a few."""
     count = min(len(ordered), max(1, math.ceil(level * (len(ordered) + 1))))
     first = min(range(len(ordered) - count + 1), key=lambda i: ordered[i + count - 1] - ordered[i])
     return ordered[first], ordered[first + count - 1]
 
 
-def _middle(ordered: Sequence[float]) -> float:
+def _find_median(ordered: Sequence[float]) -> float:
     half = len(ordered) // 2
     return ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2
 
@@ -314,12 +316,12 @@ def look_back(known: LookBack, rows: Iterable[Row], is_late: Callable[[], bool] 
         hindsight.position = position
         if isinstance(event, RunSubmitted) and is_late():
             break
-    return LookBack(hindsight, picture(state))
+    return LookBack(hindsight, encode_picture(state))
 
 
 def foresee(state: LabState, now: int) -> Play | None:
     """How a lab would go on from now with the usual durations; None if it has too much to do to tell."""
-    copy = from_picture(picture(state))
+    copy = from_picture(encode_picture(state))
     keep_first(copy, LOOKED_AT)
     play = VirtualLab(
         copy, now, lambda action, step: find_usual_time(copy, step), most_steps=MOST_STEPS

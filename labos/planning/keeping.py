@@ -18,15 +18,15 @@ import msgspec
 from labos.core import reasons
 from labos.core.booked import find_begun_booking
 from labos.core.ids import ModuleName, RunId
-from labos.core.rules import examine, lab_ns
+from labos.core.rules import convert_lab_s, examine
 from labos.core.runs import PENDING, UNKNOWN, RunState, StepStatus, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
 from labos.core.waits import Wait, module_key
-from labos.planning.advice import options
+from labos.planning.advice import list_options
 from labos.planning.forecast import find_earliest_start, is_pending
 from labos.planning.layout import is_down
-from labos.planning.passage import find_late_step, first_trap
+from labos.planning.passage import find_first_trap, find_late_step
 from labos.planning.player import FAR, Player, Step, find_chained
 from labos.planning.punctual import PunctualOrders
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
@@ -67,10 +67,10 @@ class CellOutlook:
             self._scene = Scene(self._state, self.cell, self.now)
         return self._scene
 
-    def alone(self, run: RunState) -> CellOutlook:
+    def with_run_alone(self, run: RunState) -> CellOutlook:
         """The same, if nobody but a run were there."""
         other = CellOutlook(self._state, self.cell, self.now, [], NO_ADVICE)
-        other._scene = self.scene.alone(run)
+        other._scene = self.scene.with_run_alone(run)
         return other
 
 
@@ -157,7 +157,7 @@ class Windows:
             if again > now:
                 return self._wait(state, plan, run, step, others[0], again)
         elif late:
-            again = self._better_time(state, trial, safety)
+            again = self._find_better_time(state, trial, safety)
             if again > now:
                 named = next(other for other in (*at_first, *late) if other[0] == who[0])
                 return self._wait(state, plan, run, step, named, again)
@@ -196,7 +196,7 @@ class Windows:
         times = find_suggested_times(state, find_order(state, self._own, cell), now)
         if not times:
             return None
-        goes_on = {run.id for run in _inside(state, cell) if not run.paused and not run.is_ending}
+        goes_on = {run.id for run in _list_inside(state, cell) if not run.paused and not run.is_ending}
         if cell in state.suggestions.orders:
             goes_on |= {run for (run, _), at in times.items() if at <= now}
         return Advice(
@@ -204,7 +204,7 @@ class Windows:
             leaving=frozenset(str(run) for run, _ in times if run in goes_on),
         )
 
-    def _better_time(self, state: LabState, trial: Trial, safety: Safety) -> int:
+    def _find_better_time(self, state: LabState, trial: Trial, safety: Safety) -> int:
         """When a step had better start that would be followed too late if it started now; ``now`` if there is
         no use in waiting."""
         run, now = trial.run, trial.plan.now
@@ -213,7 +213,7 @@ class Windows:
         _, later = self._search(state, trial, safety)
         at = later.starts.get(who, now)
         found = not trial.list_newly_late(later) and later.tangle is None and at > now
-        others = _inside(state, trial.plan.cell)
+        others = _list_inside(state, trial.plan.cell)
         here = {str(other.id): tuple(other.statuses) for other in others}
         if found:
             # What was to go first may not be let go by safety: it is put off once, not again and again.
@@ -232,11 +232,11 @@ class Windows:
     def _find_rest_time(self, state: LabState, plan: CellOutlook, who: Step) -> int:
         """When nothing will have happened for long enough; FAR as long as something goes on whose end is an
         event. What nobody knows the end of does not go on."""
-        inside = _inside(state, plan.cell)
+        inside = _list_inside(state, plan.cell)
         if any(end < FAR for end, *_ in plan.scene.flying):
             self._at_rest.pop(who, None)
             return FAR
-        later = max((_goes_on_at(state, run) for run in inside), default=0)
+        later = max((_find_next_start(state, run) for run in inside), default=0)
         if later > plan.now:
             self._at_rest.pop(who, None)
             return later
@@ -245,7 +245,7 @@ class Windows:
         if known != here:
             self._at_rest[who] = here, plan.now
             since = plan.now
-        return max(plan.now, since + lab_ns(state, CALM_S))
+        return max(plan.now, since + convert_lab_s(state, CALM_S))
 
     def _find_tangle(
         self, state: LabState, plan: CellOutlook, run: RunState, step: int, safety: Safety
@@ -276,14 +276,14 @@ class Windows:
                 continue
             if not isinstance(examine(state, other, index, now), Wait):
                 # The other one may find a better time, which is no event: looked at again soon.
-                again = plan.now + lab_ns(state, CALM_S)
+                again = plan.now + convert_lab_s(state, CALM_S)
                 return self._wait(state, plan, run, step, (name, index), again)
         return None
 
     def _list_late_alone(self, state: LabState, trial: Trial) -> list[Step]:
         """Which windows of a run could not be kept if it had the workcell to itself from now on."""
         assert trial.run is not None
-        alone = Trial(trial.plan.alone(trial.run), trial.run, trial.step, set())
+        alone = Trial(trial.plan.with_run_alone(trial.run), trial.run, trial.step, set())
         return list(self._search(state, alone, None, limit=ALONE_LIMIT)[1].late)
 
     def remember(self, other: Windows) -> None:
@@ -367,7 +367,7 @@ class Windows:
         first = rehearse(plan.advice)
         best = (rank(first), plan.advice, first)
         open_ = [(*best[0], 0, plan.advice, first)]
-        seen = {_key(plan.advice)}
+        seen = {_make_key(plan.advice)}
         tried = 1
         suggested = (
             self._find_suggested_advice(state, plan.cell, plan.now) if best[0][0] and tried < limit else None
@@ -375,17 +375,17 @@ class Windows:
         if suggested is not None:
             tried += 1
             found = rehearse(suggested)
-            seen.add(_key(suggested))
+            seen.add(_make_key(suggested))
             heapq.heappush(open_, (*rank(found), tried, suggested, found))
             if rank(found) < best[0]:
                 best = (rank(found), suggested, found)
         while open_ and best[0][0] and tried < limit:
             *_, advice, outcome = heapq.heappop(open_)
             late = next(iter(trial.list_newly_late(outcome)), None)
-            for option in options(state, run, advice, outcome, late, start) if late is not None else ():
-                if _key(option) in seen or tried >= limit:
+            for option in list_options(state, run, advice, outcome, late, start) if late is not None else ():
+                if _make_key(option) in seen or tried >= limit:
                     continue
-                seen.add(_key(option))
+                seen.add(_make_key(option))
                 tried += 1
                 found = rehearse(option)
                 heapq.heappush(open_, (*rank(found), tried, option, found))
@@ -417,11 +417,11 @@ class Windows:
         )
 
 
-def _inside(state: LabState, cell: str) -> list[RunState]:
-    return state.runs.inside(cell)
+def _list_inside(state: LabState, cell: str) -> list[RunState]:
+    return state.runs.list_inside(cell)
 
 
-def _goes_on_at(state: LabState, run: RunState) -> int:
+def _find_next_start(state: LabState, run: RunState) -> int:
     """When the windows of a run let its next step start, at the latest of them (UTC ns)."""
     return max(
         (
@@ -460,7 +460,9 @@ def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bo
     starts = [
         i for i in state.runs.plans[run.plan].starts if not isinstance(examine(state, run, i, now), Wait)
     ]
-    return bool(starts) and all(safety.traps(state, run, i, only_asking=True) == [run.id] for i in starts)
+    return bool(starts) and all(
+        safety.list_trapped(state, run, i, only_asking=True) == [run.id] for i in starts
+    )
 
 
 def _make_players(
@@ -487,7 +489,7 @@ def _make_players(
 def _find_trap(state: LabState, plan: CellOutlook, outcome: RehearsalResult, safety: Safety) -> None:
     """See whether planning would let these starts happen; who cannot start never does."""
     starts = list(outcome.starts)
-    outcome.trap = first_trap(state, plan.cell, starts, safety)
+    outcome.trap = find_first_trap(state, plan.cell, starts, safety)
     if outcome.trap is None:
         outcome.tangle = find_late_step(state, plan.cell, starts, safety)
         if outcome.tangle is not None and find_late_step(state, plan.cell, [], safety) is not None:
@@ -508,10 +510,10 @@ def _follow(plan: CellOutlook, advice: Advice) -> CellOutlook:
 def _is_on_time(state: LabState, suggested: Advice, now: int) -> bool:
     """Whether everything has started that should have by now. What was planned to the second counts for less
     where it does not go as planned: then reservations keep their margin."""
-    return all(at >= now - lab_ns(state, PUNCTUAL_S) for at in suggested.not_before.values())
+    return all(at >= now - convert_lab_s(state, PUNCTUAL_S) for at in suggested.not_before.values())
 
 
-def _key(advice: Advice) -> tuple[object, ...]:
+def _make_key(advice: Advice) -> tuple[object, ...]:
     return (
         tuple(sorted((who, others) for who, others in advice.behind.items())),
         tuple(sorted(advice.not_before.items())),

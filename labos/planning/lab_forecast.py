@@ -21,7 +21,7 @@ from labos.core.ids import CampaignId, ModuleName, RunId, local
 from labos.core.model import Plan
 from labos.core.modules import ModuleStatus
 from labos.core.runs import RunSubmitted
-from labos.core.state import LabState, from_picture, picture
+from labos.core.state import LabState, encode_picture, from_picture
 from labos.planning.forecast import find_usual_time
 from labos.planning.hindsight import Hindsight, TimeRange
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
@@ -128,27 +128,27 @@ def forecast_lab(request: ForecastRequest) -> LabForecast:
     base = from_picture(request.picture)
     left_out = keep_first(base, request.most_runs)
     base.recorded_at = max(base.recorded_at, request.now)
-    forecaster = _Forecaster(request, picture(base))
+    forecaster = _Forecaster(request, encode_picture(base))
     play = forecaster.play()
     learned = len(request.hindsight.ended)
     if forecaster.refusal:
         return LabForecast(request.now, learned, left_out=left_out, refusal=forecaster.refusal)
     asks = request.new is not None or bool(request.approved)
     before = forecaster.play(without=True) if asks else None
-    campaigns = _campaigns(forecaster, play)
-    conflicts = list(_conflicts(forecaster, base, play)) if asks else []
+    campaigns = _list_campaigns(forecaster, play)
+    conflicts = list(_list_conflicts(forecaster, base, play)) if asks else []
     return LabForecast(
         now_at=request.now,
         learned_from=learned,
         runs=[_run(forecaster, play, name) for name in play.users],
         campaigns=campaigns,
-        touches=_touches(forecaster, play),
+        touches=_list_touches(forecaster, play),
         left_out=left_out,
         cut=play.cut,
         new=[str(name) for name in play.users if _is_new(forecaster, play, name)],
         delays=[
             delay
-            for delay in (_delays(before, play) if before is not None else ())
+            for delay in (_list_delays(before, play) if before is not None else ())
             if forecaster.new not in (delay.run, delay.campaign) or not request.approved
         ],
         conflicts=conflicts,
@@ -243,7 +243,7 @@ def _run(forecaster: _Forecaster, play: Play, name: RunId) -> ExpectedRun:
     )
 
 
-def _campaigns(forecaster: _Forecaster, play: Play) -> list[ExpectedCampaign]:
+def _list_campaigns(forecaster: _Forecaster, play: Play) -> list[ExpectedCampaign]:
     found: list[ExpectedCampaign] = []
     for name, (title, left) in forecaster.campaigns.items():
         runs = [run for run, member in play.members.items() if member == name]
@@ -277,7 +277,7 @@ def _extrapolate(starts: Sequence[int], ends: Sequence[int], rest: int) -> int:
     return ordered[-1] + rest * (ordered[-1] - min(starts))
 
 
-def _touches(forecaster: _Forecaster, play: Play) -> list[ExpectedTouch]:
+def _list_touches(forecaster: _Forecaster, play: Play) -> list[ExpectedTouch]:
     """When a person is needed, in order."""
     found: list[ExpectedTouch] = []
     request = forecaster.request
@@ -289,7 +289,7 @@ def _touches(forecaster: _Forecaster, play: Play) -> list[ExpectedTouch]:
     return sorted(found, key=lambda touch: touch.at.expected_at)
 
 
-def _delays(before: Play, after: Play) -> Iterator[Delay]:
+def _list_delays(before: Play, after: Play) -> Iterator[Delay]:
     for name, ended in before.ends.items():
         later = after.ends.get(name)
         if later is None and after.cut:
@@ -302,17 +302,17 @@ def _delays(before: Play, after: Play) -> Iterator[Delay]:
 # -- conflicts -----------------------------------------------------------------------------------
 
 
-def _sure_to_use(plans: Sequence[Plan]) -> list[ModuleName]:
+def _list_sure_to_use(plans: Sequence[Plan]) -> list[ModuleName]:
     """The modules that a run uses whichever of these plans it follows."""
     first, *others = ({step.module: True for step in plan.steps} for plan in plans)
     return [module for module in first if all(module in other for other in others)]
 
 
-def _conflicts(forecaster: _Forecaster, state: LabState, play: Play) -> Iterator[str]:
+def _list_conflicts(forecaster: _Forecaster, state: LabState, play: Play) -> Iterator[str]:
     """What stands in the way of something that is not submitted yet, as sentences."""
     request = forecaster.request
-    user, deadline, rows = _what_is_asked(request, state)
-    modules = {module: True for plans in rows for module in _sure_to_use(plans)}
+    user, deadline, rows = _describe_request(request, state)
+    modules = {module: True for plans in rows for module in _list_sure_to_use(plans)}
     for name in modules:
         module = state.modules.by_name.get(name)
         if module is None or module.out_of_service or module.status == ModuleStatus.GONE:
@@ -330,7 +330,7 @@ def _conflicts(forecaster: _Forecaster, state: LabState, play: Play) -> Iterator
         yield f"{len(stays)} of its runs would wait for a person: {stays[0]}."
 
 
-def _what_is_asked(request: ForecastRequest, state: LabState) -> tuple[str, int, Sequence[Sequence[Plan]]]:
+def _describe_request(request: ForecastRequest, state: LabState) -> tuple[str, int, Sequence[Sequence[Plan]]]:
     """Whose it is that may begin, its deadline (0: none), and the plans of its runs."""
     command = request.new
     if isinstance(command, SubmitCampaign):

@@ -10,8 +10,8 @@ from typing import Any
 
 from labos.core.algebra import (
     ModuleSettings,
-    away_from_rest,
-    settings_after,
+    compute_settings_after,
+    list_away_from_rest,
 )
 from labos.core.bench import Bench, Labware
 from labos.core.binding import check_module
@@ -24,7 +24,7 @@ from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
 from labos.planning.floor import OTHERS, Actor, Floor, change_claim
-from labos.planning.moves import _go_back, _pile, move
+from labos.planning.moves import _change_pile, _go_back, move
 from labos.planning.paths import (
     Motion,
     door_key,
@@ -52,7 +52,7 @@ def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[Statio
     for owner in owners:
         for item in state.bench.list_owned(owner):
             lost = lost or bool(item.maybe)
-            place = destination(state.bench, item)
+            place = find_destination(state.bench, item)
             if place:
                 places[place] = places.get(place, 0) + 1
         if owner.startswith("run:"):
@@ -61,7 +61,7 @@ def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[Statio
     return places, lost
 
 
-def destination(bench: Bench, item: Labware) -> StationName:
+def find_destination(bench: Bench, item: Labware) -> StationName:
     """Where labware will stand when the action that carries it has ended, as plans name it; empty if
     nowhere."""
     place = item.station
@@ -69,7 +69,9 @@ def destination(bench: Bench, item: Labware) -> StationName:
         if what.labware == item.id:
             place = what.filled
     return (
-        StationName("") if place and bench.stations[place].spec.kind == "waste" else bench.as_planned(place)
+        StationName("")
+        if place and bench.stations[place].spec.kind == "waste"
+        else bench.find_planned_place(place)
     )
 
 
@@ -79,15 +81,15 @@ def find_arriving(state: LabState, run: RunId) -> list[StationName]:
     if active is None or not active.has(IN_FLIGHT, UNKNOWN):
         return []
     return [
-        state.bench.as_planned(what.target)
-        for action in state.actions.within(state.runs.plan_of(active).workcell)
+        state.bench.find_planned_place(what.target)
+        for action in state.actions.list_in_cell(state.runs.plan_of(active).workcell)
         if action.run == run
         for what in list_carried(action.effects)
         if what.stock
     ]
 
 
-def labware_in(state: LabState, cell: str) -> list[Labware]:
+def list_labware_in(state: LabState, cell: str) -> list[Labware]:
     """Labware that stands in a workcell, that is carried there, and all labware for which it is not known
     where it is. Lids are with their plates."""
     bench = state.bench
@@ -96,7 +98,7 @@ def labware_in(state: LabState, cell: str) -> list[Labware]:
         standing_there = bench.stations[place].labware
         if standing_there:
             names.update(dict.fromkeys(standing_there, True))
-    for action in state.actions.within(cell):
+    for action in state.actions.list_in_cell(cell):
         if action.effects:
             names.update(dict.fromkeys(find_labware_used(action.effects), True))
     names.update(bench.lost)
@@ -109,7 +111,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
     bench = state.bench
     prefix = f"{cell}/"
-    floor = Floor(held=_find_held(state, cell), values=_values(state, cell))
+    floor = Floor(held=_find_held(state, cell), values=_list_values(state, cell))
     joint = find_joint(state, cell)
     if joint:
         floor.held |= _find_ready(state, cell, joint)
@@ -136,13 +138,13 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             floor.behind[name] = spec.module
     holders = {owner: actor.name for actor in actors for owner in actor.owners}
     coming: list[tuple[StationName, str]] = []
-    for item in labware_in(state, cell):
+    for item in list_labware_in(state, cell):
         if item.maybe and not (hopeful and item.moving):
-            for place in map(bench.as_planned, item.maybe):
+            for place in map(bench.find_planned_place, item.maybe):
                 floor.count[place] = floor.count.get(place, 0) + 1
                 change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             continue
-        place = destination(bench, item)
+        place = find_destination(bench, item)
         if place.startswith(prefix):
             floor.count[place] = floor.count.get(place, 0) + 1
             if place in floor.piles and place != item.station:
@@ -159,18 +161,18 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     for place, pile in floor.piles.items():
         for labware in bench.stations[place].labware:
             standing_there = bench.labware[labware]
-            if destination(bench, standing_there) == place:
+            if find_destination(bench, standing_there) == place:
                 pile.append(holders.get(standing_there.owner, standing_there.owner))
     for place, who in coming:
         floor.piles[place].append(who)
-    for action in state.actions.within(cell):
+    for action in state.actions.list_in_cell(cell):
         for what in list_carried(action.effects):
             if what.stock in floor.stock:
-                target = bench.as_planned(what.target)
+                target = bench.find_planned_place(what.target)
                 floor.stock[what.stock] -= 1
                 floor.count[what.stock] -= 1
                 floor.count[target] += 1
-                _pile(floor, target, str(action.run))
+                _change_pile(floor, target, str(action.run))
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
         keep_after_failure(floor, actor, actor.kept)
@@ -180,7 +182,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
 
 def find_joint(state: LabState, cell: str) -> dict[ModuleName, Together]:
     """What modules of a workcell do for several runs at once."""
-    told = ((name, module.spec.together) for name, module in state.modules.within(cell))
+    told = ((name, module.spec.together) for name, module in state.modules.list_in_cell(cell))
     return {name: together for name, together in told if together is not None}
 
 
@@ -190,7 +192,7 @@ def _find_ready(
     """Which runs wait for nothing but what modules do for several of them at once, and what they want
     done."""
     found: dict[str, dict[str, Any]] = {}
-    for run in state.runs.inside(cell):
+    for run in state.runs.list_inside(cell):
         plan = state.runs.plan_of(run)
         for step, at in zip(plan.steps, run.steps, strict=True):
             if at.status == PENDING and is_joint(joint, step):
@@ -223,15 +225,15 @@ def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> No
 def _find_held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
     """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
     ended."""
-    active = state.runs.inside(cell)
-    staying = {str(run.id) for run in active if not _about_to_end(state.runs.plan_of(run), run)}
+    active = state.runs.list_inside(cell)
+    staying = {str(run.id) for run in active if not _is_about_to_end(state.runs.plan_of(run), run)}
     held: dict[str, dict[str, Any]] = {}
-    for name, module in state.modules.within(cell):
+    for name, module in state.modules.list_in_cell(cell):
         flying = [
-            (str(action.run), settings_after(action.effects))
+            (str(action.run), compute_settings_after(action.effects))
             for action in map(state.actions.open.__getitem__, module.in_flight)
         ]
-        held[door_key(name)] = dict.fromkeys(_by_doors(module, flying) & staying)
+        held[door_key(name)] = dict.fromkeys(_list_door_holders(module, flying) & staying)
         for setpoint, now in module.setpoints.items():
             held[setpoint_key(name, setpoint)] = {who: now.value for who in now.holders if who in staying}
         for run, after in flying:
@@ -246,20 +248,22 @@ def _find_held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
     return {key: holders for key, holders in held.items() if holders}
 
 
-def _values(state: LabState, cell: str) -> dict[str, Any]:
+def _list_values(state: LabState, cell: str) -> dict[str, Any]:
     """How the variables of modules stand that have no rest, once what is in flight has ended."""
     values: dict[str, Any] = {}
-    for name, module in state.modules.within(cell):
+    for name, module in state.modules.list_in_cell(cell):
         for variable, value in module.values.items():
             if variable not in module.spec.rest:
                 values[variable_key(name, variable)] = value
         for action in module.in_flight:
-            for variable, value in settings_after(state.actions.open[action].effects).variables.items():
+            for variable, value in compute_settings_after(
+                state.actions.open[action].effects
+            ).variables.items():
                 values[variable_key(name, variable)] = value
     return values
 
 
-def _about_to_end(plan: Plan, run: RunState) -> bool:
+def _is_about_to_end(plan: Plan, run: RunState) -> bool:
     """Whether a run has nothing left to start, also if what it has in flight fails; its end lets go of all
     it holds."""
     ends = run.status == RunStatus.CANCELLING and not will_leave(plan, run)
@@ -279,7 +283,7 @@ def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
     )
 
 
-def _by_doors(module: Module, flying: list[tuple[str, ModuleSettings]]) -> set[str]:
+def _list_door_holders(module: Module, flying: list[tuple[str, ModuleSettings]]) -> set[str]:
     """The runs that will have left a door or lid away from rest."""
     if not module.spec.rest:
         return set()
@@ -288,4 +292,4 @@ def _by_doors(module: Module, flying: list[tuple[str, ModuleSettings]]) -> set[s
     for run, after in flying:
         values |= after.variables
         by |= dict.fromkeys(after.variables, run)
-    return {by.get(variable, "") for variable in away_from_rest(values, module.spec.rest)}
+    return {by.get(variable, "") for variable in list_away_from_rest(values, module.spec.rest)}

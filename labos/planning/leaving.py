@@ -11,7 +11,7 @@ from labos.core.model import Together
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.paths import Motion, RunOnBench, door_key, motions_of_steps, setpoint_key
+from labos.planning.paths import Motion, RunOnBench, door_key, list_motions_of_steps, setpoint_key
 
 
 def find_way_out(
@@ -27,7 +27,7 @@ def find_way_out(
     plan = state.runs.plan_of(run)
     left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
     before = _stand(state, run, claims)
-    motions = motions_of_steps(plan, sort_steps(plan, left), claims, rests, nests, before, joint)
+    motions = list_motions_of_steps(plan, sort_steps(plan, left), claims, rests, nests, before, joint)
     return tuple(
         motion
         for motion in motions
@@ -38,12 +38,12 @@ def find_way_out(
 def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> RunOnBench:
     stand = RunOnBench()
     for item in state.bench.list_owned(run_owner(run.id)):
-        place = state.bench.as_planned(item.station)
+        place = state.bench.find_planned_place(item.station)
         stand.own[place] += 1
         stand.claims[claims.get(place, "")] += 1
         if item.lender:
             stand.lent[place] = True
-    for name, module in state.modules.within(state.runs.plan_of(run).workcell):
+    for name, module in state.modules.list_in_cell(state.runs.plan_of(run).workcell):
         doors = _find_left(module, run.id)
         if doors:
             stand.doors[name] = doors
@@ -56,5 +56,5 @@ def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) ->
 
 def _find_left(module: Module, run: RunId) -> dict[str, Any]:
     """How the doors and lids stand that a run has left away from rest."""
-    left = module.away_from_rest().items()
+    left = module.list_away_from_rest().items()
     return {variable: stands.value for variable, stands in left if stands.by == run}

@@ -21,9 +21,9 @@ from labos.planning.paths import (
     Motion,
     door_key,
     find_kept_module,
-    guards,
     had_key,
     joint_claim,
+    list_guard_keys,
     ready_key,
 )
 
@@ -38,7 +38,7 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
     def stock(self, what: Motion, stack: StationName) -> bool | None:
         return self.floor.stock.get(stack, 0) <= 0 or bool(self.floor.piles.get(stack)) or None
 
-    def stands(self, what: Motion, place: StationName) -> bool | None:
+    def check_stands(self, what: Motion, place: StationName) -> bool | None:
         floor, actor = self.floor, self.actor
         number = what.stands.count(place)
         if place in floor.piles:
@@ -51,10 +51,10 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
         there += sum(floor.pools[o].get(place, 0) for o in actor.inputs if o in floor.pools)
         return True if there < number else None
 
-    def hand(self, what: Motion) -> bool | None:
+    def check_hand(self, what: Motion) -> bool | None:
         return True if what.hand and self.floor.count.get(what.hand) else None
 
-    def entry(self, what: Motion, place: StationName) -> bool | None:
+    def check_entry(self, what: Motion, place: StationName) -> bool | None:
         floor = self.floor
         module = floor.behind.get(place)
         if module is None:
@@ -64,7 +64,7 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
         claim = floor.claims.get(place, "")
         return bool(claim and not _may_claim(floor, self.actor, claim)) or None
 
-    def room(self, what: Motion, place: StationName) -> bool | None:
+    def check_room(self, what: Motion, place: StationName) -> bool | None:
         floor = self.floor
         more = what.room.count(place)
         return True if floor.count.get(place, 0) + more > floor.capacity.get(place, 0) else None
@@ -180,7 +180,7 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     held = floor.held
     if held:
-        for key in guards(module):
+        for key in list_guard_keys(module):
             if not _holds_alone(actor, held.get(key)):
                 return False
     return True
@@ -212,7 +212,7 @@ def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     )
 
 
-def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, int] | None:
+def _find_pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, int] | None:
     """The counts of the labware of others that an actor may use at a station; on a stack, of what lies
     on top."""
     pile = floor.piles.get(source)
@@ -284,18 +284,18 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Undo | None:
         elif _has_own(floor, actor, source):
             counts, who = actor.own, actor.name
         else:
-            pool = _pool(floor, actor, source)
+            pool = _find_pool(floor, actor, source)
             if pool is None:
                 return None
             counts, who = pool, OTHERS
         counts[source] -= 1
         floor.count[source] -= 1
         if not motion.new:
-            _pile(floor, source, "")
+            _change_pile(floor, source, "")
         change_claim(floor, source, who, -1)
         _keep_loan(floor, actor, source)
     if motion.filled:
-        _pile(floor, target, actor.name)
+        _change_pile(floor, target, actor.name)
         floor.count[target] = floor.count.get(target, 0) + 1
         if target not in floor.endless:
             actor.own[target] = actor.own.get(target, 0) + 1
@@ -346,11 +346,11 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Undo | None) ->
         if target not in floor.endless:
             actor.own[target] -= 1
             change_claim(floor, target, actor.name, -1)
-        _pile(floor, target, "")
+        _change_pile(floor, target, "")
         floor.count[target] -= 1
     if motion.emptied:
         if not motion.new:
-            _pile(floor, source, _holder(floor, counts, who))
+            _change_pile(floor, source, _find_holder(floor, counts, who))
         change_claim(floor, source, who, 1)
         floor.count[source] += 1
         counts[source] += 1
@@ -368,13 +368,13 @@ def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
             if motion.target:
                 actor.own[place] = actor.own.get(place, 0) + change
             change_claim(floor, place, actor.name, change)
-            _pile(floor, place, actor.name if change > 0 else "")
+            _change_pile(floor, place, actor.name if change > 0 else "")
 
 
 def _take_over(floor: Floor, actor: Actor, place: StationName) -> Counts | None:
     """A plate whose lid an actor carries belongs to the actor from then on; returns the pool that it came
     from."""
-    pool = None if _has_own(floor, actor, place) else _pool(floor, actor, place)
+    pool = None if _has_own(floor, actor, place) else _find_pool(floor, actor, place)
     if pool is not None:
         _change_owner(floor, actor, place, pool, 1)
     return pool
@@ -388,10 +388,10 @@ def _change_owner(floor: Floor, actor: Actor, place: StationName, pool: Counts, 
     change_claim(floor, place, actor.name, sign)
     pile = floor.piles.get(place)
     if pile:
-        pile[-1] = actor.name if sign > 0 else _holder(floor, pool, OTHERS)
+        pile[-1] = actor.name if sign > 0 else _find_holder(floor, pool, OTHERS)
 
 
-def _pile(floor: Floor, place: StationName, who: str) -> None:
+def _change_pile(floor: Floor, place: StationName, who: str) -> None:
     """Something of somebody's comes onto a stack; nobody's: what lies on top comes off it."""
     pile = floor.piles.get(place)
     if pile is not None and who:
@@ -400,7 +400,7 @@ def _pile(floor: Floor, place: StationName, who: str) -> None:
         pile.pop()
 
 
-def _holder(floor: Floor, counts: dict[StationName, int], who: str) -> str:
+def _find_holder(floor: Floor, counts: dict[StationName, int], who: str) -> str:
     """Whose labware was taken, if it was an actor's or out of somebody's pool."""
     return who if who != OTHERS else next(owner for owner, pool in floor.pools.items() if pool is counts)
 

@@ -15,26 +15,26 @@ from labos.core.reasons import NoWayOut
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from labos.planning.floor import Actor, Floor
 from labos.planning.layout import lay_out
 from labos.planning.moves import Mover, find_usable_place, may_move, move
 from labos.planning.paths import Motion, door_key, find_kept_module, hold_key
-from labos.planning.safety import Safety, View, as_seen
-from labos.planning.witness import fresh, greedy
+from labos.planning.safety import Safety, View, view_actor
+from labos.planning.witness import copy_actor, finish_one_by_one
 
 
 def explain_wait(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
     """What a wait is for, with the cause where safety found no way out."""
-    told = sentence(wait)
-    cause = obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
+    told = describe_wait(wait)
+    cause = find_obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
     return f"{told}: {cause}" if cause else told
 
 
-def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
+def find_obstacle(safety: Safety, state: LabState, run: RunState) -> str:
     """The first thing in a run's way, in words; empty if it is not one thing alone."""
     plan = state.runs.plan_of(run)
-    actors = safety.actors(state, plan.workcell)
+    actors = safety.list_actors(state, plan.workcell)
     mover = next((actor for actor in actors if actor.name == run.id), None)
     if mover is None:
         *actors, mover = safety.with_newcomer(state, run, actors)
@@ -50,22 +50,24 @@ def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
 def _find_obstacle(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], view: View) -> str:
     """What a run meets in one view when everybody else has gone as far as they can."""
     plan = state.runs.plan_of(run)
-    others = [as_seen(actor, view) for actor in others]
-    mover = as_seen(mover, view)
+    others = [view_actor(actor, view) for actor in others]
+    mover = view_actor(mover, view)
     floor = lay_out(state, view.cell, [*others, mover], hopeful=view.hopeful)
-    gone = [fresh(actor) for actor in others if not actor.stuck]
-    greedy(floor, gone, [])
+    gone = [copy_actor(actor) for actor in others if not actor.stuck]
+    finish_one_by_one(floor, gone, [])
     closings = [actor for actor in gone if actor.name == mover.home and not actor.done]
-    for walker in (fresh(mover), *closings):
+    for walker in (copy_actor(mover), *closings):
         for motion in walker.motions:
             if not may_move(floor, walker, motion):
                 key = plan.steps[motion.step].key if isinstance(motion.step, int) else "the closing workflow"
-                return f"{key!r} {_why(state, floor, walker, motion, gone)}"
+                return f"{key!r} {_explain_obstacle(state, floor, walker, motion, gone)}"
             move(floor, walker, motion)
     return ""
 
 
-def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
+def _explain_obstacle(
+    state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]
+) -> str:
     for key, value in motion.wants:
         if not is_same(floor.values.get(key), value):
             return f"needs {key.partition('/')[2]} = {value}, which nobody will have set"
@@ -76,7 +78,7 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
         used = [motion.uses] if motion.uses else []
         grabbed = [key for key, _ in motion.grabs]
         used += [find_kept_module(key) for key in grabbed if find_kept_module(key)]
-        return f"has to wait: {_holders(state, floor, walker, used, grabbed, others)}"
+        return f"has to wait: {_describe_holders(state, floor, walker, used, grabbed, others)}"
     met = Met(floor, walker, state, others)
     return check_carrying(met, motion) or met.describe_keeper(motion, [motion.uses])
 
@@ -95,8 +97,8 @@ class Met:
             return f"takes from the stack {local(stack)}, which is empty by then"
         return self._describe_buried(stack)
 
-    def stands(self, what: Motion, place: StationName) -> str | None:
-        if not self.mover.stands(what, place):
+    def check_stands(self, what: Motion, place: StationName) -> str | None:
+        if not self.mover.check_stands(what, place):
             return None
         owners = [self.floor.pools.get(owner, {}) for owner in self.actor.inputs]
         if not any(places.get(place) for places in (self.actor.own, *owners)):
@@ -107,27 +109,31 @@ class Met:
             else f"finds too little at {local(place)}"
         )
 
-    def hand(self, what: Motion) -> str | None:
-        if not self.mover.hand(what):
+    def check_hand(self, what: Motion) -> str | None:
+        if not self.mover.check_hand(what):
             return None
-        return f"needs the hand of {local(what.uses)}, {_occupants(self.state, what.hand, self.others)}"
-
-    def entry(self, what: Motion, place: StationName) -> str | None:
         return (
-            self.describe_keeper(what, [self.floor.behind[place]]) if self.mover.entry(what, place) else None
+            f"needs the hand of {local(what.uses)}, {_describe_occupants(self.state, what.hand, self.others)}"
         )
 
-    def room(self, what: Motion, place: StationName) -> str | None:
-        if not self.mover.room(what, place):
+    def check_entry(self, what: Motion, place: StationName) -> str | None:
+        return (
+            self.describe_keeper(what, [self.floor.behind[place]])
+            if self.mover.check_entry(what, place)
+            else None
+        )
+
+    def check_room(self, what: Motion, place: StationName) -> str | None:
+        if not self.mover.check_room(what, place):
             return None
         where = local(place)
         if place in self.floor.endless:
             return f"needs room in the waste {where}, which is full by then (labos unload {where} --all)"
-        return f"needs room at {where}, {_occupants(self.state, place, self.others)}"
+        return f"needs room at {where}, {_describe_occupants(self.state, place, self.others)}"
 
     def describe_keeper(self, what: Motion, modules: Sequence[ModuleName]) -> str:
         """Who keeps these modules."""
-        who = _holders(self.state, self.floor, self.actor, modules, [], self.others)
+        who = _describe_holders(self.state, self.floor, self.actor, modules, [], self.others)
         return f"goes from {local(what.source)} to {local(what.target)}, but {who}"
 
     def _describe_buried(self, stack: StationName) -> str:
@@ -135,7 +141,7 @@ class Met:
         return f"takes from the stack {local(stack)}, on which something of {top} lies"
 
 
-def _occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> str:
+def _describe_occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> str:
     """Who stands at a place, or will when the others have gone as far as they can."""
     station = state.bench.stations[place]
     owners = {name: state.bench.labware[name].owner.replace(":", " ") for name in station.labware}
@@ -148,7 +154,7 @@ def _occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> 
     return "which is full" if station.count else "which has none"
 
 
-def _holders(
+def _describe_holders(
     state: LabState,
     floor: Floor,
     walker: Actor,

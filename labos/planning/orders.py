@@ -63,7 +63,7 @@ def _arrange(actor: Actor, order: Sequence[MotionStep]) -> tuple[Motion, ...] | 
     left = [step for step in orders.steps if step not in actor.over]
     whole = [step for step in orders.steps if step in actor.over] + _fill_in(orders, left, steps)
     open_ = set(left)
-    found = tuple(m for m in orders.motions(tuple(whole)) if m.step in open_ or m.step == END)
+    found = tuple(m for m in orders.list_motions(tuple(whole)) if m.step in open_ or m.step == END)
     if {motion.step for motion in found if motion.step != END} != seen:
         return None
     return (*found, *(motion for motion in actor.motions if is_closing(motion) or motion.heir))

@@ -74,26 +74,26 @@ class Ways:
             gets: list[int] = []
             frees: list[int] = []
             for what in list_carried(step.effects):
-                for key in self._counted(state, what.emptied):
+                for key in self._list_counted(state, what.emptied):
                     left = standing[key] = max(0, standing.get(key, 0) - 1)
                     if not (key.startswith(DECK) and left):
-                        frees.append(self._number(state, key))
-                for key in self._counted(state, what.filled):
+                        frees.append(self._find_number(state, key))
+                for key in self._list_counted(state, what.filled):
                     if not (key.startswith(DECK) and standing.get(key, 0)):
-                        gets.append(self._number(state, key))
+                        gets.append(self._find_number(state, key))
                     standing[key] = standing.get(key, 0) + 1
-            takes = tuple(self._number(state, key) for key in list_taken(state, step))
+            takes = tuple(self._find_number(state, key) for key in list_taken(state, step))
             after = tuple(followers.get(index, ()))
             yield Task(takes, tuple(gets), tuple(frees), after, len(step.after), step.part == MAIN)
 
-    def _counted(self, state: LabState, place: StationName) -> list[str]:
+    def _list_counted(self, state: LabState, place: StationName) -> list[str]:
         station = state.bench.stations.get(place)
         if station is None or station.spec.kind in ("stack", "waste"):
             return []
         keys = [station_key(place)]
         return [*keys, f"{DECK}{station.spec.claim}"] if station.spec.claim else keys
 
-    def _number(self, state: LabState, key: str) -> int:
+    def _find_number(self, state: LabState, key: str) -> int:
         number = self.numbers.get(key)
         if number is None:
             number = self.numbers[key] = len(self.names)
@@ -126,11 +126,11 @@ class Outline:
         self.flying: list[tuple[int, int, int]] = []
         self.witness: list[int] = []
         self.order: list[tuple[int, int, int]] = []
-        here = state.runs.inside(cell)
+        here = state.runs.list_inside(cell)
         known = [(run, ways.read(state, run.plan)) for run in [*here, *waiting]]
         self.room = ways.room
         self.used, self.floor, self.busy = ([0] * len(ways.room) for _ in range(3))
-        flying = {(action.run, action.step): action for action in state.actions.within(cell)}
+        flying = {(action.run, action.step): action for action in state.actions.list_in_cell(cell)}
         for run, way in known:
             self._add(state, run, way, flying)
         self._see_strangers(state, {run_owner(run.id) for run in here}, ways)
@@ -320,7 +320,7 @@ class Outline:
         if was_inside and who in self.witness:
             witness = list(self.witness)
             witness.remove(who)
-            witness = witness if self._holds(witness) else None
+            witness = witness if self._is_valid(witness) else None
         if witness is None:
             witness = self._search()
         for key in task.gets:
@@ -330,7 +330,7 @@ class Outline:
         self.carrying[who], self.inside[who] = carrying, was_inside
         return witness
 
-    def _holds(self, witness: Iterable[int]) -> bool:
+    def _is_valid(self, witness: Iterable[int]) -> bool:
         """Whether an order of motions is possible."""
         floor, done = list(self.floor), [0] * len(self.runs)
         for who in witness:
@@ -351,7 +351,7 @@ class Outline:
         who = [number for number, inside in enumerate(self.inside) if inside and self.carrying[number]]
         tasks = [[self.ways[number][step] for step in self.carrying[number]] for number in who]
         search = _Search(tasks, self.floor, self.room)
-        return [who[number] for number in search.order] if search.finds() else None
+        return [who[number] for number in search.order] if search.search() else None
 
 
 class _Search:
@@ -363,7 +363,7 @@ class _Search:
         self.order: list[int] = []
         self._seen: set[tuple[int, ...]] = set()
 
-    def finds(self) -> bool:
+    def search(self) -> bool:
         return self._finish() or self._deepen()
 
     def _move(self, number: int) -> bool:

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
@@ -143,10 +143,10 @@ class OwnOrders:
         found, here = improved
         names = [run.id for run in outline.runs]
         steps = tuple(Suggested(names[who], step, time) for time, who, step in sorted(found.starts))
-        until = found.value[0] + lab_ns(state, STALE_S)
+        until = found.value[0] + convert_lab_s(state, STALE_S)
         was = known.due if known is not None else {}
         due = {(one.run, one.step): was.get((one.run, one.step), now) for one in steps if one.start <= now}
-        barred = any(now - since > lab_ns(state, STALE_S) for since in due.values())
+        barred = any(now - since > convert_lab_s(state, STALE_S) for since in due.values())
         order = OrderSuggested(cell, OWN, until, steps)
         motions, last_motions = ([names[who] for who in each.order] for each in (found, here))
         tried += search.tried
@@ -163,12 +163,12 @@ class OwnOrders:
     def is_too_early(self, state: LabState, cell: str) -> bool:
         """Whether no run should start yet in an empty workcell."""
         known = self._known.get(cell)
-        if known is None or known.barred or state.runs.inside(cell):
+        if known is None or known.barred or state.runs.list_inside(cell):
             return False
         return known.tried < min(self._before_start, self._enough)
 
     def _find_next_look(self, state: LabState, known: OwnOrder) -> int:
-        pause = BREATH_NS if known.tried < self._enough else lab_ns(state, REFRESH_S)
+        pause = BREATH_NS if known.tried < self._enough else convert_lab_s(state, REFRESH_S)
         return known.seen + pause
 
 

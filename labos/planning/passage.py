@@ -13,14 +13,14 @@ from labos.planning.layout import lay_out
 from labos.planning.moves import may_move, move
 from labos.planning.paths import END
 from labos.planning.player import Step
-from labos.planning.safety import Safety, View, as_seen
-from labos.planning.witness import Trail, copy, fresh, greedy, take_all_back
+from labos.planning.safety import Safety, View, view_actor
+from labos.planning.witness import Trail, copy, copy_actor, finish_one_by_one, take_all_back
 
 SEARCH_LIMIT = 100
 """Interleavings looked at before an order is given up."""
 
 
-def first_trap(
+def find_first_trap(
     state: LabState, cell: str, starts: Sequence[Step], safety: Safety
 ) -> tuple[Step, tuple[str, ...]] | None:
     """The first of these starts after which some runs could not come to their ends that can now, and which
@@ -35,15 +35,15 @@ def first_trap(
         return None
     ground = lay_out(state, cell, here, hopeful=True)
     low, high = 0, len(starts)
-    lost = {actor.name for actor in here} - _ends(ground, here, starts, safety)
+    lost = {actor.name for actor in here} - _find_who_ends(ground, here, starts, safety)
     if not lost:
         return None
-    lost &= _ends(ground, here, (), safety)
+    lost &= _find_who_ends(ground, here, (), safety)
     if not lost:
         return None
     while high - low > 1:
         middle = (low + high) // 2
-        if lost <= _ends(ground, here, starts[:middle], safety):
+        if lost <= _find_who_ends(ground, here, starts[:middle], safety):
             low = middle
         else:
             high = middle
@@ -61,15 +61,15 @@ def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: S
     for name, step in starts:
         if name not in cast or not _carry_out(floor, cast[name], step):
             return None
-    left = greedy(floor, here, [])
-    ties = {actor.name: _ties(state, actor, starts) for actor in left}
+    left = finish_one_by_one(floor, here, [])
+    ties = {actor.name: _list_ties(state, actor, starts) for actor in left}
     tied = next((actor for actor in left if any(ties[actor.name])), None)
     if tied is None or _come_to_ends(floor, left, ties):
         return None
     return tied.name, max(ties[tied.name])
 
 
-def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
+def _list_ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
     """For each motion of an actor the windowed step that makes the next one follow at once (0:
     it may wait)."""
     run = state.runs.get(RunId(actor.name))
@@ -118,7 +118,7 @@ def _come_to_ends(floor: Floor, actors: Sequence[Actor], ties: Mapping[str, Sequ
             if where not in seen and len(seen) < SEARCH_LIMIT:
                 seen.add(where)
                 behind: Trail = []
-                if not greedy(floor, [a for a in actors if a.done < a.length], behind):
+                if not finish_one_by_one(floor, [a for a in actors if a.done < a.length], behind):
                     return True
                 take_all_back(floor, behind)
                 if deeper():
@@ -146,18 +146,20 @@ def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> boo
 def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
     """Step is inside, or about to be let in, if nobody were stuck and experiments closed."""
     view = View(cell, hopeful=True, closing=True)
-    actors = safety.actors(state, cell)
+    actors = safety.list_actors(state, cell)
     inside = {actor.name for actor in actors}
     for name in dict.fromkeys(names):
         queued = state.runs.queued.get(RunId(name))
         if queued is not None and name not in inside:
             actors = safety.with_newcomer(state, queued, actors)
-    return [as_seen(actor, view) for actor in actors]
+    return [view_actor(actor, view) for actor in actors]
 
 
-def _ends(ground: Floor, actors: Sequence[Actor], starts: Sequence[Step], safety: Safety) -> set[str]:
+def _find_who_ends(
+    ground: Floor, actors: Sequence[Actor], starts: Sequence[Step], safety: Safety
+) -> set[str]:
     """Step comes to its end after these starts; nobody if one of them is not possible."""
-    floor, cast = copy(ground), {actor.name: fresh(actor) for actor in actors}
+    floor, cast = copy(ground), {actor.name: copy_actor(actor) for actor in actors}
     for name, step in starts:
         if not _carry_out(floor, cast[name], step):
             return set()

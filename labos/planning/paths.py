@@ -15,18 +15,18 @@ from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from labos.core.algebra import ModuleSettings, away_from_rest, find_requirements, settings_after
-from labos.core.branches import Way, ways
+from labos.core.algebra import ModuleSettings, compute_settings_after, find_requirements, list_away_from_rest
+from labos.core.branches import Way, list_ways
 from labos.core.decide.together import find_planned_wish
 from labos.core.effects import (
     NOWHERE,
     Carrying,
     Lid,
     Needs,
-    arrivals,
     changes_labware,
-    hand_of,
+    list_arrivals,
     list_carried,
+    name_hand,
 )
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.core.model import Plan, PlanStep, Together
@@ -55,7 +55,7 @@ workflow behind the run."""
 Values = Mapping[str, Any]
 
 
-def left_by(experiment: Owner) -> Owner:
+def name_leftover_owner(experiment: Owner) -> Owner:
     """Whose on a floor is what the runs of an experiment leave when they end: its closing workflow clears it
     away, and no other run counts on it."""
     return Owner(f"left by {experiment}")
@@ -150,9 +150,9 @@ def carry(
         if not motions:
             motion = msgspec.structs.replace(
                 motion,
-                stands=_stands(effects),
+                stands=_list_needed_places(effects),
                 entered=tuple(dict.fromkeys(p for each in effects for p in each.entered if p in guarded)),
-                room=tuple(arrivals(effects)),
+                room=tuple(list_arrivals(effects)),
                 wants=wants,
                 hand=hand if hand in guarded and any(e.source != hand for e in effects) else NOWHERE,
             )
@@ -160,7 +160,7 @@ def carry(
     return motions
 
 
-def _stands(effects: Sequence[Carrying]) -> tuple[StationName, ...]:
+def _list_needed_places(effects: Sequence[Carrying]) -> tuple[StationName, ...]:
     """Where labware has to stand before a step, once for each piece. What one effect carries away the next
     ones find there no more; a plate whose lid is carried stays."""
     needed: Counter[StationName] = Counter()
@@ -187,13 +187,15 @@ class Orders(msgspec.Struct, frozen=True):
     joint: Mapping[ModuleName, Together] = MappingProxyType({})
     known: dict[tuple[int, ...], tuple[Motion, ...]] = {}
 
-    def motions(self, order: tuple[int, ...]) -> tuple[Motion, ...]:
+    def list_motions(self, order: tuple[int, ...]) -> tuple[Motion, ...]:
         """What these steps do to the bench in this order, and the run's end."""
         found = self.known.get(order)
         if found is None:
             if len(self.known) >= MOST_ORDERS:
                 self.known.clear()
-            found = motions_of_steps(self.plan, order, self.claims, self.rests, self.nests, joint=self.joint)
+            found = list_motions_of_steps(
+                self.plan, order, self.claims, self.rests, self.nests, joint=self.joint
+            )
             self.known[order] = found
         return found
 
@@ -211,7 +213,7 @@ class Path(msgspec.Struct, frozen=True):
     orders: Orders | None = None
 
 
-def path_of(
+def make_path(
     plan: Plan,
     claims: Mapping[StationName, str] = MappingProxyType({}),
     rests: Mapping[ModuleName, Values] = MappingProxyType({}),
@@ -223,7 +225,8 @@ def path_of(
     modules' doors and lids stand at rest, ``nests`` where they work on labware, ``joint`` what they do for
     several runs at once."""
     found = [
-        (way, motions_of_steps(plan, way.steps, claims, rests, nests, joint=joint)) for way in ways(plan)
+        (way, list_motions_of_steps(plan, way.steps, claims, rests, nests, joint=joint))
+        for way in list_ways(plan)
     ]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
     changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
@@ -283,7 +286,7 @@ class RunOnBench(msgspec.Struct):
                 self.claims[claims.get(places[0], "")] += 1
 
 
-def motions_of_steps(
+def list_motions_of_steps(
     plan: Plan,
     order: Sequence[int],
     claims: Mapping[StationName, str],
@@ -300,10 +303,10 @@ def motions_of_steps(
     behind = _find_joint_behind(plan, order, joint)
     for index in order:
         step = plan.steps[index]
-        rest, after = rests.get(step.module, {}), settings_after(step.effects)
+        rest, after = rests.get(step.module, {}), compute_settings_after(step.effects)
         doors = values.setdefault(step.module, {})
         doors.update(after.variables)
-        grabs, frees = _holds(plan, index, after, away=bool(away_from_rest(doors, rest)), held=held)
+        grabs, frees = _find_holds(plan, index, after, away=bool(list_away_from_rest(doors, rest)), held=held)
         held.update(dict.fromkeys((key for key, _ in grabs), True))
         ever.update(held)
         moving = list_carried(step.effects)
@@ -311,10 +314,10 @@ def motions_of_steps(
         # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
         user = ModuleName("") if step.recovers else step.module
         uses = user if step.exclusive and not moving else ModuleName("")
-        needs, keeps = _needs(step, nests, before), changes_labware(step.effects)
+        needs, keeps = _list_needs(step, nests, before), changes_labware(step.effects)
         lent = lent or bool(needs)
-        wants = _without_rest(step.module, find_requirements(step.effects), rest)
-        sets = _without_rest(step.module, after.variables, rest)
+        wants = _drop_resting_values(step.module, find_requirements(step.effects), rest)
+        sets = _drop_resting_values(step.module, after.variables, rest)
         if grabs or needs or (wants and not moving) or (uses and not mine):
             motions.append(
                 Motion(
@@ -329,7 +332,7 @@ def motions_of_steps(
             )
         for places in needs:
             before.lend(places, claims, keeps=keeps)
-        hand = hand_of(step.module)
+        hand = name_hand(step.module)
         motions += carry(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
         for what in moving:
             before.carry(what, claims)
@@ -371,7 +374,7 @@ def _make_ready(plan: Plan, index: int, later: int, *, is_last: bool) -> Motion:
     return Motion(index, grabs=grabs, for_step=later, is_last=is_last)
 
 
-def _needs(
+def _list_needs(
     step: PlanStep, nests: Mapping[ModuleName, tuple[StationName, ...]], before: RunOnBench
 ) -> tuple[tuple[StationName, ...], ...]:
     """Where a step needs labware that its run has not brought there, or changes what is lent to it."""
@@ -399,7 +402,7 @@ def hold_key(module: ModuleName) -> str:
 
 
 @cache
-def guards(module: ModuleName) -> tuple[str, str]:
+def list_guard_keys(module: ModuleName) -> tuple[str, str]:
     """What a run holds that keeps others from reaching into a module: by its door, or by its plan's word."""
     return door_key(module), hold_key(module)
 
@@ -448,7 +451,7 @@ def setpoint_key(module: ModuleName, setpoint: str) -> str:
     return f"setpoint:{module}.{setpoint}"
 
 
-def _holds(
+def _find_holds(
     plan: Plan, index: int, after: ModuleSettings, *, away: bool, held: Mapping[str, bool]
 ) -> tuple[Settings, tuple[str, ...]]:
     """What a run comes to hold with a step, and what it lets go of with it."""
@@ -470,6 +473,6 @@ def _holds(
     return tuple(grabs), tuple(frees)
 
 
-def _without_rest(module: ModuleName, values: Values, rest: Values) -> Settings:
+def _drop_resting_values(module: ModuleName, values: Values, rest: Values) -> Settings:
     """Values of a module's variables, without its doors and lids."""
     return tuple((variable_key(module, name), value) for name, value in values.items() if name not in rest)

@@ -17,7 +17,7 @@ from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, station_key, zone_key
-from labos.core.zones import zones_of
+from labos.core.zones import find_zones
 from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
 
@@ -51,11 +51,11 @@ class OvertakeCounts:
         plan = state.runs.plan_of(run)
         self._overtaken.pop(run.id, None)
         takes: frozenset[str] | None = None
-        for name in sleepers.among(state.runs.in_cell.get(plan.workcell, {})):
+        for name in sleepers.list_among(state.runs.in_cell.get(plan.workcell, {})):
             elder = state.runs.active[RunId(name)]
             if elder.position >= run.position:
                 continue
-            for index in _overtakable(sleepers, elder.id):
+            for index in _list_overtakable(sleepers, elder.id):
                 if takes is None:
                     takes = list_keys(state, plan.steps[step])
                 if takes & list_keys(state, state.runs.plan_of(elder).steps[index]):
@@ -70,18 +70,18 @@ class OvertakeCounts:
         """A run has ended."""
         self._overtaken.pop(run, None)
 
-    def keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+    def find_who_keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
         """The run inside for whose sake this one is not let in; None if there is none. Where nothing moves
         nobody is kept out: what the elder waits for may come from the one that waits."""
         plan = state.runs.plan_of(run)
-        flying = state.actions.within(plan.workcell) if self._overtaken else ()
+        flying = state.actions.list_in_cell(plan.workcell) if self._overtaken else ()
         if all(action.status == ActionStatus.UNKNOWN for action in flying):
             return None
         mine: set[str] = set()
-        for elder in state.runs.inside(plan.workcell):
+        for elder in state.runs.list_inside(plan.workcell):
             if elder.position >= run.position or not self.is_over(elder.id) or find_holds(elder):
                 continue
-            waiting = _overtakable(sleepers, elder.id)
+            waiting = _list_overtakable(sleepers, elder.id)
             if not waiting:
                 continue
             mine = mine or {
@@ -97,9 +97,9 @@ class OvertakeCounts:
         return None
 
 
-def _overtakable(sleepers: Sleepers, run: RunId) -> list[int]:
+def _list_overtakable(sleepers: Sleepers, run: RunId) -> list[int]:
     """The steps of a run that wait for what others have."""
-    return [step for step, waits in sleepers.waits_of(run).items() if any(map(_is_overtakable, waits))]
+    return [step for step, waits in sleepers.find_waits(run).items() if any(map(_is_overtakable, waits))]
 
 
 def _is_overtakable(wait: Wait) -> bool:
@@ -110,7 +110,7 @@ def list_keys(state: LabState, step: PlanStep) -> frozenset[str]:
     """The keys of the modules, stations and zones that a step needs."""
     found: list[str] = []
     if step.exclusive:
-        found += [module_key(step.module), *map(zone_key, zones_of(state, step.module, step.effects))]
+        found += [module_key(step.module), *map(zone_key, find_zones(state, step.module, step.effects))]
     for what in list_carried(step.effects):
         for place in what.entered if not what.stock else what.room:
             spec = state.bench.stations[place].spec

@@ -76,7 +76,7 @@ class Pilot:
         waits for, if none starts."""
         cell = state.runs.plan_of(first.run).workcell
         waiting = [first.run, *others]
-        base = len(state.runs.inside(cell))
+        base = len(state.runs.list_inside(cell))
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
             return _make_wait(state, outline, cell) if first.early else first
@@ -155,10 +155,10 @@ def _make_wait(state: LabState, outline: Outline, cell: str, why: AnyReason | No
 
 
 def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))
 
 
-def differ(state: LabState, runs: Sequence[RunState], run: RunState) -> bool:
+def are_different(state: LabState, runs: Sequence[RunState], run: RunState) -> bool:
     """Whether some runs are of another kind than this one, and the later steps of all are known: there are no
     windows, no experiment that may submit more runs, and no waiting run with a choice of modules."""
     return any(other.plan != run.plan for other in runs) and not any(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from labos.core.model import Plan, Window
-from labos.core.rules import lab_ns
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, statuses_of
+from labos.core.rules import convert_lab_s
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, list_statuses
 from labos.core.state import LabState
-from labos.core.waits import party
+from labos.core.waits import list_party
 from labos.planning.forecast import (
     find_deadline,
     find_earliest_start,
@@ -27,7 +27,7 @@ NOBODY: Who = ("", None)
 """Nobody who could be told to wait or to go: labware of no run, a module that is down."""
 
 
-def step_of(who: Who) -> Step | None:
+def find_step(who: Who) -> Step | None:
     """The step that somebody stands for; None if it is none in particular."""
     name, index = who
     return (name, index) if index is not None else None
@@ -49,7 +49,7 @@ def find_chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
         for index, step in enumerate(plan.steps):
             if index in found | begun or not is_pending(run, index) or run.is_breached(index):
                 continue
-            if any(w.within_s is not None and _begins(run, w, begun | found) for w in step.windows):
+            if any(w.within_s is not None and _starts_clock(run, w, begun | found) for w in step.windows):
                 found.update(
                     before for before in find_pending_before(run, plan, index) if before not in begun
                 )
@@ -57,7 +57,7 @@ def find_chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
     return found
 
 
-def _begins(run: RunState, window: Window, begun: set[int]) -> bool:
+def _starts_clock(run: RunState, window: Window, begun: set[int]) -> bool:
     """Whether a window's clock runs once these steps have been started."""
     return find_anchor(run, window) is not None if window.of else window.anchor in begun
 
@@ -70,8 +70,8 @@ class Player:
         self, state: LabState, run: RunState, ends: dict[int, int], *, free: bool, first: Iterable[int] = ()
     ) -> None:
         self.run, self.plan = run, state.runs.plan_of(run)
-        self.name, self.party = str(run.id), party(run)
-        self.steps = statuses_of(self.plan, run)
+        self.name, self.party = str(run.id), list_party(run)
+        self.steps = list_statuses(self.plan, run)
         self.ends = ends
         self.left = find_chained(run, self.plan, first) | {i for i in first if is_pending(run, i)}
         self._open = [index for index, status in enumerate(self.steps) if status == PENDING]
@@ -83,7 +83,7 @@ class Player:
             if is_pending(run, index) and not run.is_breached(index):
                 self._set_due(index)
 
-    def turns(self) -> Iterator[int]:
+    def list_turns(self) -> Iterator[int]:
         """The steps whose turn it is."""
         for index in list(self._open):
             if not self.free and index not in self.left:
@@ -125,7 +125,7 @@ class Player:
             for before in step.after:
                 if before in latest:
                     wait_s = max((w.wait_s for w in step.windows if w.anchor == before), default=0.0)
-                    takes = find_usual_time(self._state, self.plan.steps[before]) + lab_ns(
+                    takes = find_usual_time(self._state, self.plan.steps[before]) + convert_lab_s(
                         self._state, wait_s
                     )
                     latest[before] = min(latest[before], latest[follower] - takes)

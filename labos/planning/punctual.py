@@ -11,11 +11,11 @@ import msgspec
 
 from labos.core.ids import RunId
 from labos.core.model import MAIN
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.planning.forecast import find_usual_time, is_pending, setup_under_way
+from labos.planning.forecast import find_setup_under_way, find_usual_time, is_pending
 from labos.planning.player import Player, Step
 from labos.planning.rehearsal import Advice, play
 from labos.planning.scene import Scene
@@ -66,17 +66,17 @@ def _goes_as_suggested(
 ) -> bool:
     """Whether all has started that should have, nothing in flight is behind, and nobody is inside who was not
     reckoned with."""
-    late = now - lab_ns(state, EXACT_S)
-    if min(times.values()) < late or any(run.id not in runs for run in state.runs.inside(cell)):
+    late = now - convert_lab_s(state, EXACT_S)
+    if min(times.values()) < late or any(run.id not in runs for run in state.runs.list_inside(cell)):
         return False
     if any(find_holds(run) or run.is_ending for run in map(state.runs.get, runs) if run is not None):
         return False
-    for action in state.actions.within(cell):
+    for action in state.actions.list_in_cell(cell):
         acting = state.runs.active.get(action.run)
         if acting is None:
             return False
         takes = find_usual_time(state, state.runs.plan_of(acting).steps[action.step])
-        if action.requested_at + takes + setup_under_way(state, action) < late:
+        if action.requested_at + takes + find_setup_under_way(state, action) < late:
             return False
     return True
 
@@ -97,5 +97,5 @@ def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int
             return False
         players.append(Player(state, run, ends.get(name, {}), free=True, first=left))
     outcome = play(scene, players, Advice(not_before=starts))
-    slack = lab_ns(state, EXACT_S)
+    slack = convert_lab_s(state, EXACT_S)
     return not outcome.late and all(at <= starts[who] + slack for who, at in outcome.starts.items())

@@ -77,7 +77,7 @@ class Ranking:
     def _rank(self, state: LabState, spot: Spot, patience: OvertakeCounts, now: int) -> Rank:
         run, waits = spot.run, bool(spot.bundle)
         step = None if waits else spot.step
-        deadline = self._reservations.urgency(state, run, step, now)
+        deadline = self._reservations.find_latest_start(state, run, step, now)
         behind = 0.0 if step is None else -self.behind.measure(state, run.plan, step)
         if not waits and patience.is_over(run.id):
             nobody = (0.0, 0.0)

@@ -112,7 +112,7 @@ def _start_all(
         turns = [
             (player.latest.get(i, FAR), player.run.position, i, player)
             for player in cast.values()
-            for i in player.turns()
+            for i in player.list_turns()
         ]
         for _, _, index, player in sorted(turns, key=lambda turn: turn[:3]):
             who = (player.name, index)
@@ -125,7 +125,7 @@ def _start_all(
                 for first in advice.behind.get(who, ())
             ):
                 continue
-            found = scene.in_the_way(player, index)
+            found = scene.find_in_the_way(player, index)
             if found is not None:
                 outcome.blame.setdefault(who, {})[found] = True
                 continue

@@ -24,24 +24,24 @@ from labos.core.actions import Action
 from labos.core.booked import find_begun_booking
 from labos.core.effects import list_carried
 from labos.core.ids import RunId
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
 from labos.core.waits import Wait, module_key, zone_key
-from labos.core.zones import zones_of
+from labos.core.zones import find_zones
 from labos.planning.forecast import (
     find_deadline,
     find_earliest_start,
     find_longest_time,
     find_pending_before,
+    find_setup_under_way,
     find_spread,
     find_usual_time,
     is_pending,
     list_uses,
-    setup_under_way,
 )
-from labos.planning.helpers import Helpers, helpers_of
+from labos.planning.helpers import Helpers, find_helpers
 from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import is_down
 from labos.planning.player import FAR
@@ -92,7 +92,7 @@ class Reservations:
         """Those of a workcell (none named: of all) whose window is open, the earliest deadline first."""
         if not cell:
             found = [one for name in state.runs.windowed_in for one in self.open(state, now, name)]
-            return sorted(found, key=_first_deadline)
+            return sorted(found, key=_sort_key)
         if not state.runs.windowed_in.get(cell):
             return []
         if self._position.get(cell) != state.position:
@@ -100,7 +100,7 @@ class Reservations:
             self._work_out(state, now, cell)
         return [found for found in self._all[cell] if now <= found.deadline]
 
-    def urgency(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
+    def find_latest_start(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
         """By when a step (of a queued run: its first one) has to start; NEVER if nothing presses."""
         if run.id not in state.runs.windowed:
             return NEVER
@@ -113,7 +113,7 @@ class Reservations:
         return min(urgent.get((run.id, step), NEVER), NEVER if late is None else late)
 
     @contextmanager
-    def only_asking(self) -> Iterator[None]:
+    def forget_afterwards(self) -> Iterator[None]:
         """What is found out meanwhile is forgotten: who only asks changes nothing that is decided later."""
         kept, self.windows = self.windows, Windows(own=self._own)
         self.windows.remember(kept)
@@ -129,8 +129,8 @@ class Reservations:
         if planned <= now:
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
-        wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
-        wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
+        wait = self._check_reservations(state, run, step, now, safety, reservations) if reservations else None
+        wait = wait or self._check_in_time(state, run, step, now, safety, reservations)
         wait = wait or self.windows.check_start(state, run, step, now, safety)
         self.refusals += wait is not None
         if wait is not None and planned < FAR and (wait.until is None or planned < wait.until):
@@ -139,7 +139,7 @@ class Reservations:
 
     # -- runs that a start would be in the way of ----------------------------------------------
 
-    def _in_the_way(
+    def _check_reservations(
         self,
         state: LabState,
         run: RunState,
@@ -150,18 +150,18 @@ class Reservations:
     ) -> Wait | None:
         taken: dict[str, int] = {}
         for number, found in enumerate(reservations):
-            if found.run == run.id or _same_experiment(state, found.run, run):
+            if found.run == run.id or _is_same_experiment(state, found.run, run):
                 continue
             taken = taken or list_uses(state, run, step, now)
             for need in found.needs:
                 time = taken.get(need.resource)
                 if time is not None and now + time > need.latest:
-                    if self._helps(state, run, step, now, safety, reservations[: number + 1]):
+                    if self._helps_reservation(state, run, step, now, safety, reservations[: number + 1]):
                         return None
                     return self._wait(state, found, need, now)
         return None
 
-    def _helps(
+    def _helps_reservation(
         self,
         state: LabState,
         run: RunState,
@@ -175,11 +175,11 @@ class Reservations:
             if found.run == run.id:
                 if step in found.chain:
                     return True
-            elif self._helpers_for(state, found, now, safety).include(state, run):
+            elif self._find_helpers_for(state, found, now, safety).include(state, run):
                 return True
         return False
 
-    def _helpers_for(self, state: LabState, found: Reservation, now: int, safety: Safety) -> Helpers:
+    def _find_helpers_for(self, state: LabState, found: Reservation, now: int, safety: Safety) -> Helpers:
         if self._helpers_at != (state.position, now):
             self._helpers_at = (state.position, now)
             self._helpers.clear()
@@ -188,7 +188,7 @@ class Reservations:
         if known is None:
             run = state.runs.get(found.run)
             assert run is not None
-            known = self._helpers[key] = helpers_of(state, run, found.chain, now, safety)
+            known = self._helpers[key] = find_helpers(state, run, found.chain, now, safety)
         return known
 
     def _wait(self, state: LabState, found: Reservation, need: Need, now: int) -> Wait:
@@ -204,7 +204,7 @@ class Reservations:
 
     # -- clocks that had better not be started -------------------------------------------------
 
-    def _not_in_time(
+    def _check_in_time(
         self,
         state: LabState,
         run: RunState,
@@ -227,17 +227,17 @@ class Reservations:
         others = [found for found in reservations if found.run != run.id]
         foreseen = {step: now + find_usual_time(state, plan.plan.steps[step])}
         for index in followers:
-            mine = _reservation(state, run, index, now, foreseen)
+            mine = _make_reservation(state, run, index, now, foreseen)
             if mine is None:
                 continue
             for resource in {need.resource: True for need in mine.needs}:
-                flying = _in_flight(state, resource, now)
-                theirs = [job for found in others for job in _jobs(found, resource, now)]
-                ours = _jobs(mine, resource, now)
-                together = _late([*flying, *theirs, *ours])
-                if together <= _late([*flying, *theirs]) + _late(ours):
+                flying = _list_needs_in_flight(state, resource, now)
+                theirs = [job for found in others for job in _list_jobs(found, resource, now)]
+                ours = _list_jobs(mine, resource, now)
+                together = _count_late([*flying, *theirs, *ours])
+                if together <= _count_late([*flying, *theirs]) + _count_late(ours):
                     continue
-                if self._helps(state, run, step, now, safety, reservations):
+                if self._helps_reservation(state, run, step, now, safety, reservations):
                     return None
                 rivals = [found for found in others if any(n.resource == resource for n in found.needs)]
                 if rivals:
@@ -247,8 +247,8 @@ class Reservations:
                 end = max(job.length for job in flying) + now
                 name = resource.partition(":")[2]
                 # It need not have ended, nor its labware have left: only soon enough for who follows.
-                leaves = end + _takes_away(state, resource)
-                again = max(now + lab_ns(state, CALM_S), now + _behind(ours, leaves))
+                leaves = end + _measure_clearing(state, resource)
+                again = max(now + convert_lab_s(state, CALM_S), now + _measure_lateness(ours, leaves))
                 return Wait(
                     reasons.NotInTime(name, key), (resource, cell_key(plan.plan.workcell)), min(end, again)
                 )
@@ -265,21 +265,23 @@ class Reservations:
                 continue
             for index in state.runs.plans[run.plan].windowed:
                 if is_pending(run, index) and not run.is_breached(index):
-                    found = _reservation(state, run, index, now, _anchors_in_flight(state, run, index))
+                    found = _make_reservation(
+                        state, run, index, now, _find_anchors_in_flight(state, run, index)
+                    )
                     if found is not None:
                         all_.append(found)
-        all_.sort(key=_first_deadline)
+        all_.sort(key=_sort_key)
         for found in all_:
             for need in found.needs:
                 key = (found.run, need.step)
                 urgent[key] = min(urgent.get(key, NEVER), need.latest)
 
 
-def _first_deadline(found: Reservation) -> tuple[int, int, int]:
+def _sort_key(found: Reservation) -> tuple[int, int, int]:
     return (found.deadline, found.position, found.step)
 
 
-def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
+def _find_anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
     """When the steps that start a step's clocks should end, of those that are in flight."""
     windows = state.runs.plan_of(run).steps[index].windows
     anchors = {window.anchor for window in windows if window.anchor is not None}
@@ -294,14 +296,14 @@ def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, 
 
 def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
     """What is being carried out in a workcell, and when it should end (UTC ns)."""
-    for action in state.actions.within(cell):
+    for action in state.actions.list_in_cell(cell):
         run = state.runs.active.get(action.run)
         if run is not None:
             takes = find_longest_time(state, state.runs.plan_of(run).steps[action.step])
-            yield action, action.requested_at + takes + setup_under_way(state, action)
+            yield action, action.requested_at + takes + find_setup_under_way(state, action)
 
 
-def _reservation(
+def _make_reservation(
     state: LabState, run: RunState, index: int, now: int, foreseen: dict[int, int] | None = None
 ) -> Reservation | None:
     """What a run needs for a windowed step; None if its clock does not run, or if it cannot go on
@@ -326,7 +328,7 @@ def _reservation(
         for step in plan.steps[follower].after:
             if step in latest:
                 waits = [w.wait_s for w in plan.steps[follower].windows if w.anchor == step]
-                pause = lab_ns(state, max(waits, default=0.0))
+                pause = convert_lab_s(state, max(waits, default=0.0))
                 before = latest[follower] - pause - find_longest_time(state, plan.steps[step])
                 latest[step] = min(latest[step], before)
     needs: list[Need] = []
@@ -346,7 +348,7 @@ def _reservation(
     return Reservation(run.id, index, end + late, run.position, tuple(chain), tuple(needs))
 
 
-def _jobs(found: Reservation, resource: str, now: int) -> list[Need]:
+def _list_jobs(found: Reservation, resource: str, now: int) -> list[Need]:
     """A run's needs of a resource, those that follow on one another as one."""
     jobs: list[Need] = []
     for need in sorted((n for n in found.needs if n.resource == resource), key=lambda n: n.release):
@@ -360,7 +362,7 @@ def _jobs(found: Reservation, resource: str, now: int) -> list[Need]:
     return jobs
 
 
-def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
+def _list_needs_in_flight(state: LabState, resource: str, now: int) -> list[Need]:
     """What is being carried out on a module or in a zone, as long as it should still take."""
     cell = resource.partition(":")[2].partition("/")[0]
     return [
@@ -370,7 +372,7 @@ def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
     ]
 
 
-def _takes_away(state: LabState, resource: str) -> int:
+def _measure_clearing(state: LabState, resource: str) -> int:
     """How long it takes (ns) to carry labware away from a module once what goes on there has ended."""
     cell = resource.partition(":")[2].partition("/")[0]
     found = 0
@@ -383,11 +385,11 @@ def _takes_away(state: LabState, resource: str) -> int:
 
 
 def _list_taken(state: LabState, action: Action) -> list[str]:
-    zones = zones_of(state, action.module, action.effects)
+    zones = find_zones(state, action.module, action.effects)
     return [module_key(action.module), *map(zone_key, zones)]
 
 
-def _late(jobs: Sequence[Need]) -> int:
+def _count_late(jobs: Sequence[Need]) -> int:
     """How many of these are late at best, one after the other: by deadline, or as they come."""
 
     def count(order: list[Need]) -> int:
@@ -403,7 +405,7 @@ def _late(jobs: Sequence[Need]) -> int:
     return min(count(by_deadline), count(as_they_come))
 
 
-def _behind(jobs: Sequence[Need], begin: int) -> int:
+def _measure_lateness(jobs: Sequence[Need], begin: int) -> int:
     """By how much (ns) these are late at most, one after the other, if they cannot begin before a time."""
     worst, time = 0, begin
     for job in sorted(jobs, key=lambda job: job.release):
@@ -413,6 +415,6 @@ def _behind(jobs: Sequence[Need], begin: int) -> int:
     return worst
 
 
-def _same_experiment(state: LabState, name: RunId, run: RunState) -> bool:
+def _is_same_experiment(state: LabState, name: RunId, run: RunState) -> bool:
     other = state.runs.get(name)
     return other is not None and bool(run.experiment) and other.experiment == run.experiment

@@ -39,18 +39,28 @@ from labos.core.ids import (
 )
 from labos.core.model import Together
 from labos.core.open_experiments import ExperimentStatus
-from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
+from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, list_statuses
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Branch, Floor, is_closing
-from labos.planning.forks import find_branches, find_kept, motions_of
+from labos.planning.forks import find_branches, find_kept, list_motions
 from labos.planning.layout import find_joint, find_standing, is_down, keep_after_failure, lay_out, let_in
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
 from labos.planning.orders import put_in_order
-from labos.planning.paths import END, FORKED, ClosingStep, Motion, Path, left_by, path_of
+from labos.planning.paths import END, FORKED, ClosingStep, Motion, Path, make_path, name_leftover_owner
 from labos.planning.stuck import find_block, reaches_into
 from labos.planning.suggested_way import follow_order
-from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
+from labos.planning.witness import (
+    Trail,
+    Witness,
+    copy,
+    copy_actor,
+    finish_one_by_one,
+    interleave,
+    is_valid,
+    list_order,
+    replay,
+)
 
 OVER = (*SETTLED, IN_FLIGHT)
 """Steps with such a status have nothing left to do: what is in flight counts as done."""
@@ -97,54 +107,56 @@ class Safety:
         self._known = {view: known for view, known in self._known.items() if view.cell != cell}
         self._given_up = {view: known for view, known in self._given_up.items() if view.cell != cell}
 
-    def path(self, state: LabState, plan: str) -> Path:
+    def find_path(self, state: LabState, plan: str) -> Path:
         """The motions of a plan that the state knows."""
         found = self._paths.get(plan)
         if found is None:
             if len(self._paths) > max(4096, 2 * len(state.runs.plans)):
                 self._paths = {name: path for name, path in self._paths.items() if name in state.runs.plans}
             known = state.runs.plans[plan].plan
-            found = self._paths[plan] = path_of(known, *_rules(state, known.workcell))
+            found = self._paths[plan] = make_path(known, *_make_rules(state, known.workcell))
         return found
 
-    def _motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
+    def _list_motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
         """The motions of a step, on whichever way it is done."""
         if run.status == RunStatus.LEAVING:
-            rules = _rules(state, state.runs.plan_of(run).workcell)
+            rules = _make_rules(state, state.runs.plan_of(run).workcell)
             return [motion for motion in find_way_out(state, run, *rules) if motion.step == step]
-        return motions_of(self.path(state, run.plan), step)
+        return list_motions(self.find_path(state, run.plan), step)
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
         """Whether labware stands elsewhere after a step, or somebody holds something else."""
-        path = self.path(state, run.plan)
+        path = self.find_path(state, run.plan)
         if run.status != RunStatus.LEAVING and not path.ways:
             return step in path.changing
-        return any(motion.changes_anything for motion in self._motions(state, run, step))
+        return any(motion.changes_anything for motion in self._list_motions(state, run, step))
 
     def comes_out(self, state: LabState, run: RunState) -> bool:
         """Whether a run inside can come to its end if nobody is stuck and experiments close."""
         view = View(state.runs.plan_of(run).workcell, hopeful=True, closing=True)
-        actors = [as_seen(actor, view) for actor in self.actors(state, view.cell)]
+        actors = [view_actor(actor, view) for actor in self.list_actors(state, view.cell)]
         ground = lay_out(state, view.cell, actors, hopeful=True)
-        return run.id in self._before(ground, actors, view).ends
+        return run.id in self._check_before(ground, actors, view).ends
 
-    def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
+    def list_trapped(
+        self, state: LabState, run: RunState, step: int, *, only_asking: bool = False
+    ) -> list[str]:
         """Whose way to the end the start of a step would take away; empty if it is safe. A new
         run counts itself: it is let in only if it can come out. Unless the caller is only
         asking, a start that is found safe is taken as done."""
         cell = state.runs.plan_of(run).workcell
         if self._can_pass(state, run, cell):
             return []
-        actors = self.actors(state, cell)
+        actors = self.list_actors(state, cell)
         found: dict[View, LastResult] = {}
         grounds: dict[bool, Floor] = {}
-        for view in self._views(state, run, cell, actors):
-            here = [as_seen(actor, view) for actor in actors]
+        for view in self._list_views(state, run, cell, actors):
+            here = [view_actor(actor, view) for actor in actors]
             # Only lost labware stands elsewhere in one view than in another.
             hopeful = view.hopeful or not state.bench.lost
             if hopeful not in grounds:
                 grounds[hopeful] = lay_out(state, cell, actors, hopeful=hopeful)
-            after = self._after(state, run, step, copy(grounds[hopeful]), here, view)
+            after = self._check_after(state, run, step, copy(grounds[hopeful]), here, view)
             if isinstance(after, list):
                 return after
             found[view] = after
@@ -156,12 +168,14 @@ class Safety:
         """Whether nobody loses the way to the end if a run inside goes on by the plan that it has here, and
         it comes out itself."""
         name, cell = str(run.id), state.runs.plan_of(run).workcell
-        old = self.actors(state, cell)
-        new = [self.actor(state, run) if actor.name == name else actor for actor in old]
-        for view in dict.fromkeys((*self._views(state, run, cell, old), *self._views(state, run, cell, new))):
-            before = [as_seen(actor, view) for actor in old]
-            known = self._before(lay_out(state, cell, before, hopeful=view.hopeful), before, view)
-            after = [as_seen(actor, view) for actor in new]
+        old = self.list_actors(state, cell)
+        new = [self.make_actor(state, run) if actor.name == name else actor for actor in old]
+        for view in dict.fromkeys(
+            (*self._list_views(state, run, cell, old), *self._list_views(state, run, cell, new))
+        ):
+            before = [view_actor(actor, view) for actor in old]
+            known = self._check_before(lay_out(state, cell, before, hopeful=view.hopeful), before, view)
+            after = [view_actor(actor, view) for actor in new]
             wanted = {*known.ends, name}
             _, ends = self.find(lay_out(state, cell, after, hopeful=view.hopeful), after, wanted)
             if not wanted <= ends:
@@ -173,15 +187,15 @@ class Safety:
         anybody, and comes out first."""
         if run.has_started or run.experiment in state.experiments.open:
             return False
-        path = self.path(state, run.plan)
+        path = self.find_path(state, run.plan)
         if path.ways or path.changing:
             return False
-        newcomer = self.actor(state, run)
+        newcomer = self.make_actor(state, run)
         floor = lay_out(state, cell, [newcomer], hopeful=False)
         return not newcomer.stuck and all(may_move(floor, newcomer, motion) for motion in path.motions)
 
     @staticmethod
-    def _views(state: LabState, run: RunState, cell: str, actors: Sequence[Actor]) -> list[View]:
+    def _list_views(state: LabState, run: RunState, cell: str, actors: Sequence[Actor]) -> list[View]:
         """The views that differ."""
         views = [View(cell, hopeful=True, closing=True)]
         joining = not run.has_started and run.experiment in state.experiments.open
@@ -191,7 +205,7 @@ class Safety:
             views.append(View(cell))
         return views
 
-    def _after(
+    def _check_after(
         self,
         state: LabState,
         run: RunState,
@@ -201,9 +215,9 @@ class Safety:
         view: View,
     ) -> LastResult | list[str]:
         """What holds after the start, seen one way, or whom it would trap."""
-        known = self._before(ground, actors, view)
+        known = self._check_before(ground, actors, view)
         name = str(run.id)
-        at_once = _motions_at_once(actors, name, step)
+        at_once = _count_motions_at_once(actors, name, step)
         if at_once and known.witness[:at_once] == ((name, step),) * at_once:
             return msgspec.structs.replace(known, witness=known.witness[at_once:])
         to_end = set(known.ends)
@@ -211,7 +225,7 @@ class Safety:
         if not run.has_started:
             before = {actor.name for actor in actors}
             actors = [
-                actor if actor.name in before else as_seen(actor, view)
+                actor if actor.name in before else view_actor(actor, view)
                 for actor in self.with_newcomer(state, run, actors)
             ]
             inside = {actor.name for actor in actors}
@@ -219,24 +233,24 @@ class Safety:
             to_end = (to_end & inside) | coming | {name}
             let_in(floor, actors[-1])
         mover = next(actor for actor in actors if actor.name == name)
-        path = self.path(state, run.plan)
+        path = self.find_path(state, run.plan)
         forks = bool(path.ways) and run.status != RunStatus.LEAVING
-        for motion in motions_of(path, step) if forks else [m for m in mover.motions if m.step == step]:
+        for motion in list_motions(path, step) if forks else [m for m in mover.motions if m.step == step]:
             if not may_move(floor, mover, motion):
                 return [name]
             move(floor, mover, motion)
         if forks:
             plan = state.runs.plan_of(run)
-            steps = statuses_of(plan, run)
+            steps = list_statuses(plan, run)
             steps[step] = IN_FLIGHT
-            failing = self._failing(state, run)
-            failing = failing if view.closing or not mover.parks else _without_closing(failing)
+            failing = self._list_motions_after_failure(state, run)
+            failing = failing if view.closing or not mover.parks else _drop_closing(failing)
             mover.motions, mover.forks = find_branches(path, plan, run, steps, _end(mover.home), failing)
             keep_after_failure(
                 floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step]
             )
             if known.witness and known.witness[0] == (name, FORKED):
-                here = [fresh(actor) for actor in actors]
+                here = [copy_actor(actor) for actor in actors]
                 order = replay(copy(floor), here, known.witness)
                 if order is not None:
                     return LastResult(_find_stuck(actors), order, frozenset(to_end))
@@ -249,7 +263,7 @@ class Safety:
         lost = sorted(to_end - ends)
         return lost or LastResult(_find_stuck(actors), witness, frozenset(ends))
 
-    def _before(self, ground: Floor, actors: list[Actor], view: View) -> LastResult:
+    def _check_before(self, ground: Floor, actors: list[Actor], view: View) -> LastResult:
         """What holds before the start: what was found last, or what is found now when somebody
         has got stuck or free since, or has a motion to do again."""
         names = {actor.name for actor in actors}
@@ -265,19 +279,19 @@ class Safety:
             known = msgspec.structs.replace(known, witness=tuple(w for w in known.witness if w in left))
             ahead = Counter(name for name, _ in known.witness)
             complete = all(ahead[a.name] == a.length for a in actors if a.name not in stuck)
-            if complete and holds(copy(ground), [fresh(actor) for actor in actors], known.witness):
+            if complete and is_valid(copy(ground), [copy_actor(actor) for actor in actors], known.witness):
                 return msgspec.structs.replace(known, ends=known.ends & names)
             if any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
-                order = replay(copy(ground), [fresh(a) for a in actors if not a.stuck], known.witness)
+                order = replay(copy(ground), [copy_actor(a) for a in actors if not a.stuck], known.witness)
                 if order is not None:
                     known = self._known[view] = LastResult(stuck, order, known.ends & names)
                     return known
         free = names - stuck
-        witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], free)
+        witness, ends = self.find(copy(ground), [copy_actor(actor) for actor in actors], free)
         if not ends >= free and self._given_up.get(view) != (names, stuck):
             self._given_up[view] = (names, stuck)  # not again while the same are inside
             limit = self._limit * THOROUGH
-            witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], free, limit)
+            witness, ends = self.find(copy(ground), [copy_actor(actor) for actor in actors], free, limit)
         known = self._known[view] = LastResult(stuck, witness, frozenset(ends))
         return known
 
@@ -286,37 +300,37 @@ class Safety:
         workflow, unless it is that."""
         home = experiment_owner(run.experiment)
         others = [actor for actor in actors if not (run.closing and actor.name == home)]
-        if _waits_for(state, run) and all(actor.name != home for actor in others):
-            others.append(self._closing(state, run.experiment))
-        return [*others, self.actor(state, run)]
+        if _has_waiting_close(state, run) and all(actor.name != home for actor in others):
+            others.append(self._make_closing_actor(state, run.experiment))
+        return [*others, self.make_actor(state, run)]
 
     # -- actors ------------------------------------------------------------------------------
 
-    def actors(self, state: LabState, cell: str) -> list[Actor]:
+    def list_actors(self, state: LabState, cell: str) -> list[Actor]:
         """Everybody who has something on the bench of a workcell or is on the way to it."""
-        inside = list(state.runs.inside(cell))
-        actors = [self.actor(state, run) for run in inside]
+        inside = list(state.runs.list_inside(cell))
+        actors = [self.make_actor(state, run) for run in inside]
         homes = {run.experiment for run in inside}
         closing = {run.experiment for run in inside if run.closing}
         stuck = {actor.home for actor in actors if actor.stuck}
         for name in state.runs.closings_in.get(cell, ()):
             owner = experiment_owner(name)
             if name not in closing and (name in homes or state.bench.list_owned(owner)):
-                actor = self._closing(state, name)
+                actor = self._make_closing_actor(state, name)
                 actor.stuck = actor.stuck or owner in stuck
                 actors.append(actor)
         return actors
 
-    def _closing(self, state: LabState, name: ExperimentId) -> Actor:
+    def _make_closing_actor(self, state: LabState, name: ExperimentId) -> Actor:
         """The closing workflow of an experiment as an actor."""
         experiment, owner = state.experiments.open[name], experiment_owner(name)
-        path = self.path(state, experiment.closing)
+        path = self.find_path(state, experiment.closing)
         reached = [place for motion in path.motions for place in (motion.source, motion.target)]
         modules = [module for _, module in path.modules]
         cell = state.runs.plans[experiment.closing].plan.workcell
         dead = any(is_down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
             module.cut_off and reaches_into(state, module.spec.name, reached)
-            for _, module in state.modules.within(cell)
+            for _, module in state.modules.list_in_cell(cell)
         )
         motions = _make_closing(path)
         waits = [Motion(motion.step, grabs=((owner, None),)) for motion in motions[:1]]
@@ -325,28 +339,30 @@ class Safety:
             (),
             (*waits, *motions),
             {},
-            (owner, left_by(owner)),
+            (owner, name_leftover_owner(owner)),
             stuck=dead or find_standing(state, (owner,))[1],
             parks=experiment.status == ExperimentStatus.OPEN,
         )
 
-    def actor(self, state: LabState, run: RunState) -> Actor:
+    def make_actor(self, state: LabState, run: RunState) -> Actor:
         """A run as an actor: what is left of its way. At its end, its experiment has what it leaves."""
-        path, plan = self.path(state, run.plan), state.runs.plan_of(run)
+        path, plan = self.find_path(state, run.plan), state.runs.plan_of(run)
         # What may have been done is taken for done, as the floor has it.
-        states = [IN_FLIGHT if status == UNKNOWN else status for status in statuses_of(plan, run)]
+        states = [IN_FLIGHT if status == UNKNOWN else status for status in list_statuses(plan, run)]
         over = {i for i, status in enumerate(states) if status in OVER}
         experiment = state.experiments.open.get(run.experiment)
         owner = experiment_owner(run.experiment)
-        home = owner if _waits_for(state, run) else Owner("")
+        home = owner if _has_waiting_close(state, run) else Owner("")
         end = _end(home)
         forks: tuple[Branch, ...] = ()
         kept: Sequence[Motion] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *end)
         if run.status == RunStatus.LEAVING:
-            motions = (*find_way_out(state, run, *_rules(state, plan.workcell)), *end)
+            motions = (*find_way_out(state, run, *_make_rules(state, plan.workcell)), *end)
         elif path.ways:
-            motions, forks = find_branches(path, plan, run, states, end, self._failing(state, run))
+            motions, forks = find_branches(
+                path, plan, run, states, end, self._list_motions_after_failure(state, run)
+            )
             kept = find_kept(path, plan, run, states)
         own, lost = find_standing(state, (run_owner(run.id),))
         return Actor(
@@ -364,11 +380,11 @@ class Safety:
             home=home,
         )
 
-    def _failing(self, state: LabState, run: RunState) -> tuple[Motion, ...]:
+    def _list_motions_after_failure(self, state: LabState, run: RunState) -> tuple[Motion, ...]:
         """What follows when a run has failed: the closing workflow has to be possible then, too."""
-        if not _waits_for(state, run):
+        if not _has_waiting_close(state, run):
             return ()
-        closing = self.path(state, state.experiments.open[run.experiment].closing)
+        closing = self.find_path(state, state.experiments.open[run.experiment].closing)
         return (*_make_closing(closing), *_end(experiment_owner(run.experiment)))
 
     # -- searching ---------------------------------------------------------------------------
@@ -381,10 +397,10 @@ class Safety:
         self.searches += 1
         limit = limit or self._limit
         waiting = [actor for actor in actors if not actor.stuck]
-        ground, all_over = copy(floor), [fresh(actor) for actor in waiting if actor.name in keep]
+        ground, all_over = copy(floor), [copy_actor(actor) for actor in waiting if actor.name in keep]
         trail: Trail = []
-        waiting = greedy(floor, waiting, trail)
-        order = in_order(trail)
+        waiting = finish_one_by_one(floor, waiting, trail)
+        order = list_order(trail)
         ends = {actor.name for actor in actors if not actor.stuck} - {actor.name for actor in waiting}
         missing = [actor for actor in waiting if actor.name in keep]
         if missing and len(missing) == len(keep - ends):
@@ -401,7 +417,7 @@ class Safety:
         return tuple(order), ends
 
 
-def _waits_for(state: LabState, run: RunState) -> bool:
+def _has_waiting_close(state: LabState, run: RunState) -> bool:
     """Whether a closing workflow in the same workcell waits for the end of a run."""
     cell = state.runs.plan_of(run).workcell
     return not run.closing and run.experiment in state.runs.closings_in.get(cell, ())
@@ -409,7 +425,7 @@ def _waits_for(state: LabState, run: RunState) -> bool:
 
 def _end(home: Owner) -> tuple[Motion, ...]:
     """The end of a run whose experiment's closing workflow waits for it."""
-    return (Motion(END, frees=(home,), heir=left_by(home)),) if home else ()
+    return (Motion(END, frees=(home,), heir=name_leftover_owner(home)),) if home else ()
 
 
 Rules = tuple[
@@ -420,7 +436,7 @@ Rules = tuple[
 ]
 
 
-def _rules(state: LabState, cell: str) -> Rules:
+def _make_rules(state: LabState, cell: str) -> Rules:
     """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; how its
     modules' doors and lids stand at rest; which stations are theirs, as plans name them; and what they do for
     several runs at once."""
@@ -428,11 +444,11 @@ def _rules(state: LabState, cell: str) -> Rules:
     specs = [stations[name].spec for name in state.bench.in_cell.get(cell, ())]
     claims = {spec.name: spec.claim for spec in specs if spec.claim or spec.access or spec.kind == "gripper"}
     rests: dict[ModuleName, Mapping[str, Any]] = {
-        name: module.spec.rest for name, module in state.modules.within(cell) if module.spec.rest
+        name: module.spec.rest for name, module in state.modules.list_in_cell(cell) if module.spec.rest
     }
     nests = {
-        name: tuple(dict.fromkeys(map(state.bench.as_planned, state.bench.by_module.get(name, ()))))
-        for name, _ in state.modules.within(cell)
+        name: tuple(dict.fromkeys(map(state.bench.find_planned_place, state.bench.by_module.get(name, ()))))
+        for name, _ in state.modules.list_in_cell(cell)
     }
     return claims, rests, nests, find_joint(state, cell)
 
@@ -448,23 +464,23 @@ def _put_in_order(actors: Sequence[Actor], witness: Witness) -> None:
             put_in_order(actor, list(dict.fromkeys(step for name, step in witness if name == actor.name)))
 
 
-def _motions_at_once(actors: Sequence[Actor], name: str, step: int) -> int:
+def _count_motions_at_once(actors: Sequence[Actor], name: str, step: int) -> int:
     """How many motions the start of an actor's step makes; 0 if it is not inside or beyond a fork."""
     return sum(motion.step == step for actor in actors if actor.name == name for motion in actor.motions)
 
 
-def as_seen(actor: Actor, view: View) -> Actor:
+def view_actor(actor: Actor, view: View) -> Actor:
     """An actor to try things out with, as it is in a view."""
-    seen = fresh(actor)
+    seen = copy_actor(actor)
     if view.hopeful:
         seen.stuck = False
     if actor.parks and not view.closing:
-        seen.forks = tuple(Branch(_without_closing(fork.motions), fork.fails) for fork in actor.forks)
+        seen.forks = tuple(Branch(_drop_closing(fork.motions), fork.fails) for fork in actor.forks)
         seen.stuck = seen.stuck or not actor.home  # the closing workflow itself
     return seen
 
 
-def _without_closing(motions: Sequence[Motion]) -> tuple[Motion, ...]:
+def _drop_closing(motions: Sequence[Motion]) -> tuple[Motion, ...]:
     return tuple(motion for motion in motions if not is_closing(motion))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import ActionStatus
-from labos.core.algebra import check_effect, settings_after
+from labos.core.algebra import check_effect, compute_settings_after
 from labos.core.binding import is_same
 from labos.core.effects import (
     AnyEffect,
@@ -22,15 +22,15 @@ from labos.core.effects import (
     Needs,
     Requires,
     changes_labware,
-    hand_of,
+    name_hand,
 )
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
 from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
-from labos.core.waits import party
-from labos.core.zones import zones_of
-from labos.planning.forecast import find_usual_time, setup_under_way
+from labos.core.waits import list_party
+from labos.core.zones import find_zones
+from labos.planning.forecast import find_setup_under_way, find_usual_time
 from labos.planning.layout import is_down
 from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
@@ -72,9 +72,9 @@ class Scene:
                 continue
             step = state.runs.plan_of(run).steps[action.step]
             end = max(
-                now, action.requested_at + find_usual_time(state, step) + setup_under_way(state, action)
+                now, action.requested_at + find_usual_time(state, step) + find_setup_under_way(state, action)
             )
-            effects = tuple(_as_planned(state, effect) for effect in action.effects)
+            effects = tuple(_with_planned_places(state, effect) for effect in action.effects)
             end = FAR if action.status == ActionStatus.UNKNOWN else end
             self.take(run, action.step, step, effects, end)
 
@@ -90,14 +90,14 @@ class Scene:
         other.setpoints = {name: dict(who) for name, who in self.setpoints.items()}
         return other
 
-    def alone(self, run: RunState) -> Scene:
+    def with_run_alone(self, run: RunState) -> Scene:
         """The same, if nobody else were there."""
         other, mine = self.copy(), (str(run.id), "")
         other.flying = [item for item in self.flying if item[2][0] in mine]
         other.busy = {name: who for name, who in self.busy.items() if who[0] in mine}
         other.reached = {n: {w: True for w in who if w[0] in mine} for n, who in self.reached.items()}
         other.zones = {n: {w: at for w, at in who.items() if w[0] in mine} for n, who in self.zones.items()}
-        owners = party(run)
+        owners = list_party(run)
         other.standing = {n: [i for i in items if i[0] in owners] for n, items in self.standing.items()}
         other.held = {n: {w: at for w, at in who.items() if w in mine} for n, who in self.held.items()}
         other.setpoints = {
@@ -110,18 +110,18 @@ class Scene:
 
     # -- who is in the way -----------------------------------------------------------------------
 
-    def in_the_way(self, player: Player, index: int) -> Who | None:
+    def find_in_the_way(self, player: Player, index: int) -> Who | None:
         """Who keeps a step from starting, by the rules; None if nobody does."""
         step = player.plan.steps[index]
         if is_down(self.state, step.module, recovered=step.recovers):
             return NOBODY
         if step.exclusive:
-            found = self._not_free(player, step)
+            found = self._find_user_of_module(player, step)
             if found is not None:
                 return found
         for hold in player.plan.holds:
             if hold.first == index:
-                holder = self.holder(player, hold.module)
+                holder = self.find_holder(player, hold.module)
                 if holder is not None:
                     return holder
         turn = Turn(self, player, step)
@@ -131,22 +131,22 @@ class Scene:
                 return found
         return None
 
-    def _not_free(self, player: Player, step: PlanStep) -> Who | None:
+    def _find_user_of_module(self, player: Player, step: PlanStep) -> Who | None:
         if step.module in self.busy:
             return self.busy[step.module]
-        holder = None if step.recovers else self.holder(player, step.module)
+        holder = None if step.recovers else self.find_holder(player, step.module)
         if holder is not None:
             return holder
         reaching = self.reached.get(step.module)
         if reaching:
             return next(iter(reaching))
-        for zone in zones_of(self.state, step.module, step.effects):
+        for zone in find_zones(self.state, step.module, step.effects):
             for who, module in self.zones.get(zone, {}).items():
                 if module != step.module:
                     return who
         return None
 
-    def holder(self, player: Player, name: ModuleName) -> Who | None:
+    def find_holder(self, player: Player, name: ModuleName) -> Who | None:
         """Who holds a module against a player: by labware, by a plan's word, by a door or lid."""
         stations = self.state.bench.stations
         for place in self.state.bench.by_module.get(name, ()):
@@ -154,9 +154,9 @@ class Scene:
                 for owner, by in self.standing.get(place, ()):
                     if owner not in player.party:
                         return by
-        return self.keeper(player, name)
+        return self.find_keeper(player, name)
 
-    def keeper(self, player: Player, name: ModuleName) -> Who | None:
+    def find_keeper(self, player: Player, name: ModuleName) -> Who | None:
         """Who keeps a module from a player by a plan's word, or by a door or lid."""
         for holder, at in self.held.get(name, {}).items():
             if holder != player.name:
@@ -178,11 +178,11 @@ class Scene:
         self.inside.add(who[0])
         if step.exclusive:
             self.busy[step.module] = who
-            for zone in zones_of(self.state, step.module, effects):
+            for zone in find_zones(self.state, step.module, effects):
                 self.zones.setdefault(zone, {})[who] = step.module
         for effect in effects:
             if isinstance(effect, Carrying):
-                owner = run_owner(run.id) if effect.stock else self._owner_at(run, effect.source)
+                owner = run_owner(run.id) if effect.stock else self._find_owner_at(run, effect.source)
                 for place in effect.entered:
                     spec = stations[place].spec if place in stations else None
                     if spec is not None and spec.module and not spec.stands_apart:
@@ -194,26 +194,28 @@ class Scene:
                     self.drawn[effect.stock] = self.drawn.get(effect.stock, 0) + 1
             elif isinstance(effect, Needs):
                 self._borrow(run, step, effect, who, keeps=changes_labware(effects))
-        for setpoint, value in settings_after(effects).claims.items():
+        for setpoint, value in compute_settings_after(effects).claims.items():
             self.setpoints.setdefault((step.module, setpoint), {})[who[0]] = value, index
         for hold in self.state.runs.plan_of(run).holds:
             if hold.first == index:
                 self.held.setdefault(hold.module, {})[who[0]] = index
         heapq.heappush(self.flying, (end, len(self.flying) + index, who, step, effects))
 
-    def places_of(self, step: PlanStep, needs: Needs) -> list[StationName]:
+    def list_places(self, step: PlanStep, needs: Needs) -> list[StationName]:
         """Where the labware may stand that a step needs."""
         return [needs.station] if needs.station else self.state.bench.by_module.get(step.module, [])
 
-    def within_reach(self, place: StationName) -> list[Owner]:
+    def list_owners_within_reach(self, place: StationName) -> list[Owner]:
         """Whose labware can be worked on at a place; on a stack that is the topmost piece."""
         owners = [owner for owner, _ in self.standing.get(place, ())]
         return owners[-1:] if self.state.bench.stations[place].spec.kind == "stack" else owners
 
     def _borrow(self, run: RunState, step: PlanStep, needs: Needs, who: Who, *, keeps: bool) -> None:
         """What a run works on is lent to it until its end, or its own for good."""
-        owners, places = party(run), self.places_of(step, needs)
-        found = [(owners.index(o), p) for p in places for o in self.within_reach(p) if o in owners]
+        owners, places = list_party(run), self.list_places(step, needs)
+        found = [
+            (owners.index(o), p) for p in places for o in self.list_owners_within_reach(p) if o in owners
+        ]
         if not found:
             return
         rank, place = min(found, key=lambda pair: pair[0])
@@ -228,10 +230,10 @@ class Scene:
     def _lend(self, name: str, place: StationName, owner: Owner) -> None:
         self.lent[name] = (*self.lent.get(name, ()), (place, owner))
 
-    def _owner_at(self, run: RunState, place: StationName) -> Owner:
+    def _find_owner_at(self, run: RunState, place: StationName) -> Owner:
         """Whose labware it is that a run carries away."""
         there = [owner for owner, _ in self.standing.get(place, ())]
-        return next((owner for owner in party(run) if owner in there), run_owner(run.id))
+        return next((owner for owner in list_party(run) if owner in there), run_owner(run.id))
 
     def let_go(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
         """A step has ended: what it took and what it leaves is there for others."""
@@ -245,7 +247,7 @@ class Scene:
             if isinstance(effect, Carrying):
                 for place in (effect.emptied, effect.via):
                     self._remove(run, place)
-        after = settings_after(effects)
+        after = compute_settings_after(effects)
         for variable, value in after.variables.items():
             self.values[step.module, variable] = value, who
         for setpoint in after.releases:
@@ -259,7 +261,7 @@ class Scene:
                 self._leave(player.name)
 
     def _remove(self, run: RunState, place: StationName) -> None:
-        there, mine = self.standing.get(place, []), party(run)
+        there, mine = self.standing.get(place, []), list_party(run)
         for owner in mine:
             found = next((item for item in there if item[0] == owner), None)
             if found is not None:
@@ -301,7 +303,7 @@ class Turn:
         left = len(self.stations[stack].stock) - self.scene.drawn.get(stack, 0)
         return None if left >= number else NOBODY
 
-    def stands(self, what: Carrying, place: StationName) -> Who | None:
+    def check_stands(self, what: Carrying, place: StationName) -> Who | None:
         there = self.scene.standing.get(place, [])
         number = self._leaving.get(place, 0) + 1
         if place == what.emptied:
@@ -311,15 +313,15 @@ class Turn:
             return None
         return NOBODY  # nobody knows when it will stand there
 
-    def fits(self, what: Carrying) -> Who | None:
+    def check_fits(self, what: Carrying) -> Who | None:
         return None
 
-    def hand(self, what: Carrying) -> Who | None:
-        hand = hand_of(self.step.module)
+    def check_hand(self, what: Carrying) -> Who | None:
+        hand = name_hand(self.step.module)
         there = self.scene.standing.get(hand) if what.source != hand else None
         return there[-1][1] if there else None
 
-    def entry(self, what: Carrying, place: StationName) -> Who | None:
+    def check_entry(self, what: Carrying, place: StationName) -> Who | None:
         spec = self.stations[place].spec
         if not spec.module or spec.stands_apart:
             return None
@@ -330,10 +332,10 @@ class Turn:
             if not is_same(value, wanted):
                 return by
         if spec.claim:
-            return self.scene.holder(self.player, spec.module)
-        return self.scene.keeper(self.player, spec.module) if spec.access else None
+            return self.scene.find_holder(self.player, spec.module)
+        return self.scene.find_keeper(self.player, spec.module) if spec.access else None
 
-    def room(self, what: Carrying, place: StationName) -> Who | None:
+    def check_room(self, what: Carrying, place: StationName) -> Who | None:
         station = self.stations[place]
         self._arriving[place] = self._arriving.get(place, 0) + 1
         if station.spec.kind == "waste":
@@ -344,9 +346,9 @@ class Turn:
             return None
         return there[0][1] if there else NOBODY
 
-    def labware(self, needs: Needs) -> Who | None:
-        places = self.scene.places_of(self.step, needs)
-        there = [owner for place in places for owner in self.scene.within_reach(place)]
+    def check_labware(self, needs: Needs) -> Who | None:
+        places = self.scene.list_places(self.step, needs)
+        there = [owner for place in places for owner in self.scene.list_owners_within_reach(place)]
         return None if any(owner in self.player.party for owner in there) else NOBODY
 
     def value(self, requires: Requires) -> Who | None:
@@ -355,23 +357,23 @@ class Turn:
         value, by = self.scene.values.get((self.step.module, requires.variable), (None, NOBODY))
         return None if is_same(value, requires.value) else by
 
-    def setpoint(self, claims: Claims) -> Who | None:
+    def check_setpoint(self, claims: Claims) -> Who | None:
         holders = self.scene.setpoints.get((self.step.module, claims.setpoint), {})
         for name, (value, at) in holders.items():
             if name != self.player.name and (value is None or value != claims.value):
                 return name, at
         return None
 
-    def amount(self, consumes: Consumes) -> Who | None:
+    def check_amount(self, consumes: Consumes) -> Who | None:
         return None
 
 
-def _as_planned(state: LabState, effect: AnyEffect) -> AnyEffect:
+def _with_planned_places(state: LabState, effect: AnyEffect) -> AnyEffect:
     """An effect as its plan has it: hotels instead of their shelves."""
     if not isinstance(effect, Carrying):
         return effect
     fields = ("target",) if effect.stock else ("source", "target")
-    planned = {field: state.bench.as_planned(getattr(effect, field)) for field in fields}
+    planned = {field: state.bench.find_planned_place(getattr(effect, field)) for field in fields}
     return msgspec.structs.replace(effect, **planned)
 
 

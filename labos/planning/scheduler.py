@@ -18,12 +18,12 @@ import msgspec
 from labos.core import reasons
 from labos.core.decide import Command
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
-from labos.core.decide.endings import under_way
+from labos.core.decide.endings import has_open_action
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, options
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, list_options
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
@@ -53,8 +53,8 @@ from labos.planning.touch import (
     STANDING,
     Touched,
     cell_key,
-    cell_of_closing,
-    cell_of_run,
+    find_cell_of_closing,
+    find_cell_of_run,
     list_cell_keys,
     near_key,
     sort_keys,
@@ -104,7 +104,7 @@ class Scheduler:
         self._fresh = True
         self._touched = sort_keys([EVERYTHING])
 
-    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
+    def iterate_proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
         """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
         one out before it asks for the next."""
         self.ranking.forget()
@@ -183,12 +183,12 @@ class Scheduler:
             early = check_arrival(state, run, step, now, self._list_plans(state, cell))
             if early is not None and not self.room.is_overtaken(state, run):
                 return self.adviser.wake_in_time(state, run, step, early, now)
-        inside = self.patience.keeps_out(state, run, self.sleepers)
+        inside = self.patience.find_who_keeps_out(state, run, self.sleepers)
         return Wait(reasons.AfterElder(inside), (near_key(cell),)) if inside is not None else None
 
     def _check_safety(self, state: LabState, run: RunState, step: int, *, only_asking: bool) -> Wait | None:
         """What a step waits for after which somebody could not reach the end any more."""
-        trapped = self.safety.traps(state, run, step, only_asking=only_asking)
+        trapped = self.safety.list_trapped(state, run, step, only_asking=only_asking)
         if not trapped:
             return None
         self.refusals += 1
@@ -202,9 +202,9 @@ class Scheduler:
         self._touched = self._find_touched(state, keys)
         self.deadlines.note_changes(state, self._touched)
 
-    def due(self, state: LabState, now: int) -> Iterator[Command]:
+    def iterate_due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for, and what becomes of cancelled runs."""
-        yield from self.deadlines.due(state, now)
+        yield from self.deadlines.iterate_due(state, now)
         yield from self._find_ways_out(state)
         yield from list_changes(state, self.safety)
 
@@ -212,7 +212,7 @@ class Scheduler:
         """Commands for cancelled runs with nothing in flight: they take their way out, or give it up."""
         found: list[TakeWayOut | GiveUpWayOut] = []
         for run in map(state.runs.active.__getitem__, state.runs.ending):
-            if under_way(run):
+            if has_open_action(run):
                 continue
             if will_leave(state.runs.plan_of(run), run):
                 found.append(TakeWayOut(run.id))
@@ -220,21 +220,21 @@ class Scheduler:
                 found.append(GiveUpWayOut(run.id))
         return found
 
-    def next_deadline(self, state: LabState) -> int | None:
+    def find_next_deadline(self, state: LabState) -> int | None:
         """When to look again even if nothing happens (UTC ns)."""
-        times = (self.deadlines.first(state), self.sleepers.first())
+        times = (self.deadlines.find_first(state), self.sleepers.find_first())
         return min((time for time in times if time is not None), default=None)
 
-    def next_wake(self) -> int | None:
+    def find_next_wake(self) -> int | None:
         """When somebody who waits for a time is to be looked at again (UTC ns)."""
-        return self.sleepers.first()
+        return self.sleepers.find_first()
 
-    def waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
+    def list_waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
-        with self.reservations.only_asking():
+        with self.reservations.forget_afterwards():
             found = [
                 (step, self.check_start(state, option, step, now, only_asking=True))
-                for option in options(run)
+                for option in list_options(run)
                 for step in (
                     state.runs.plans[option.plan].starts
                     if not run.has_started
@@ -273,7 +273,7 @@ class Scheduler:
             self.patience.forget(RunId(name))
         cells = list(state.lab.workcells) if touched.whole else named.get(STANDING, ())
         names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
-        names.update(dict.fromkeys(self.sleepers.due(now), True))
+        names.update(dict.fromkeys(self.sleepers.list_due(now), True))
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
         for key in touched.keys:
@@ -300,16 +300,16 @@ class Scheduler:
         found: dict[str, bool] = {}
         for who, _ in names:
             run = state.runs.active.get(RunId(who))
-            found[state.runs.plan_of(run).workcell if run is not None else self.room.cell_of(who)] = True
+            found[state.runs.plan_of(run).workcell if run is not None else self.room.find_cell(who)] = True
         return [cell for cell in found if cell]
 
     def _list_all(self, state: LabState, cell: str) -> dict[Name, bool]:
         """All that may start in a workcell."""
-        inside = state.runs.inside(cell)
+        inside = state.runs.list_inside(cell)
         names: dict[Name, bool] = {
             (run.id, step): True for run in inside for step in list_ready_steps(state, run)
         }
-        return names | {(bundle, 0): True for bundle in self.room.within(cell)}
+        return names | {(bundle, 0): True for bundle in self.room.list_in_cell(cell)}
 
     def _order_windows(self, state: LabState, now: int) -> list[str]:
         """Make an order of one's own where clocks run; returns the workcells in which it is another one."""
@@ -331,7 +331,7 @@ class Scheduler:
         touched = sort_keys(keys)
         for kind in (RUN, BEGUN):
             for name in touched.named.get(kind, ()):
-                cell = _cell_of(state, name)
+                cell = _find_cell(state, name)
                 if cell is not None:
                     self._cells[name] = cell
         left = [self._cells.get(name) for name in touched.named.get(OVER, ())]
@@ -351,22 +351,22 @@ class Scheduler:
         self.sleepers.wake(name)
         if who not in self.room:
             return None
-        run = self.room.anybody(state, who)
+        run = self.room.find_any_run(state, who)
         if run is None:
             return None
-        kind = self.room.kind(who)
+        kind = self.room.find_kind(who)
         waits = seen.get(kind)
         if waits is None:
-            waits = seen[kind] = self._waits_at_start(state, run, now)
+            waits = seen[kind] = self._list_waits_at_start(state, run, now)
         for wait in waits:
             self.sleepers.sleep(name, wait)
         first = self.admission.find_first(state, who, now) if not waits else None
         return Spot(first, 0, who) if first is not None else None
 
-    def _waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
+    def _list_waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
         """What each first step of a run has to wait for; nothing if one of them is possible."""
         waits: list[Wait] = []
-        for option in options(run):
+        for option in list_options(run):
             for step in state.runs.plans[option.plan].starts:
                 self.evaluations += 1
                 found = examine(state, option, step, now)
@@ -407,13 +407,13 @@ class Scheduler:
 
     def _list_plans(self, state: LabState, cell: str) -> Iterator[Plan]:
         """Plans of those who are in a workcell, and of some who wait for it: one of each bundle."""
-        yield from map(state.runs.plan_of, state.runs.inside(cell))
+        yield from map(state.runs.plan_of, state.runs.list_inside(cell))
         yield from self._list_plans_outside(state, cell)
 
     def _list_plans_outside(self, state: LabState, cell: str) -> Iterator[Plan]:
         """Plans of some who wait for a workcell: one of each bundle."""
-        for bundle in self.room.within(cell)[:MOST_BUNDLES]:
-            run = self.room.anybody(state, bundle)
+        for bundle in self.room.list_in_cell(cell)[:MOST_BUNDLES]:
+            run = self.room.find_any_run(state, bundle)
             if run is not None:
                 yield state.runs.plan_of(run)
 
@@ -450,20 +450,20 @@ def _cells(state: LabState) -> dict[str, str]:
     what is in none."""
     runs = state.runs
     names = [*runs.active, *runs.queued, *state.experiments.open, *state.interventions.open]
-    found = ((name, _cell_of(state, name)) for name in names)
+    found = ((name, _find_cell(state, name)) for name in names)
     return {name: cell for name, cell in found if cell is not None}
 
 
-def _cell_of(state: LabState, name: str) -> str | None:
+def _find_cell(state: LabState, name: str) -> str | None:
     """The workcell of a run, an experiment or a question; empty if it is in none, None if it is over, or
     nobody can tell."""
     question = state.interventions.open.get(InterventionId(name))
     if question is not None:
         about = question.module or (question.subject if "/" in question.subject else "")
-        return workcell_of(ModuleName(about)) or cell_of_run(state, question.run) or None
+        return workcell_of(ModuleName(about)) or find_cell_of_run(state, question.run) or None
     if ExperimentId(name) in state.experiments.open:
-        return cell_of_closing(state, name)
-    return cell_of_run(state, name) or None
+        return find_cell_of_closing(state, name)
+    return find_cell_of_run(state, name) or None
 
 
 __all__ = ["Scheduler", "StepStart", "list_ready_steps", "make_searching_scheduler"]

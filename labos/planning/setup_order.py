@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.ids import ModuleName
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import PENDING, RunState
 from labos.core.setups import Setup
 from labos.core.state import LabState
-from labos.planning.forecast import setup_ns
+from labos.planning.forecast import find_setup_ns
 
 
 class SetupOrder:
@@ -29,7 +29,7 @@ class SetupOrder:
         (ns of wall time). The least goes first."""
         plan = state.runs.plan_of(run)
         if step is not None:
-            return setup_ns(state, plan.steps[step])
+            return find_setup_ns(state, plan.steps[step])
         setups = self._setups.get(plan.workcell)
         if setups is None:
             setups = self._setups[plan.workcell] = _list_setups(state, plan.workcell)
@@ -49,8 +49,8 @@ def _count(state: LabState, run: RunState, setups: dict[ModuleName, tuple[Setup,
             setup, value = setups[step.module]
             if setup.argument in step.args:
                 seen.add(step.module)
-                total += setup.cost_s(value, step.args)
-    return lab_ns(state, total)
+                total += setup.compute_cost_s(value, step.args)
+    return convert_lab_s(state, total)
 
 
 def _list_setups(state: LabState, cell: str) -> dict[ModuleName, tuple[Setup, Any]]:
@@ -61,7 +61,7 @@ def _list_setups(state: LabState, cell: str) -> dict[ModuleName, tuple[Setup, An
         module = state.modules.by_name[name]
         if module.spec.setup is not None:
             found[name] = module.spec.setup, module.set_up_for
-    for run in state.runs.inside(cell) if found else ():
+    for run in state.runs.list_inside(cell) if found else ():
         for step, known in zip(state.runs.plan_of(run).steps, run.steps, strict=True):
             if step.module in found and known.status is PENDING:
                 setup, value = found[step.module]

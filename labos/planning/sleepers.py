@@ -21,7 +21,7 @@ class Sleepers:
         self._by_key: dict[str, dict[Name, bool]] = {}
         self._alarms: Alarms[Name] = Alarms()
 
-    def among(self, names: Mapping[RunId, bool]) -> list[str]:
+    def list_among(self, names: Mapping[RunId, bool]) -> list[str]:
         """Those of these runs that have a waiting step, sorted. The time it takes follows the smaller of the
         two numbers: these runs, or waiting ones."""
         return sorted(self._waits.keys() & names.keys())
@@ -61,19 +61,19 @@ class Sleepers:
         """Who waits for a key. Not to be changed, nor kept."""
         return self._by_key.get(key, {})
 
-    def due(self, now: int) -> list[Name]:
+    def list_due(self, now: int) -> list[Name]:
         """Who waits for a time that has come (UTC ns)."""
-        return self._alarms.due(now)
+        return self._alarms.list_due(now)
 
-    def first(self) -> int | None:
+    def find_first(self) -> int | None:
         """The earliest time that somebody waits for (UTC ns)."""
-        return self._alarms.first()
+        return self._alarms.find_first()
 
-    def waits_of(self, who: str) -> dict[int, list[Wait]]:
+    def find_waits(self, who: str) -> dict[int, list[Wait]]:
         """What each step of a run waits for."""
         return self._waits.get(who, {})
 
-    def every(self) -> Iterator[tuple[str, Wait]]:
+    def list_all(self) -> Iterator[tuple[str, Wait]]:
         """Who waits, and for what: one wait for each step, the one that was found last."""
         for who, steps in self._waits.items():
             for waits in steps.values():

@@ -10,19 +10,19 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from labos.core import reasons
-from labos.core.bench import Labware, variable_of
+from labos.core.bench import Labware, find_variable
 from labos.core.binding import check_module, find_unfit_labware, find_unreserved, find_usable, is_same
 from labos.core.booked import find_begun_booking
-from labos.core.effects import Carrying, Needs, Requires, Sets, places
+from labos.core.effects import Carrying, Needs, Requires, Sets, list_places
 from labos.core.ids import LabwareId, ModuleName, Owner, StationName, run_owner
 from labos.core.model import MAIN, PlanStep
 from labos.core.rules import check_starts_allowed, find_approval_wait
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, statuses_of
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.topics import FailedStep
 from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
 from labos.core.watching import find_unwatched
-from labos.core.zones import find_barred_zones, zones_of
+from labos.core.zones import find_barred_zones, find_zones
 
 
 def find_block(state: LabState, run: RunState) -> Wait | None:
@@ -39,7 +39,7 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
         return Wait(reasons.Outcome(key), (run_key(run.id),))
     for _, wait in find_questions(state, run):
         return wait
-    states = statuses_of(state.runs.plan_of(run), run)
+    states = list_statuses(state.runs.plan_of(run), run)
     left = [step for step, status in zip(steps, states, strict=True) if status not in SETTLED]
     return (
         _check_halted(state, run, left)
@@ -96,7 +96,7 @@ def _check_stopped_devices(state: LabState, run: RunState, left: Sequence[PlanSt
     action."""
     for name in state.modules.in_cell.get(state.runs.plan_of(run).workcell, ()):
         module = state.modules.by_name[name]
-        if module.cut_off and any(reaches_into(state, name, places(s.effects)) for s in left):
+        if module.cut_off and any(reaches_into(state, name, list_places(s.effects)) for s in left):
             return check_module(module)
     return None
 
@@ -112,7 +112,7 @@ def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
     zones = find_barred_zones(state, state.runs.plan_of(run).workcell)
     for step in left if zones else ():
         if step.exclusive and not step.recovers:
-            for zone in zones_of(state, step.module, step.effects):
+            for zone in find_zones(state, step.module, step.effects):
                 other = zones.get(zone, step.module)
                 if other != step.module:
                     return Wait(reasons.ZoneBarred(other, zone), (zone_key(zone), module_key(other)))
@@ -122,7 +122,7 @@ def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
 def _check_supplies(state: LabState, run: RunState) -> Wait | None:
     """The wait for a resource, if less is left than one of the run's steps needs."""
     used = state.runs.plans[run.plan].uses_up
-    states = statuses_of(state.runs.plan_of(run), run) if used else ()
+    states = list_statuses(state.runs.plan_of(run), run) if used else ()
     for index, module, resource, amount in used:
         if states[index] in (*SETTLED, IN_FLIGHT):
             continue
@@ -216,7 +216,7 @@ class _LabwareAhead:
         if (
             item is None
             or (item.id, variable) in self._changed
-            or is_same(variable_of(item, variable), wanted)
+            or is_same(find_variable(item, variable), wanted)
         ):
             return None
         return Wait(reasons.Unfit(item.id, variable, str(wanted)), (station_key(item.station),))

@@ -26,7 +26,7 @@ from labos.core.effects import list_carried
 from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
 from labos.core.recurrence import in_zone
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
@@ -72,7 +72,7 @@ class Adviser:
 
     def start_of(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
         """When a step (of a run that waits: its first one) should start; ``LAST`` if nothing is suggested."""
-        advice = self._advice(state, state.runs.plan_of(run).workcell, now)
+        advice = self._find_advice(state, state.runs.plan_of(run).workcell, now)
         if advice is None:
             return LAST
         if step is not None:
@@ -93,13 +93,13 @@ class Adviser:
 
     def find_next(self, state: LabState, run: RunState, now: int) -> RunState:
         """Who should be let in of those who wait in line with this run, the first of them."""
-        advice = self._advice(state, state.runs.plan_of(run).workcell, now)
-        key = queue_key(state.runs.shape_of(run), run)
+        advice = self._find_advice(state, state.runs.plan_of(run).workcell, now)
+        key = queue_key(state.runs.find_shape(run), run)
         for one in advice.lines.get(key, ()) if advice is not None else ():
             other = state.runs.queued.get(one.run)
             if (
                 other is not None
-                and queue_key(state.runs.shape_of(other), other) == key
+                and queue_key(state.runs.find_shape(other), other) == key
                 and not find_holds(other)
             ):
                 return other
@@ -108,7 +108,7 @@ class Adviser:
     def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         """The wait of a start for steps that were suggested to go first; None if it may go ahead."""
         plan = state.runs.plan_of(run)
-        advice = self._advice(state, plan.workcell, now)
+        advice = self._find_advice(state, plan.workcell, now)
         if advice is None or plan.steps[step].part != MAIN or not _is_moving(state, plan.workcell):
             return None
         if run.has_started and run.status != RunStatus.ACTIVE:
@@ -130,7 +130,7 @@ class Adviser:
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= mine:
                     break
-                until = min(one.start + lab_ns(state, GRACE_S), advice.order.until)
+                until = min(one.start + convert_lab_s(state, GRACE_S), advice.order.until)
                 if one.run == run.id or until < now:
                     continue
                 other = state.runs.get(one.run)
@@ -142,7 +142,7 @@ class Adviser:
                     continue
                 if self._has_waited_enough(state, run, step, now):
                     return None
-                enough = self._since[run.id, step] + lab_ns(state, MOST_S)
+                enough = self._since[run.id, step] + convert_lab_s(state, MOST_S)
                 why = reasons.SoonerAfter if is_own else reasons.AfterSuggested
                 again, until = self.own.goes_on_at(plan.workcell), min(until, enough) + 1
                 return Wait(
@@ -154,7 +154,7 @@ class Adviser:
 
     def _has_waited_enough(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step has waited for so long that no order counts for it any more."""
-        return self._since.setdefault((run.id, step), now) + lab_ns(state, MOST_S) < now
+        return self._since.setdefault((run.id, step), now) + convert_lab_s(state, MOST_S) < now
 
     def has_order(self, state: LabState, cell: str) -> bool:
         """Whether there is an order for a workcell."""
@@ -167,7 +167,7 @@ class Adviser:
     def _find_order(self, state: LabState, cell: str) -> OrderSuggested | None:
         return find_order(state, self._windowed, cell) or self.own.find(cell)
 
-    def _advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
+    def _find_advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
         order = self._find_order(state, cell)
         if order is None or order.until <= now:
             return None
@@ -222,7 +222,7 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:
         advice.starts[one.run, one.step] = one.start
         advice.least = min(advice.least, run.priority)
         if not run.has_started and one.step in state.runs.plans[run.plan].starts:
-            advice.lines.setdefault(queue_key(state.runs.shape_of(run), run), []).append(one)
+            advice.lines.setdefault(queue_key(state.runs.find_shape(run), run), []).append(one)
         for resource in _list_resources(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)
     return advice
@@ -236,4 +236,4 @@ def _list_resources(state: LabState, step: PlanStep) -> list[str]:
 
 
 def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))

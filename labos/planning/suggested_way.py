@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Floor
 from labos.planning.orders import list_next_steps
-from labos.planning.witness import Trail, Witness, copy, fresh, greedy, in_order, take_step
+from labos.planning.witness import Trail, Witness, copy, copy_actor, finish_one_by_one, list_order, take_step
 
 
 def follow_order(
@@ -23,7 +23,7 @@ def follow_order(
     order = state.suggestions.orders.get(cell)
     if order is None or not order.steps:
         return None
-    here = {actor.name: fresh(actor) for actor in actors if not actor.stuck}
+    here = {actor.name: copy_actor(actor) for actor in actors if not actor.stuck}
     if not wanted <= here.keys():
         return None
     ground = copy(floor)
@@ -35,5 +35,7 @@ def follow_order(
             continue  # it waits outside, or the step is over, or moves nothing
         if one.step not in list_next_steps(actor) or not take_step(ground, actor, one.step, trail):
             return None
-    waiting = greedy(ground, [actor for actor in here.values() if actor.done < actor.length], trail)
-    return None if any(actor.name in wanted for actor in waiting) else tuple(in_order(trail))
+    waiting = finish_one_by_one(
+        ground, [actor for actor in here.values() if actor.done < actor.length], trail
+    )
+    return None if any(actor.name in wanted for actor in waiting) else tuple(list_order(trail))

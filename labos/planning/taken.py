@@ -6,7 +6,7 @@ from labos.core.effects import list_carried
 from labos.core.model import PlanStep
 from labos.core.state import LabState
 from labos.core.waits import module_key, station_key, zone_key
-from labos.core.zones import zones_of
+from labos.core.zones import find_zones
 
 
 def list_taken(state: LabState, step: PlanStep) -> list[str]:
@@ -15,7 +15,7 @@ def list_taken(state: LabState, step: PlanStep) -> list[str]:
     found: dict[str, bool] = {}
     if step.exclusive:
         found[module_key(step.module)] = True
-        found.update(dict.fromkeys(map(zone_key, zones_of(state, step.module, step.effects)), True))
+        found.update(dict.fromkeys(map(zone_key, find_zones(state, step.module, step.effects)), True))
     for what in list_carried(step.effects):
         if what.via:
             found[station_key(what.via)] = True

@@ -16,7 +16,7 @@ from labos.core.effects import Consumes, list_carried
 from labos.core.ids import ModuleName, StationName
 from labos.core.lengths import Lengths
 from labos.core.model import MAIN, Plan, PlanStep, Workcell
-from labos.core.zones import zones_reached
+from labos.core.zones import find_zones_reached
 
 
 class Slot(msgspec.Struct, frozen=True):
@@ -52,13 +52,15 @@ def make_timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
         index = min(ready, key=lambda i: (_start(plan.steps[i], slots, free, needs[i])[0], i))
         step = plan.steps[index]
         start_s, held_by = _start(step, slots, free, needs[index])
-        slots[index] = Slot(start_s, start_s + step.duration_s, held_by, _late_s(step, start_s, slots))
+        slots[index] = Slot(
+            start_s, start_s + step.duration_s, held_by, _measure_lateness_s(step, start_s, slots)
+        )
         free.update(dict.fromkeys(needs[index], index))
         busy[step.module] = busy.get(step.module, 0.0) + step.duration_s
         waiting.discard(index)
     ordered = tuple(slots.get(index, Slot(0.0, 0.0)) for index in range(len(plan.steps)))
     total_s = max((slot.end_s for slot in ordered), default=0.0)
-    return Timetable(ordered, _critical(ordered, total_s), total_s, busy)
+    return Timetable(ordered, _find_critical_steps(ordered, total_s), total_s, busy)
 
 
 def with_learned(plan: Plan, lengths: Lengths, pace: float) -> Plan:
@@ -86,7 +88,7 @@ def find_setups(plan: Plan, workcell: Workcell, order: Sequence[int]) -> dict[in
         step = plan.steps[index]
         setup = setups.get(step.module)
         if setup is not None and setup.argument in step.args:
-            cost_s = setup.cost_s(values.get(step.module), step.args)
+            cost_s = setup.compute_cost_s(values.get(step.module), step.args)
             values[step.module] = step.args[setup.argument]
             if cost_s:
                 found[index] = cost_s
@@ -107,7 +109,7 @@ def with_setups(plan: Plan, setups: Mapping[int, float]) -> Plan:
 def sum_consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
     """How much the plan uses up if nothing of it fails, by module and resource."""
     used: dict[tuple[ModuleName, str], float] = {}
-    for step in _usual(plan):
+    for step in _list_usual_steps(plan):
         for effect in step.effects:
             if isinstance(effect, Consumes):
                 key = (step.module, effect.resource)
@@ -118,25 +120,25 @@ def sum_consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
 def count_taken(plan: Plan) -> dict[StationName, int]:
     """How many pieces of labware the plan takes from each stack."""
     pieces: dict[StationName, int] = {}
-    for step in _usual(plan):
+    for step in _list_usual_steps(plan):
         for what in list_carried(step.effects):
             if what.stock:
                 pieces[what.stock] = pieces.get(what.stock, 0) + 1
     return pieces
 
 
-def _usual(plan: Plan) -> list[PlanStep]:
+def _list_usual_steps(plan: Plan) -> list[PlanStep]:
     return [step for step in plan.steps if step.part == MAIN]
 
 
-def _anchors(step: PlanStep) -> list[tuple[int, float, float | None]]:
+def _list_anchors(step: PlanStep) -> list[tuple[int, float, float | None]]:
     """The step's windows within the plan: step, least and greatest time after its end."""
     return [(w.anchor, w.wait_s, w.within_s) for w in step.windows if w.anchor is not None]
 
 
 def find_before(step: PlanStep) -> set[int]:
     """The steps of the run that have to be done before a step."""
-    return {*step.after, *(anchor for anchor, _, _ in _anchors(step))}
+    return {*step.after, *(anchor for anchor, _, _ in _list_anchors(step))}
 
 
 def find_occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
@@ -147,7 +149,7 @@ def find_occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
         return (step.module,)
     own = next((module.zone for module in workcell.modules if module.name == step.module), "")
     zones = {station.name: station.zone for station in workcell.stations if station.zone}
-    return (step.module, *zones_reached(own, step.effects, lambda place: zones.get(place, "")))
+    return (step.module, *find_zones_reached(own, step.effects, lambda place: zones.get(place, "")))
 
 
 def _start(
@@ -155,21 +157,21 @@ def _start(
 ) -> tuple[float, int | None]:
     """When the step can start, and the step that decides it."""
     holds = [(slots[index].end_s, index) for index in step.after]
-    holds += [(slots[anchor].end_s + wait_s, anchor) for anchor, wait_s, _ in _anchors(step)]
+    holds += [(slots[anchor].end_s + wait_s, anchor) for anchor, wait_s, _ in _list_anchors(step)]
     holds += [(slots[free[name]].end_s, free[name]) for name in needs if name in free]
     return max(holds, default=(0.0, None))
 
 
-def _late_s(step: PlanStep, start_s: float, slots: dict[int, Slot]) -> float:
+def _measure_lateness_s(step: PlanStep, start_s: float, slots: dict[int, Slot]) -> float:
     misses = [
         start_s - slots[anchor].end_s - within_s
-        for anchor, _, within_s in _anchors(step)
+        for anchor, _, within_s in _list_anchors(step)
         if within_s is not None
     ]
     return max([0.0, *misses])
 
 
-def _critical(slots: tuple[Slot, ...], total_s: float) -> tuple[int, ...]:
+def _find_critical_steps(slots: tuple[Slot, ...], total_s: float) -> tuple[int, ...]:
     """The steps that decide the end, from the first to the last."""
     path: list[int] = []
     index = next((index for index, slot in enumerate(slots) if slot.end_s == total_s), None)

@@ -76,7 +76,7 @@ from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexp
 from labos.core.suggestions import OrderSuggested
 from labos.core.users import GroupRemoved, MemberAdded, MemberRemoved
 from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
-from labos.core.zones import zones_of
+from labos.core.zones import find_zones
 
 EVERYTHING = "*"
 """The key of rare events after which every wait is looked at again."""
@@ -167,7 +167,7 @@ def window_key(run: RunId) -> str:
 
 def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
     """The keys that an event touches; called after it was folded."""
-    cell = _cell_of(state, event)
+    cell = _find_cell(state, event)
     keys = _find_touched_keys(state, event, every_wait_key(cell) if cell else EVERYTHING)
     if isinstance(event, ActionEvent) and keys:
         keys = (*keys, due_key(event.action))
@@ -180,7 +180,7 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
     return (*keys, near_key(cell)) if stays else (*keys, near_key(cell), labware_key(cell))
 
 
-def _cell_of(state: LabState, event: Event) -> str:
+def _find_cell(state: LabState, event: Event) -> str:
     """The workcell in which an event happens; empty if it cannot be told."""
     if isinstance(event, WorkcellApplied | StationsApplied):
         return event.name
@@ -193,14 +193,14 @@ def _cell_of(state: LabState, event: Event) -> str:
         places = (labware.station, *labware.maybe)
         if any(places):
             return workcell_of(next(filter(None, places)))
-    return cell_of_run(state, getattr(event, "run", ""))
+    return find_cell_of_run(state, getattr(event, "run", ""))
 
 
 _PLACES = ("module", "station", "source", "where", "stack")
 """Fields of events that name a module or a station."""
 
 
-def cell_of_run(state: LabState, run: str) -> str:
+def find_cell_of_run(state: LabState, run: str) -> str:
     """The workcell of a run that has not ended; empty if there is none."""
     known = state.runs.get(run)
     return state.runs.plan_of(known).workcell if known is not None else ""
@@ -223,7 +223,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
     match event:
         case ActionRequested():
             # Safety counts what is in flight as done: others may be safe from now on.
-            return (cell_key(workcell_of(event.module)), *_window(state, event.run))
+            return (cell_key(workcell_of(event.module)), *_list_window_keys(state, event.run))
         case LevelSet() | ResourceReplenished():
             # Who could not go on is in nobody's way any more.
             return (module_key(event.module), cell_key(workcell_of(event.module)))
@@ -236,13 +236,13 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
                 *_let_go(state, event),
                 *_list_left_zones(state, event),
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
-                *_window(state, event.run),
+                *_list_window_keys(state, event.run),
             )
         case LabwareMoved():
-            return (*_station(state, event.source), *_station(state, event.target))
+            return (*_list_station_keys(state, event.source), *_list_station_keys(state, event.target))
         case LabwarePlaced():
             return (
-                *_station(state, event.station),
+                *_list_station_keys(state, event.station),
                 station_key(event.stack),
                 cell_key(workcell_of(event.station)),
             )
@@ -253,9 +253,9 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case LabwareChanged() | LabwareHandedOver():
             labware = state.bench.labware.get(event.labware)
             place = labware.station if labware is not None else StationName("")
-            return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
+            return (*_list_station_keys(state, place), cell_key(workcell_of(place))) if place else ()
         case StationDeclared() | WasteEmptied() | StationLoaded() | StationUnloaded() | StationObserved():
-            return (*_station(state, event.station), cell_key(workcell_of(event.station)))
+            return (*_list_station_keys(state, event.station), cell_key(workcell_of(event.station)))
         case RunBound():
             # Of one that was let in, its way is another one now.
             return (everything, run_key(event.run)) if event.why else ()
@@ -279,7 +279,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case ExperimentStarted():
             return (started_key(event.experiment),)
         case RunCancelling() | WindowBreached():
-            return _window(state, event.run)
+            return _list_window_keys(state, event.run)
         case (
             ActionFailed()
             | ActionRejected()
@@ -301,7 +301,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case AccessRequested() | AccessGranted() | AccessEnded():
             return (*list_cell_keys(event.name), access_key(event.name))
         case ApprovalGiven():
-            cell = cell_of_run(state, event.subject)  # others may be safe or not with it
+            cell = find_cell_of_run(state, event.subject)  # others may be safe or not with it
             return (every_wait_key(cell), run_key(RunId(event.subject))) if cell else ()
         case RunPaused() | RunResumed() | RunApproved():
             return (everything, run_key(event.run))
@@ -341,11 +341,13 @@ def _list_experiment_keys(state: LabState, name: ExperimentId) -> tuple[str, ...
     known = state.experiments.open.get(name)
     if known is None:
         return (EVERYTHING,)
-    cells = dict.fromkeys([cell_of_closing(state, name), *(cell_of_run(state, run) for run in known.runs)])
+    cells = dict.fromkeys(
+        [find_cell_of_closing(state, name), *(find_cell_of_run(state, run) for run in known.runs)]
+    )
     return tuple(key for cell in cells if cell for key in list_cell_keys(cell))
 
 
-def cell_of_closing(state: LabState, experiment: str) -> str:
+def find_cell_of_closing(state: LabState, experiment: str) -> str:
     """The workcell in which an experiment closes; empty if it has no closing workflow."""
     known = state.experiments.open.get(ExperimentId(experiment))
     return state.runs.plans[known.closing].plan.workcell if known is not None and known.closing else ""
@@ -365,14 +367,14 @@ def _list_left_zones(state: LabState, event: ActionSucceeded) -> tuple[str, ...]
     if run is None:
         return ()
     effects = state.runs.plan_of(run).steps[event.step].effects
-    return tuple(map(zone_key, zones_of(state, event.module, effects)))
+    return tuple(map(zone_key, find_zones(state, event.module, effects)))
 
 
-def _window(state: LabState, run: RunId) -> tuple[str, ...]:
+def _list_window_keys(state: LabState, run: RunId) -> tuple[str, ...]:
     return (window_key(run),) if run in state.runs.windowed else ()
 
 
-def _station(state: LabState, name: StationName) -> tuple[str, ...]:
+def _list_station_keys(state: LabState, name: StationName) -> tuple[str, ...]:
     """A station, its hotel and its module: what leaves one station may free its module's others."""
     if not name:
         return ()

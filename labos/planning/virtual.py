@@ -30,7 +30,7 @@ from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModuleStatus
 from labos.core.quotas import explain_full_queue
 from labos.core.registry import Event
-from labos.core.rules import ends_by
+from labos.core.rules import find_end_by
 from labos.core.runs import (
     RunBound,
     RunCancelled,
@@ -38,15 +38,15 @@ from labos.core.runs import (
     RunFailed,
     RunStarted,
     RunState,
+    find_chosen_modules,
     let_wait_anew,
-    modules_chosen,
 )
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
 from labos.core.topics import PlannedWork
 from labos.core.users import LABOS
 from labos.core.waits import Wait
-from labos.planning.forecast import setup_under_way
+from labos.planning.forecast import find_setup_under_way
 from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler
 from labos.planning.sleepers import Name, Sleepers
@@ -210,7 +210,7 @@ class VirtualLab:
         """Carry on until nothing moves any more, or for so many steps."""
         self._start_and_feed()
         while not self.play.cut:
-            at = self._next()
+            at = self._find_next_time()
             if at is None:
                 break
             self.now = max(self.now, at)
@@ -225,13 +225,13 @@ class VirtualLab:
         self.play.levels = {name: level.level for name, level in self.state.resources.levels.items()}
         return self.play
 
-    def _next(self) -> int | None:
+    def _find_next_time(self) -> int | None:
         """When something ends or is due; None if nothing is in sight that lets a run go on."""
         if self._flying:
             self._alarms = 0
         elif not (self.state.runs.active or self.state.runs.queued) or self._alarms >= MOST_ALARMS:
             return None
-        alarm = self._scheduler.next_deadline(self.state)
+        alarm = self._scheduler.find_next_deadline(self.state)
         times = [self._flying[0][0]] if self._flying else []
         if alarm is not None and not (times and alarm <= self.now):
             self._alarms += 1
@@ -251,9 +251,9 @@ class VirtualLab:
             keys, self._keys = self._keys, set()
             before = self.state.position
             self._scheduler.note_changes(self.state, keys)
-            for command in self._scheduler.due(self.state, self.now):
+            for command in self._scheduler.iterate_due(self.state, self.now):
                 self._ask(command)
-            for start in self._scheduler.proposals(self.state, self.now):
+            for start in self._scheduler.iterate_proposals(self.state, self.now):
                 self._ask(start.make_command(self._name_action, self.now))
                 for run, step in ((start.run, start.step), *start.others):
                     self.play.steps += 1
@@ -314,12 +314,12 @@ class VirtualLab:
         if run is None or action.status == ActionStatus.UNKNOWN or module.status == ModuleStatus.GONE:
             return
         step = self.state.runs.plan_of(run).steps[action.step]
-        end = action.requested_at + self._lasts(action, step) + setup_under_way(self.state, action)
+        end = action.requested_at + self._lasts(action, step) + find_setup_under_way(self.state, action)
         if action.together:  # its device ends them all at once: with the first of them
             end = self._ends.setdefault(action.together[0], end)
         if end <= self.now:
             end = self.now + int(OVERDUE * (self.now - action.requested_at)) + 1
-        limit = ends_by(self.state, action)
+        limit = find_end_by(self.state, action)
         self._count += 1
         heapq.heappush(self._flying, (end if limit is None else min(end, limit - 1), self._count, action.id))
 
@@ -349,7 +349,7 @@ class VirtualLab:
             self.play.experiments[run.id] = run.experiment
         if run.has_started:
             self.play.starts[run.id] = run.started_at
-            chosen = modules_chosen(self.state.runs, run)
+            chosen = find_chosen_modules(self.state.runs, run)
             if chosen:
                 self.play.modules[run.id] = {key: local(name) for key, name in chosen.items()}
 
@@ -365,7 +365,7 @@ class VirtualLab:
             self._touch(ForeseenTouch(self.now, wait.reason.sentence, wait.reason.remedy, run))
 
     def _describe_wait(self, run: RunState) -> str:
-        waits = [wait for _, wait in self._scheduler.waits(self.state, run, self.now)]
+        waits = [wait for _, wait in self._scheduler.list_waits(self.state, run, self.now)]
         found = next((wait for wait in waits if wait.blocked), None) or next(iter(waits), None)
         if found is None:
             return "nobody can say how its action ended"
@@ -389,10 +389,10 @@ def strip_results(plan: Plan) -> Plan:
     what they should."""
     if not plan.feeds and not any(step.when or step.expect for step in plan.steps):
         return plan
-    return msgspec.structs.replace(plan, feeds=(), steps=tuple(map(_without_results, plan.steps)))
+    return msgspec.structs.replace(plan, feeds=(), steps=tuple(map(_drop_results, plan.steps)))
 
 
-def _without_results(step: PlanStep) -> PlanStep:
+def _drop_results(step: PlanStep) -> PlanStep:
     args: dict[str, Any] = {
         name: None if isinstance(value, dict) and "$result" in value else value
         for name, value in step.args.items()

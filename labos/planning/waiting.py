@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Bench, Labware
-from labos.core.effects import Carrying, Needs, places
+from labos.core.effects import Carrying, Needs, list_places
 from labos.core.ids import (
     ExperimentId,
     ModuleName,
@@ -29,9 +29,9 @@ from labos.core.ids import (
 )
 from labos.core.model import Plan
 from labos.core.plans import PlanState
-from labos.core.runs import RunState, clocks_of, find_holds, options, queue_key
+from labos.core.runs import RunState, find_holds, list_clocks, list_options, queue_key
 from labos.core.state import LabState
-from labos.planning.layout import destination, labware_in
+from labos.planning.layout import find_destination, list_labware_in
 
 PATIENCE = 8
 """After so many younger runs were let in before it, the oldest run of a bundle is protected: no
@@ -93,7 +93,7 @@ class WaitingRoom:
         """The bench of a workcell is another than it was: begin anew with everybody who waits there."""
         self._interests.clear()
         self._see(state, cell)
-        for bundle in self.within(cell):
+        for bundle in self.list_in_cell(cell):
             for group in list(self._classes[bundle]):
                 self._leave(group)
                 if group in state.runs.queue:
@@ -101,13 +101,13 @@ class WaitingRoom:
 
     def note(self, state: LabState, run: RunState) -> str:
         """Somebody waits: the bundle, if it is one that nobody has looked at yet, else empty."""
-        group = queue_key(state.runs.shape_of(run), run)
+        group = queue_key(state.runs.find_shape(run), run)
         if group in self._bundle_of:
             return ""
         bundle = self._enter(state, group)
         return bundle if len(self._classes[bundle]) == 1 else ""
 
-    def cell_of(self, bundle: str) -> str:
+    def find_cell(self, bundle: str) -> str:
         """The workcell in which a bundle waits; empty for one that is gone."""
         return self._cell_of.get(bundle, "")
 
@@ -136,7 +136,7 @@ class WaitingRoom:
 
     def _see(self, state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
         """Note whose labware stands in a workcell."""
-        present = _present(state, cell)
+        present = _find_present(state, cell)
         self._somewhere.subtract(self._present.get(cell, {}).keys())
         self._somewhere.update(present.keys())
         self._present[cell] = present
@@ -150,29 +150,29 @@ class WaitingRoom:
         gone, self._gone = self._gone, []
         return [bundle for bundle in gone if bundle not in self._classes]
 
-    def within(self, cell: str) -> list[str]:
+    def list_in_cell(self, cell: str) -> list[str]:
         """The bundles of a workcell."""
         return list(self._in_cell.get(cell, ()))
 
     def __contains__(self, bundle: str) -> bool:
         return bundle in self._classes
 
-    def kind(self, bundle: str) -> Kind:
+    def find_kind(self, bundle: str) -> Kind:
         """What decides whether the first steps of a bundle's runs are possible: bundles of one kind
         have the same answer as long as nothing happens."""
         return self._kinds[bundle]
 
     # -- who is next -------------------------------------------------------------------------
 
-    def anybody(self, state: LabState, bundle: str) -> RunState | None:
+    def find_any_run(self, state: LabState, bundle: str) -> RunState | None:
         """Some run of a bundle: what one of them waits for, all of them wait for."""
         for group in list(self._classes.get(bundle, ())):
             if group in state.runs.queue:
-                return head_of(state, group)
+                return find_head(state, group)
             self._leave(group)
         return None
 
-    def heads(self, state: LabState, bundle: str) -> list[RunState]:
+    def list_heads(self, state: LabState, bundle: str) -> list[RunState]:
         """The oldest run of each class of a bundle."""
         queue, queued = state.runs.queue, state.runs.queued
         groups = self._classes.get(bundle, {})
@@ -182,20 +182,20 @@ class WaitingRoom:
                 self._leave(group)
         return heads
 
-    def first(self, state: LabState, bundle: str, turn: Callable[[RunState], Turn]) -> RunState | None:
+    def find_first(self, state: LabState, bundle: str, turn: Callable[[RunState], Turn]) -> RunState | None:
         """Whose turn it is in a bundle."""
-        return min(self.heads(state, bundle), key=turn, default=None)
+        return min(self.list_heads(state, bundle), key=turn, default=None)
 
-    def oldest(self, state: LabState, bundle: str) -> RunState | None:
+    def find_oldest(self, state: LabState, bundle: str) -> RunState | None:
         """Who has waited longest in a bundle."""
         position, group = self._oldest.get(bundle, (0, ""))
         if group in state.runs.queue and self._bundle_of.get(group) == bundle:
-            head = head_of(state, group)
+            head = find_head(state, group)
             if head.position == position:
                 return head
-        oldest = min(self.heads(state, bundle), key=lambda run: run.position, default=None)
+        oldest = min(self.list_heads(state, bundle), key=lambda run: run.position, default=None)
         if oldest is not None:
-            group = queue_key(state.runs.shape_of(oldest), oldest)
+            group = queue_key(state.runs.find_shape(oldest), oldest)
             self._oldest[bundle] = (oldest.position, group)
         return oldest
 
@@ -207,11 +207,11 @@ class WaitingRoom:
         cell = state.runs.plan_of(run).workcell
         mine = {step.module for step in state.runs.plan_of(run).steps}
         self.forget(run.id, cell)
-        for bundle in self.within(cell):
-            elder = self.oldest(state, bundle)
+        for bundle in self.list_in_cell(cell):
+            elder = self.find_oldest(state, bundle)
             if elder is None or elder.position >= run.position:
                 continue
-            if not mine.isdisjoint(modules_of(state, elder)):
+            if not mine.isdisjoint(list_modules(state, elder)):
                 goes_first = urgent or run.priority > elder.priority
                 self.pass_over(state, elder, 1 / PRIORITY_WEIGHT if goes_first else 1)
 
@@ -243,14 +243,14 @@ class WaitingRoom:
     # -- inside ------------------------------------------------------------------------------
 
     def _enter(self, state: LabState, group: str) -> str:
-        run = head_of(state, group)
+        run = find_head(state, group)
         cell = state.runs.plan_of(run).workcell
         present = self._present.get(cell, {})
         user, experiment = user_owner(run.user), experiment_owner(run.experiment)
         owners = [user, experiment] if run.experiment else [user]
         home = state.experiments.open.get(run.experiment)
         closing = home.closing if home is not None else ""
-        shape, plans = state.runs.shape_of(run), [state.runs.plans[p] for p in run.choices or (run.plan,)]
+        shape, plans = state.runs.find_shape(run), [state.runs.plans[p] for p in run.choices or (run.plan,)]
         interest = frozenset[StationName]()
         for known in plans:
             interest |= self._list_stations(state, known.shape, known.plan)
@@ -260,20 +260,20 @@ class WaitingRoom:
         booked = _list_booked(state, run, cell) if state.bookings.open else ""
         if booked:
             stake.append(Owner(f"booked:{booked}"))
-        if state.shares.limits(run.user):
+        if state.shares.list_limits(run.user):
             stake.append(Owner(f"quota:{run.user}"))
         if run.experiment and not self._somewhere[experiment]:
             # Of experiments that have nothing on the bench only the way out differs.
             stake.append(Owner(f"closing:{closing}:{run.closing}"))
         elif run.experiment and experiment not in stake:
             stake.append(experiment)
-        clocks = clocks_of(run)
+        clocks = list_clocks(run)
         bundle = "\x1f".join((shape, str(run.priority), str(find_holds(run)), str(clocks), *stake))
         self._classes.setdefault(bundle, {})[group] = True
         self._cell_of[bundle] = cell
         self._in_cell.setdefault(cell, {})[bundle] = True
         self._oldest.pop(bundle, None)
-        self._kinds[bundle] = (*map(_starts, plans), find_holds(run), *clocks, *stake)
+        self._kinds[bundle] = (*map(_encode_starts, plans), find_holds(run), *clocks, *stake)
         self._bundle_of[group] = bundle
         for owner in owners:
             self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True
@@ -308,12 +308,12 @@ class WaitingRoom:
                 self._of_owner.pop(owner, None)
 
 
-def modules_of(state: LabState, run: RunState) -> set[ModuleName]:
+def list_modules(state: LabState, run: RunState) -> set[ModuleName]:
     """The modules that a run uses or, while it waits, may use."""
-    return {step.module for option in options(run) for step in state.runs.plan_of(option).steps}
+    return {step.module for option in list_options(run) for step in state.runs.plan_of(option).steps}
 
 
-def head_of(state: LabState, group: str) -> RunState:
+def find_head(state: LabState, group: str) -> RunState:
     """The oldest run of a waiting class."""
     return state.runs.queued[next(iter(state.runs.queue[group]))]
 
@@ -321,10 +321,10 @@ def head_of(state: LabState, group: str) -> RunState:
 def _list_booked(state: LabState, run: RunState, cell: str) -> str:
     """The bookings in a workcell that are for a run's user."""
     group = state.shares.group_of.get(run.user, "")
-    return ",".join(b.id for b in state.bookings.in_cell(cell) if b.is_for(run.user, group))
+    return ",".join(b.id for b in state.bookings.list_in_cell(cell) if b.is_for(run.user, group))
 
 
-def _starts(plan: PlanState) -> bytes:
+def _encode_starts(plan: PlanState) -> bytes:
     """What decides whether a run with this plan may start: its first steps, and what all steps use up."""
     steps = [plan.plan.steps[index] for index in plan.starts]
     first = [(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps]
@@ -337,7 +337,7 @@ def _list_stations(state: LabState, plan: Plan) -> frozenset[StationName]:
     claims: set[str] = set()
     for step in plan.steps:
         claims.add(step.module)
-        for place in places(step.effects):
+        for place in list_places(step.effects):
             claims.add(bench.stations[place].spec.claim)
             claims.add(bench.stations[place].spec.module)
         for effect in step.effects:
@@ -352,16 +352,16 @@ def _list_stations(state: LabState, plan: Plan) -> frozenset[StationName]:
     return frozenset(found)
 
 
-def _present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
+def _find_present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
     """Where users and experiments have labware in a workcell, or will have it; an experiment with a run
     inside is there too."""
     found: dict[Owner, set[StationName]] = {}
-    for item in labware_in(state, cell):
+    for item in list_labware_in(state, cell):
         if item.owner.startswith(("user:", "experiment:")):
             places = [p for p in _list_places(state.bench, item) if workcell_of(p) == cell]
             if places:
                 found.setdefault(item.owner, set()).update(places)
-    for run in state.runs.inside(cell):
+    for run in state.runs.list_inside(cell):
         if run.experiment:
             found.setdefault(experiment_owner(run.experiment), set())
     return {owner: frozenset(places) for owner, places in found.items()}
@@ -369,5 +369,9 @@ def _present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
 
 def _list_places(bench: Bench, item: Labware) -> list[StationName]:
     if not item.moving and not item.maybe:
-        return [bench.as_planned(item.station)]
-    return [bench.as_planned(item.station), destination(bench, item), *map(bench.as_planned, item.maybe)]
+        return [bench.find_planned_place(item.station)]
+    return [
+        bench.find_planned_place(item.station),
+        find_destination(bench, item),
+        *map(bench.find_planned_place, item.maybe),
+    ]

@@ -23,7 +23,7 @@ from labos.core.actions import Action, ActionStatus
 from labos.core.effects import Carrying, Consumes, Needs
 from labos.core.ids import RunId, run_owner
 from labos.core.model import MAIN, Plan
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_anchor, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
@@ -150,7 +150,7 @@ class WindowOrders:
         if cell in state.suggestions.orders:
             self.drop(cell)
             return False
-        inside = state.runs.inside(cell)
+        inside = state.runs.list_inside(cell)
         late = self._late.setdefault(cell, {})
         waiting = [run for run in waiting if run.id not in late][:MOST_WAITING]
         members = (tuple(run.id for run in inside), tuple(run.id for run in waiting))
@@ -345,7 +345,7 @@ def _lay_out(
     total = sum(lengths[run.id][step] for run, line, _ in lines for step in line.steps)
     total += sum(sum(line.least) for _, line, _ in lines)
     slot = _choose_slot(state, [t for each in lengths.values() for t in each.values()], total)
-    flying = {(a.run, a.step): a for a in state.actions.within(cell)}
+    flying = {(a.run, a.step): a for a in state.actions.list_in_cell(cell)}
     members: dict[RunId, PlannedRun] = {}
     for run, line, tasks in lines:
         member = _make_member(state, run, line, tasks, ways, lengths[run.id], slot, now, flying)
@@ -385,12 +385,12 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepCh
                 return None
             first = place[window.anchor] + 1
             between = sum(durations[i] for i in steps[first:number])
-            wait = max(0, lab_ns(state, window.wait_s) - between)
+            wait = max(0, convert_lab_s(state, window.wait_s) - between)
             if window.within_s is None:
                 least[number] = max(least[number], wait)
                 continue
             # All of the time that is left is waited at once, before the first of the steps in between.
-            limit = max(0, lab_ns(state, window.within_s) - between)
+            limit = max(0, convert_lab_s(state, window.within_s) - between)
             known = most[first]
             most[first] = limit if known is None else min(limit, known)
             least[first] = max(least[first], wait)
@@ -405,7 +405,7 @@ def _choose_slot(state: LabState, lengths: Iterable[int], total: int) -> int:
     if whole and total <= MOST_SLOTS * whole:
         return whole
     return next(
-        (slot for slot in (lab_ns(state, s) for s in SLOTS_S) if total <= MOST_SLOTS * slot),
+        (slot for slot in (convert_lab_s(state, s) for s in SLOTS_S) if total <= MOST_SLOTS * slot),
         max(1, total // MOST_SLOTS),
     )
 
@@ -514,11 +514,11 @@ def _since_clocks(
                 continue
             between = sum(durations[i] for i in line.steps[first:later])
             if window.within_s is not None:
-                left = max(0, ended + lab_ns(state, window.within_s) - between - end)
+                left = max(0, ended + convert_lab_s(state, window.within_s) - between - end)
                 most = left if most is None else min(most, left)
-                least = max(least, ended + lab_ns(state, window.wait_s) - between - end)
+                least = max(least, ended + convert_lab_s(state, window.wait_s) - between - end)
             elif later == first:
-                least = max(least, ended + lab_ns(state, window.wait_s) - end)
+                least = max(least, ended + convert_lab_s(state, window.wait_s) - end)
     return least, most
 
 
@@ -543,7 +543,7 @@ def _suggest(state: LabState, cell: str, layout: PlannedCell, fits: dict[RunId, 
             end, slot_end = start + find_usual_time(state, plan.steps[index]), at + leg.length
             last = max(last, end)
     steps.sort(key=lambda step: (step.start, step.run, step.step))
-    return OrderSuggested(cell, OWN_WINDOWS, last + lab_ns(state, 60.0), tuple(steps))
+    return OrderSuggested(cell, OWN_WINDOWS, last + convert_lab_s(state, 60.0), tuple(steps))
 
 
 def _is_on_time(state: LabState, order: OrderSuggested, now: int) -> bool:
@@ -552,7 +552,7 @@ def _is_on_time(state: LabState, order: OrderSuggested, now: int) -> bool:
 
 def _list_late(state: LabState, order: OrderSuggested, now: int) -> Iterable[RunId]:
     """The runs that should have started a step by now, and have not."""
-    latest = now - lab_ns(state, PUNCTUAL_S)
+    latest = now - convert_lab_s(state, PUNCTUAL_S)
     for one in order.steps:
         if one.start >= latest:
             return

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.planning.floor import Actor, Floor
-from labos.planning.forks import FORK, ActorEnds, finish, unfinish
+from labos.planning.forks import FORK, ActorEnds, finish, undo_finish
 from labos.planning.moves import Undo, may_move, move, take_back
 from labos.planning.orders import bring_forward, list_next_steps
 from labos.planning.paths import FORKED, Motion, MotionStep
@@ -24,7 +24,7 @@ Trail = list[tuple[Actor, Motion, Undo | ActorEnds | None]]
 """Motions carried out on a floor, in order; for taking them back."""
 
 
-def greedy(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
+def finish_one_by_one(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
     """Let one actor after the other go to its end, as long as one can; returns who is left. Those
     go first whose end is the waste: they come to rest in nobody's way. Leaves the motions on the
     floor and appends them to ``trail``."""
@@ -99,7 +99,7 @@ def replay(floor: Floor, actors: Sequence[Actor], witness: Witness) -> Witness |
         trail.append((actor, motion, move(floor, actor, motion)))
         actor.done += 1
     over = all(actor.done >= actor.length for actor in actors)
-    return tuple(in_order(trail)) if over else None
+    return tuple(list_order(trail)) if over else None
 
 
 def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
@@ -107,7 +107,7 @@ def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
     while len(trail) > start:
         actor, motion, taken = trail.pop()
         if isinstance(taken, ActorEnds):
-            unfinish(floor, actor, taken)
+            undo_finish(floor, actor, taken)
         else:
             take_back(floor, actor, motion, taken)
         actor.done -= 1
@@ -137,7 +137,7 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
             budget[0] -= 1
             seen.add(where)
             there = len(trail)
-            if not greedy(floor, actors, trail):
+            if not finish_one_by_one(floor, actors, trail):
                 return True
             take_all_back(floor, trail, there)
             if broad:
@@ -153,7 +153,7 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
         return False
 
     trail: Trail = []
-    return in_order(trail) if deeper(trail) else None
+    return list_order(trail) if deeper(trail) else None
 
 
 def _place(actor: Actor) -> object:
@@ -163,11 +163,11 @@ def _place(actor: Actor) -> object:
     return frozenset(motion.step for motion in actor.motions[: actor.done])
 
 
-def in_order(trail: Trail) -> list[tuple[str, MotionStep]]:
+def list_order(trail: Trail) -> list[tuple[str, MotionStep]]:
     return [(actor.name, motion.step) for actor, motion, _ in trail]
 
 
-def holds(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:
+def is_valid(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:
     """Whether a witness still is one: people may have put something in its way since. Changes
     floor and actors."""
     by_name = {actor.name: actor for actor in actors}
@@ -205,6 +205,6 @@ def copy(floor: Floor) -> Floor:
     )
 
 
-def fresh(actor: Actor) -> Actor:
+def copy_actor(actor: Actor) -> Actor:
     """An actor to try things out with."""
     return msgspec.structs.replace(actor, own=dict(actor.own))

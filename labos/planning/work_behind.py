@@ -23,7 +23,7 @@ class WorkBehind:
         if found is None:
             if len(self._known) >= MOST_PLANS:
                 self._known.clear()
-            found = self._known[plan] = _longest_ways(state.runs.plans[plan].plan)
+            found = self._known[plan] = _measure_longest_ways(state.runs.plans[plan].plan)
         return found[step]
 
     def sort(self, state: LabState, plan: str, steps: Sequence[int]) -> Sequence[int]:
@@ -33,7 +33,7 @@ class WorkBehind:
         return sorted(steps, key=lambda step: -self.measure(state, plan, step))
 
 
-def _longest_ways(plan: Plan) -> tuple[float, ...]:
+def _measure_longest_ways(plan: Plan) -> tuple[float, ...]:
     found = [step.duration_s for step in plan.steps]
     followers: dict[int, list[int]] = {}
     for index, step in enumerate(plan.steps):

@@ -90,9 +90,9 @@ class Discovery:
             _log.warning("discovery_not_written", module=module, why=str(error))
 
     def _is_known(self, module: ModuleName, name: ActionId) -> bool:
-        return _in_memory(self._kernel.state.actions, module, name) or name in self._in_log.get(module, ())
+        return _is_in_memory(self._kernel.state.actions, module, name) or name in self._in_log.get(module, ())
 
 
-def _in_memory(actions: Actions, module: ModuleName, name: ActionId) -> bool:
+def _is_in_memory(actions: Actions, module: ModuleName, name: ActionId) -> bool:
     known = name in actions.open or name in actions.settled or name in actions.discovered
     return known or name in actions.ended.get(module, ())

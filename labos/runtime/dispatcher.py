@@ -23,8 +23,8 @@ from labos.core.actions import (
     ActionRequested,
     ActionStatus,
     ActionSucceeded,
+    explain_disbelief,
     find_device_time,
-    why_not_believed,
 )
 from labos.core.decide.actions import (
     AcceptAction,
@@ -54,7 +54,7 @@ from labos.node.protocol import (
 )
 from labos.ports import Bus, Handle
 from labos.runtime.doubts import Doubts
-from labos.runtime.incoming import RateLimiter, module_in, read_reply, read_result
+from labos.runtime.incoming import RateLimiter, find_module, read_reply, read_result
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.tasks import Tasks
@@ -296,7 +296,7 @@ class Dispatcher:
     # -- publications ------------------------------------------------------------------------
 
     def _on_result(self, key: str, payload: bytes) -> None:
-        module = module_in(key, self._keys.all_results)
+        module = find_module(key, self._keys.all_results)
         if module is None:
             return
         try:
@@ -316,7 +316,7 @@ class Dispatcher:
                 self._ask_late(module, name, result.attempt)
             return
         told = find_device_time(action, result.outcome.ended_ns, self._kernel.clock.now_ns())
-        why = why_not_believed(action, module, result.journal, result.attempt)
+        why = explain_disbelief(action, module, result.journal, result.attempt)
         if not why and named != result.action:
             why = f"it came under the key of action {named}"
         if told and not why:

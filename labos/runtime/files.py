@@ -82,7 +82,7 @@ class FileDesk:
         path = self._arriving / request.digest
         if not path.exists():
             self._make_room()
-        with open(path, "ab", opener=_private) as file:
+        with open(path, "ab", opener=_open_private) as file:
             if request.data and file.tell() == request.offset:
                 file.write(request.data[: request.size - request.offset])
             received = file.tell()
@@ -111,5 +111,5 @@ class FileDesk:
                 path.unlink(missing_ok=True)
 
 
-def _private(path: str, flags: int) -> int:
+def _open_private(path: str, flags: int) -> int:
     return os.open(path, flags, 0o600)

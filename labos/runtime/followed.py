@@ -23,7 +23,7 @@ from labos.core.state import LabState
 from labos.errors import LabosError, LogDamaged, StoreError, StoreUnavailable
 from labos.planning.scheduler import Scheduler
 from labos.ports import EventStore, Head
-from labos.runtime.kernel import error_of
+from labos.runtime.kernel import make_error
 from labos.runtime.kernel_log import Listener
 from labos.runtime.ledger import Entry, load
 
@@ -78,7 +78,7 @@ class FoldedLab:
         """Raises what a kernel would raise, and what ``submit`` does."""
         answer = self.submit(command, actor, causation)
         if isinstance(answer, Rejection):
-            raise error_of(answer)
+            raise make_error(answer)
         return answer
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
@@ -147,7 +147,7 @@ class FollowedKernel(FoldedLab):
             await asyncio.wait({self._task})
         self._tell_waiting(self._waiting, StoreUnavailable("This process is ending.", remedy="Ask again."))
 
-    async def up_to_date(self, at_least: int = 0) -> None:
+    async def wait_until_known(self, at_least: int = 0) -> None:
         """Wait until all is known here that was on disk when this was called, and until ``at_least`` this
         position is. Raises StoreUnavailable, Behind if that is not so within a few seconds."""
         loop = asyncio.get_running_loop()

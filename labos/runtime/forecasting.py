@@ -1,8 +1,8 @@
 """Forecasts are worked out in a process of their own, so that the kernel loses no time with them.
 
-The state goes there as a picture (``labos.core.state.picture``), and with it the records from which it has
-not been learned yet how good forecasts were; the answer comes back, with what was learned. Nothing is shared.
-One is worked out at a time, with a low priority, and given up after a while.
+The state goes there as a picture (``labos.core.state.encode_picture``), and with it the records from which it
+has not been learned yet how good forecasts were; the answer comes back, with what was learned. Nothing is
+shared. One is worked out at a time, with a low priority, and given up after a while.
 """
 
 from __future__ import annotations

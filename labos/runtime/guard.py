@@ -58,7 +58,7 @@ class FaultyCommands:
     def __init__(self) -> None:
         self._known: OrderedDict[bytes, tuple[int, float, str]] = OrderedDict()
 
-    def why_refused(self, command: Command, now: float) -> str:
+    def explain_refusal(self, command: Command, now: float) -> str:
         """What its last failure said, while it may not be tried again; empty if it may."""
         while self._known:
             key, (_, until, _) = next(iter(self._known.items()))
@@ -67,11 +67,11 @@ class FaultyCommands:
             del self._known[key]
         if not self._known:
             return ""
-        _, until, why = self._known.get(_key(command), (0, 0.0, ""))
+        _, until, why = self._known.get(_make_key(command), (0, 0.0, ""))
         return why if now < until else ""
 
     def record(self, command: Command, now: float, why: str) -> None:
-        key = _key(command)
+        key = _make_key(command)
         failures = self._known.pop(key, (0, 0.0, ""))[0] + 1
         self._known[key] = (failures, now + pause_s(failures), why)
         if len(self._known) > REMEMBERED:
@@ -83,7 +83,7 @@ def pause_s(failures: int) -> float:
     return float(min(FIRST_PAUSE_S * 2.0 ** min(failures - 1, 20), LONGEST_PAUSE_S))
 
 
-def _key(command: Command) -> bytes:
+def _make_key(command: Command) -> bytes:
     """The same for a command that is repeated, at whatever time it comes."""
     fields = {name: getattr(command, name) for name in command.__struct_fields__ if name != "now"}
     try:

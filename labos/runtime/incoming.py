@@ -32,14 +32,14 @@ _state = msgspec.json.Decoder(StateReport)
 def read_reply(payload: bytes, whose: str) -> ActionReply:
     """A node's word about an attempt. Raises Unreadable."""
     reply = read(payload, _reply, whose=whose, limit=LARGEST_ANSWER)
-    outcome = writable(reply.outcome) if reply.outcome is not None else None
+    outcome = make_writable(reply.outcome) if reply.outcome is not None else None
     return msgspec.structs.replace(reply, why=cut(reply.why), outcome=outcome)
 
 
 def read_result(payload: bytes, whose: str) -> ResultPublished:
     """A published result. Raises Unreadable."""
     result = read(payload, _result, whose=whose, limit=LARGEST_NEWS)
-    return msgspec.structs.replace(result, outcome=writable(result.outcome))
+    return msgspec.structs.replace(result, outcome=make_writable(result.outcome))
 
 
 def read_state(payload: bytes, whose: str) -> StateReport:
@@ -59,13 +59,13 @@ def read_about(payload: bytes, whose: str) -> AboutReport:
     return report
 
 
-def writable(outcome: Outcome) -> Outcome:
+def make_writable(outcome: Outcome) -> Outcome:
     """How an attempt ended, in a form that the log can hold."""
     error = cut(outcome.error)
     return msgspec.structs.replace(outcome, error=error, result=limit_result(outcome.result))
 
 
-def module_in(key: str, form: str) -> ModuleName | None:
+def find_module(key: str, form: str) -> ModuleName | None:
     """``workcell/module`` of a key of the form ``labos/lab/*/*/state``, say: the two parts where the form has
     its first two stars. None if the key is of another form: messages can be sent to keys with wildcards."""
     parts, wanted = key.split("/"), form.split("/")

@@ -18,13 +18,13 @@ from labos.core.actions import ActionAccepted
 from labos.core.decide import LABOS, Command, Denied, Rejection, carry_out
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.lab import CreateLab, StartKernel
-from labos.core.decide.limits import BAD_TEXT, fault_of
+from labos.core.decide.limits import BAD_TEXT, find_fault
 from labos.core.decide.nodes import Quarantine
 from labos.core.failures import SUSPICIOUS
 from labos.core.ids import ActionId, LabId, ModuleName
 from labos.core.invariants import find_broken_by
 from labos.core.registry import Event
-from labos.core.words import Keep, Kept, keep, references_in
+from labos.core.words import Keep, Kept, keep, list_references
 from labos.errors import (
     BadInput,
     Forbidden,
@@ -130,7 +130,7 @@ class Kernel(KernelLog):
     def _begin_with(self, command: Command) -> None:
         answer = self._turn(command, LABOS)
         if isinstance(answer, Rejection):
-            raise error_of(answer)
+            raise make_error(answer)
 
     # -- commands ----------------------------------------------------------------------------
 
@@ -139,7 +139,7 @@ class Kernel(KernelLog):
         with the rejection's words, InternalFault if LabOS itself failed on it."""
         answer = self._turn(command, actor, causation or MARK.get())
         if isinstance(answer, Rejection):
-            raise error_of(answer)
+            raise make_error(answer)
         await self.flush()
         return answer
 
@@ -175,10 +175,10 @@ class Kernel(KernelLog):
         writer as one batch. If anything raises on the way, nothing of it has happened."""
         turn = _Turn(self._open_ledger())
         self.turns += 1
-        if fault := fault_of(actor, "actor"):
+        if fault := find_fault(actor, "actor"):
             return Rejection(BAD_TEXT, fault)
         now_s = self.clock.monotonic()
-        if command is not None and (why := self._faulty.why_refused(command, now_s)):
+        if command is not None and (why := self._faulty.explain_refusal(command, now_s)):
             return Rejection(FAULT, why, FAULT_REMEDY)
         events: list[Event] = []
         self._is_folded = False
@@ -291,23 +291,23 @@ class Kernel(KernelLog):
                 break
         if self._deadlines in parts:
             turn.part = self._deadlines
-            turn.deadline = self.scheduler.next_deadline(state)
+            turn.deadline = self.scheduler.find_next_deadline(state)
         elif self._starts in parts:
-            turn.deadline = self.scheduler.next_wake()
+            turn.deadline = self.scheduler.find_next_wake()
         # What breaks an invariant now may be what planning has added.
         turn.part = self._starts if len(turn.entries) > turn.decided else None
         turn.planned = parts
 
     def _start_steps(self, turn: _Turn) -> None:
         now = self.clock.now_ns()
-        for start in self.scheduler.proposals(turn.ledger.state, now):
+        for start in self.scheduler.iterate_proposals(turn.ledger.state, now):
             self._decide_follow_up(start.make_command(lambda: ActionId(self.ids.new()), now), turn)
 
     def _carry_out_due(self, turn: _Turn, looked_at: int) -> None:
         """What the time that has come asks for, and the quarantine of modules that fail too often, in the
         entries from ``looked_at`` on."""
         now = self.clock.now_ns()
-        for command in self.scheduler.due(turn.ledger.state, now):
+        for command in self.scheduler.iterate_due(turn.ledger.state, now):
             self._decide_follow_up(command, turn)
         for suspect in self._list_suspects(turn.entries[looked_at:]):
             limits = (self.settings.quarantine_after, self.settings.quarantine_within_s)
@@ -379,14 +379,14 @@ class Kernel(KernelLog):
 def _attach(kept: dict[str, Kept], entries: list[Entry]) -> None:
     """Give each text to the first record that refers to it. To what nothing refers is not kept."""
     for at, entry in enumerate(entries):
-        named = references_in(entry.record.payload)
+        named = list_references(entry.record.payload)
         words = tuple(found for name in named if (found := kept.pop(name, None)) is not None)
         if words:
             record = msgspec.structs.replace(entry.record, words=words)
             entries[at] = msgspec.structs.replace(entry, record=record)
 
 
-def error_of(rejection: Rejection) -> LabosError:
+def make_error(rejection: Rejection) -> LabosError:
     """What is raised for a command that was refused."""
     if isinstance(rejection, Denied):
         return Forbidden(rejection.message, remedy=rejection.remedy)

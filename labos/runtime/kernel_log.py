@@ -24,7 +24,7 @@ from labos.errors import Fenced, LabosError, StoreError, StoreUnavailable
 from labos.ports import EventStore, LogQuery
 from labos.runtime.follower import Follower
 from labos.runtime.ledger import Entry, Ledger, load, snapshot
-from labos.runtime.writer import PatientWriter, Writer, in_doubt
+from labos.runtime.writer import PatientWriter, Writer, make_in_doubt_error
 
 LONGEST_PAUSE_S = 5.0
 """Between two tries to get the store back."""
@@ -118,7 +118,7 @@ class KernelLog(ABC):
         self._writer.flush()
         await future
 
-    async def starts(self) -> list[tuple[int, int]]:
+    async def list_starts(self) -> list[tuple[int, int]]:
         """The epochs of this log's kernels, and the positions where they began. Raises StoreError."""
 
         def look(store: EventStore) -> list[tuple[int, int]]:
@@ -217,7 +217,7 @@ class KernelLog(ABC):
             self._stop(error)
         except Exception as error:
             self._refolding = None
-            await self._reopen(_store_error(error))
+            await self._reopen(_make_store_error(error))
         else:
             self._refolding = None  # what follows may fail again
             self._go_on()
@@ -251,7 +251,7 @@ class KernelLog(ABC):
         self._lost_why = error
         self._unwritten.clear()
         self._picture = None
-        told = in_doubt(error) if type(error) is StoreUnavailable else error
+        told = make_in_doubt_error(error) if type(error) is StoreUnavailable else error
         waiting, self._waiting = self._waiting, deque()
         for _, future in waiting:
             if not future.done():
@@ -283,7 +283,7 @@ class KernelLog(ABC):
                 self._stop(fenced)
                 return
             except Exception as again:
-                error = self._lost_why = _store_error(again)
+                error = self._lost_why = _make_store_error(again)
                 continue
             self._go_on()
             return
@@ -371,7 +371,7 @@ class KernelLog(ABC):
                 # Nothing was decided meanwhile, and nothing could be: an idle lab has lost its log too.
                 if self._ledger is not None:
                     _log.error("lease_not_renewed", error=str(error))
-                self._lose(_store_error(error))
+                self._lose(_make_store_error(error))
 
     def _open_ledger(self) -> Ledger:
         if self._ledger is None:
@@ -387,7 +387,7 @@ def _swallow_store_error(task: asyncio.Task[None]) -> None:
         _log.warning("snapshot_not_saved", error=str(task.exception()))
 
 
-def _store_error(error: Exception) -> StoreError:
+def _make_store_error(error: Exception) -> StoreError:
     if isinstance(error, StoreError):
         return error
     _log.error("log_not_read", exc_info=error)

@@ -15,7 +15,7 @@ from labos.core.canonical import digest
 from labos.core.envelope import Envelope, Record, seal
 from labos.core.fold import evolve
 from labos.core.registry import Event, decode, encode
-from labos.core.state import LabState, fold_fingerprint, from_picture, picture
+from labos.core.state import LabState, encode_picture, fold_fingerprint, from_picture
 from labos.errors import LogDamaged
 from labos.ports import EventStore, Head
 
@@ -57,7 +57,7 @@ class Ledger:
             schema=event.SCHEMA,
             recorded_at=recorded_at,
             actor=actor,
-            correlation=correlation(state, event),
+            correlation=find_correlation(state, event),
             causation=causation,
             digest=digest(payload),
         )
@@ -67,7 +67,7 @@ class Ledger:
         return Entry(record, event)
 
 
-def correlation(state: LabState, event: Event) -> str:
+def find_correlation(state: LabState, event: Event) -> str:
     """The experiment or campaign of the run an event belongs to, else the run, else the experiment or
     campaign."""
     name = getattr(event, "run", "")
@@ -99,7 +99,7 @@ def load(
             for position, kind, schema, recorded_at, payload in replay(before, before=hash_, end=end):
                 evolve(state, decode(kind, schema, payload), position, recorded_at)
         except (msgspec.MsgspecError, TypeError, LookupError, ValueError, AttributeError) as error:
-            raise _contradiction(position, error) from error
+            raise _make_contradiction_error(position, error) from error
     if end is not None and state.lab.epoch > end.epoch:
         raise LogDamaged(
             f"The log holds a kernel of epoch {state.lab.epoch}, but its head row says {end.epoch}.",
@@ -109,7 +109,7 @@ def load(
     return state, state.position - before
 
 
-def _contradiction(position: int, error: Exception) -> LogDamaged:
+def _make_contradiction_error(position: int, error: Exception) -> LogDamaged:
     return LogDamaged(
         f"The record at position {position} is as it was recorded, but contradicts the log ({error!r}).",
         position=position,
@@ -127,4 +127,4 @@ def fold(state: LabState, records: Iterable[Record]) -> None:
 
 def snapshot(state: LabState, head: Head) -> tuple[int, bytes, str, bytes]:
     """The arguments of ``EventStore.save_snapshot`` for a state at the end of the log."""
-    return head.position, head.hash, fold_fingerprint(), picture(state)
+    return head.position, head.hash, fold_fingerprint(), encode_picture(state)

@@ -50,7 +50,7 @@ class Liveness:
     def list_instances(self, module: ModuleName) -> list[str]:
         return self._instances.get(module, [])
 
-    def silent(self, now: float, silence_s: float) -> list[tuple[ModuleName, str, float]]:
+    def list_silent(self, now: float, silence_s: float) -> list[tuple[ModuleName, str, float]]:
         """Who has not been heard for so long, and for how long."""
         heard = list(self._heard.items())
         return [(*who, now - at) for who, at in heard if now - at > silence_s]

@@ -59,7 +59,7 @@ class LogCheck:
         if self._thread.is_alive():
             await self._loop.run_in_executor(None, self._thread.join, 1.0)
 
-    def view(self) -> dict[str, Any]:
+    def make_view(self) -> dict[str, Any]:
         """How far it is, for people and programs."""
         return {"checked": self.checked, "of": self.total, "done": self.done, "damage": self.damage}
 

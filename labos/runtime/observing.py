@@ -36,7 +36,7 @@ class Observer:
     def __init__(self, kernel: Kernel, bus: Bus, answer_s: float) -> None:
         self._kernel, self._bus, self._answer_s = kernel, bus, answer_s
 
-    def why_not(self, module: ModuleName) -> str:
+    def explain_cannot_ask(self, module: ModuleName) -> str:
         """Why a module cannot be asked now; empty if it can. What still moves shows nothing."""
         known = self._kernel.state.modules.by_name.get(module)
         if known is None:
@@ -47,7 +47,7 @@ class Observer:
         """What a module sees, by station. Raises BusError if it does not say, StoreError."""
         seen = (await observe_module(self._kernel, self._bus, module, self._answer_s)).get("labware")
         told = seen if isinstance(seen, Mapping) else {}
-        return {station_named_by(module, str(place)): what for place, what in told.items()}
+        return {resolve_station(module, str(place)): what for place, what in told.items()}
 
 
 class ObservingListener(ABC, Generic[Name]):
@@ -109,7 +109,7 @@ async def observe_module(
     return reply.result if isinstance(reply.result, Mapping) else {}
 
 
-def station_named_by(module: ModuleName, place: str) -> StationName:
+def resolve_station(module: ModuleName, place: str) -> StationName:
     """A place as a node names it: its own ``nest``, or ``sealer.default`` of another."""
     bare = place.rpartition("/")[2]
     return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")

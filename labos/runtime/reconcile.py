@@ -19,14 +19,14 @@ import structlog
 
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
-from labos.core.effects import hand_of, list_carried, places
+from labos.core.effects import list_carried, list_places, name_hand
 from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged
 from labos.core.state import LabState
 from labos.errors import BusError, LabosError, StoreError
 from labos.runtime.ledger import Entry
-from labos.runtime.observing import ObservingListener, read_contents, station_named_by
+from labos.runtime.observing import ObservingListener, read_contents, resolve_station
 
 KINDS = ("unknown_action", "lost_labware")
 """Questions about motions that nobody saw end."""
@@ -70,14 +70,14 @@ class Reconciler(ObservingListener[InterventionId]):
             if question is None:
                 return
             module = ModuleName(question.module)
-            wanted = self._possible_places(question)
+            wanted = self._list_possible_places(question)
             if not wanted or not await self._ask(module, wanted, name):
                 return
-            for other in self._observers(wanted, module):
+            for other in self._list_observers(wanted, module):
                 question = self._open(name)
                 if question is None or self._has_labware_in_hand(question):
                     return
-                await self._ask(other, self._possible_places(question), name)
+                await self._ask(other, self._list_possible_places(question), name)
         except LabosError as error:
             _log.info("look_given_up", intervention=name, why=str(error))
         finally:
@@ -86,7 +86,7 @@ class Reconciler(ObservingListener[InterventionId]):
 
     async def _ask(self, module: ModuleName, wanted: set[StationName], about: InterventionId) -> bool:
         """Ask a module what it sees, and tell the kernel; whether it answered."""
-        if self._observer.why_not(module):
+        if self._observer.explain_cannot_ask(module):
             return False  # asked again when it is at rest
         try:
             sights = await self._observer.observe(module)
@@ -104,7 +104,7 @@ class Reconciler(ObservingListener[InterventionId]):
         """Whether every place where some labware may be is seen empty at once: told one by one, the
         last place would count as found."""
         question = self._open(about)
-        wanted = self._possible_places(question) if question is not None else set()
+        wanted = self._list_possible_places(question) if question is not None else set()
         known = self._kernel.state.bench.labware.values()
         doubtful = [item.maybe for item in known if item.maybe and wanted.issuperset(item.maybe)]
         return any(all(sights.get(place) in (0, False) for place in maybe) for maybe in doubtful)
@@ -124,31 +124,31 @@ class Reconciler(ObservingListener[InterventionId]):
     def _open(self, name: InterventionId) -> Intervention | None:
         return self._kernel.state.interventions.open.get(name)
 
-    def _possible_places(self, question: Intervention) -> set[StationName]:
+    def _list_possible_places(self, question: Intervention) -> set[StationName]:
         """Where the labware of a question may be now."""
         state = self._kernel.state
         action = state.actions.open.get(ActionId(question.subject))
         effects = action.effects if action is not None else question.motions
         motions = list_carried(effects)
-        wanted = places(effect for effect in motions if effect.stock)
+        wanted = list_places(effect for effect in motions if effect.stock)
         for effect in motions:
             labware = state.bench.labware.get(effect.labware)
             wanted |= set(labware.maybe) if labware is not None else set()
         takes = any(effect.stock for effect in motions)
-        return wanted | ({hand_of(question.module)} if takes else set())
+        return wanted | ({name_hand(question.module)} if takes else set())
 
     def _has_labware_in_hand(self, question: Intervention) -> bool:
-        hand = self._kernel.state.bench.stations.get(hand_of(question.module))
+        hand = self._kernel.state.bench.stations.get(name_hand(question.module))
         return hand is not None and bool(hand.labware)
 
-    def _observers(self, wanted: set[StationName], first: ModuleName) -> list[ModuleName]:
+    def _list_observers(self, wanted: set[StationName], first: ModuleName) -> list[ModuleName]:
         """The other modules that see one of these places: their own, or said so by ``observes``."""
         found = []
         for name, module in self._kernel.state.modules.by_name.items():
             told = module.spec.config.get("config", module.spec.config)
             sees = told.get("observes", ()) if isinstance(told, Mapping) else ()
             mine = (
-                {station_named_by(name, str(place)) for place in sees}
+                {resolve_station(name, str(place)) for place in sees}
                 if isinstance(sees, list | tuple)
                 else set()
             )

@@ -25,11 +25,11 @@ from labos.core.modules import ModuleStatus
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError, NoAnswer, StoreError, Unreadable
 from labos.node.journal import knows_more
-from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport, skew_with
+from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport, explain_skew
 from labos.ports import Bus, Handle
 from labos.runtime.discovery import Discovery
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.incoming import RateLimiter, module_in, read_about, read_state
+from labos.runtime.incoming import RateLimiter, find_module, read_about, read_state
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.liveness import Liveness
@@ -114,7 +114,7 @@ class Registry:
     # -- liveliness --------------------------------------------------------------------------
 
     def _on_alive(self, key: str, living: bool) -> None:
-        module, instance = module_in(key, self._keys.all_alive), key.rpartition("/")[2]
+        module, instance = find_module(key, self._keys.all_alive), key.rpartition("/")[2]
         if module is None:
             self._dispatcher.doubts.note("token_unreadable", "", cut(key, LONGEST_NAME))
         elif living:
@@ -195,7 +195,7 @@ class Registry:
                 if (about.instance, about.journal) != (state.instance, state.journal):
                     self.rejected[module] = TWO_NODES
                     raise NoAnswer(f"Two nodes answer for {module}, now this one and now that.")
-                if skew := skew_with(about.protocol, "Its node", cut(about.labos, LONGEST_NAME)):
+                if skew := explain_skew(about.protocol, "Its node", cut(about.labos, LONGEST_NAME)):
                     self.rejected[module] = skew
                     self._dispatcher.doubts.note("node_not_admitted", module, skew)
                     return
@@ -234,7 +234,7 @@ class Registry:
         if about.acknowledged_by == kernel.epoch:
             starts: list[tuple[int, int]] = []
         else:
-            starts = self._starts = self._starts or await kernel.starts()
+            starts = self._starts = self._starts or await kernel.list_starts()
         more = knows_more(about.acknowledged, about.acknowledged_by, kernel.durable, starts)
         return about.acknowledged if more else 0
 
@@ -354,7 +354,7 @@ class Registry:
     # -- heartbeats --------------------------------------------------------------------------
 
     def _on_state(self, key: str, payload: bytes) -> None:
-        module = module_in(key, self._keys.all_states)
+        module = find_module(key, self._keys.all_states)
         if module is None:
             return
         try:
@@ -419,7 +419,7 @@ class Registry:
         for name, module in modules.items():
             if module.status != ModuleStatus.GONE:
                 self._living.expect(name, module.instance, now)
-        for name, instance, silent_s in self._living.silent(now, self._silence_s):
+        for name, instance, silent_s in self._living.list_silent(now, self._silence_s):
             self._living.forget(name, instance)
             self._lose(name, instance, f"no heartbeat for {silent_s:.0f} s")
             self._greet_soon(name)

@@ -82,7 +82,7 @@ class PlainSpawner:
                     stdin=subprocess.PIPE if attended else subprocess.DEVNULL,
                     stdout=file,
                     stderr=file,
-                    env=environment(),
+                    env=make_environment(),
                     # A Ctrl-C in the terminal is meant for the kernel, which stops its nodes.
                     start_new_session=sys.platform != "win32",
                     creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
@@ -157,7 +157,7 @@ class ForkServer:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=log,
-                    env=environment(),
+                    env=make_environment(),
                     start_new_session=True,
                     pass_fds=(theirs.fileno(),),
                 )
@@ -236,7 +236,7 @@ class ForkServer:
                 answer.set_exception(OSError(f"The fork server is given up: {why}."))
 
 
-def environment() -> dict[str, str]:
+def make_environment() -> dict[str, str]:
     """What a node's process finds in its environment."""
     return {"LABOS_LOG": "info", **os.environ}
 
@@ -246,6 +246,6 @@ def _close(fd: int) -> None:
         os.close(fd)
 
 
-def best_spawner(log: Path, is_alive: Callable[[int], bool]) -> Spawner:
+def choose_spawner(log: Path, is_alive: Callable[[int], bool]) -> Spawner:
     """Forks where that is sound: on Linux. Elsewhere libraries of the system do not bear it."""
     return ForkServer(log, is_alive) if sys.platform == "linux" else PlainSpawner()

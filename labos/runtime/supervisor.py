@@ -92,7 +92,7 @@ class Supervisor:
                     self._keep(command, node)
                 )
 
-    def log_of(self, module: str) -> Path:
+    def find_log(self, module: str) -> Path:
         return self._logs / f"{module.replace('/', '.')}.log"
 
     def hurry(self) -> None:
@@ -117,7 +117,7 @@ class Supervisor:
                 if node.pid:
                     _log.warning("node_killed", module=node.module, pid=node.pid)
                     killed.append(node.module)
-                    _signal(node.pid, kill=True)
+                    _send_signal(node.pid, kill=True)
             await everybody
         self._spawner.close()
         return killed
@@ -190,7 +190,7 @@ class Supervisor:
     async def _spawn(self, command: NodeCommand, node: NodeProcess) -> Child | None:
         try:
             child = await self._spawner.spawn(
-                command.argv, self.log_of(command.module), attended=not self._detach
+                command.argv, self.find_log(command.module), attended=not self._detach
             )
         except OSError as error:
             node.state, node.why = "quarantined", f"it cannot be started: {error}"
@@ -210,7 +210,7 @@ class Supervisor:
         if child is not None and not self._detach:
             child.let_go()
         elif node.pid:
-            _signal(node.pid)
+            _send_signal(node.pid)
 
     def _let_go(self, module: str) -> None:
         self._children.pop(module).let_go()
@@ -231,7 +231,7 @@ class Supervisor:
     def _read_last_line(self, module: str) -> str:
         """The last line of the node's log."""
         try:
-            with self.log_of(module).open("rb") as log:
+            with self.find_log(module).open("rb") as log:
                 log.seek(max(0, log.seek(0, os.SEEK_END) - 4096))
                 lines = log.read().decode(errors="replace").strip().splitlines()
         except OSError:
@@ -249,7 +249,7 @@ def _is_node(note: _Note) -> bool:
     return not words or note.module.rpartition("/")[2].encode() in words
 
 
-def _signal(pid: int, *, kill: bool = False) -> None:
+def _send_signal(pid: int, *, kill: bool = False) -> None:
     import signal
 
     number = getattr(signal, "SIGKILL", signal.SIGTERM) if kill else signal.SIGTERM

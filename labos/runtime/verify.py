@@ -60,7 +60,7 @@ class Verifier(ObservingListener[ActionId]):
                     await asyncio.sleep(PAUSE_S)
                     continue
                 before = self._describe_places(action)
-                observed, unseen = await self._observations(action)
+                observed, unseen = await self._list_observations(action)
                 if self._find_reported(name) is None:
                     return
                 if unseen and self._is_at_work(action):
@@ -75,7 +75,7 @@ class Verifier(ObservingListener[ActionId]):
             if self._observing.get(name) is asyncio.current_task():
                 del self._observing[name]
 
-    async def _observations(self, action: Action) -> tuple[tuple[Seen, ...], str]:
+    async def _list_observations(self, action: Action) -> tuple[tuple[Seen, ...], str]:
         """What the observers see where an action should have had its effect; and why not all was seen."""
         state = self._kernel.state
         by_observer: dict[ModuleName, list[StationName]] = {}
@@ -86,7 +86,7 @@ class Verifier(ObservingListener[ActionId]):
         observed: list[Seen] = []
         unseen: list[str] = [] if by_observer else ["nobody looks there any more"]
         for observer, places in by_observer.items():
-            why = self._observer.why_not(observer)
+            why = self._observer.explain_cannot_ask(observer)
             sights: dict[StationName, Any] = {}
             try:
                 sights = {} if why else await self._observer.observe(observer)

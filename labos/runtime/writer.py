@@ -205,7 +205,7 @@ class ThreadWriter:
             self._trusted = False
             self._on_failure(error)
 
-    def _durable(self, position: int, turn: int, took_s: float) -> None:
+    def _note_durable(self, position: int, turn: int, took_s: float) -> None:
         self.on_commit(took_s)
         if turn == self._turn:
             self._on_durable(position)
@@ -254,7 +254,7 @@ class ThreadWriter:
             why = StoreUnavailable(f"The store failed unexpectedly: {error!r}.")
             self._tell(self._report_failure, why, turn)
         else:
-            self._tell(self._durable, self._head.position, turn, time.monotonic() - began)
+            self._tell(self._note_durable, self._head.position, turn, time.monotonic() - began)
 
     def _serve(self, function: Callable[[EventStore], Any], future: asyncio.Future[Any] | None) -> None:
         if future is not None and future.done():
@@ -285,7 +285,7 @@ def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
         future.set_exception(error)
 
 
-def in_doubt(error: StoreUnavailable) -> CommitInDoubt:
+def make_in_doubt_error(error: StoreUnavailable) -> CommitInDoubt:
     """The error for callers who wait for a commit, when the store failed during it."""
     remedy = f"{error.remedy} Look with `labos log` before you ask for the same again.".strip()
     return CommitInDoubt(error.message, remedy=remedy)

@@ -21,8 +21,8 @@ from labos.core.runs import RunSubmitted
 from labos.core.viewer import Visibility
 from labos.errors import NotFound
 from labos.ports import LogQuery
-from labos.services.catalogue import Catalogue, catalogue_of
-from labos.services.log import Log, events
+from labos.services.catalogue import Catalogue, read_catalogue
+from labos.services.log import Log, decode_events
 from labos.services.runs import FAMILIES, RunBook
 
 TYPES = ("campaign", *FAMILIES, "step", "resource")
@@ -55,11 +55,11 @@ class RowHistory(msgspec.Struct):
     ended_at: int = 0
 
 
-def campaign_histories(log: Log) -> dict[str, CampaignHistory]:
+def list_campaign_histories(log: Log) -> dict[str, CampaignHistory]:
     """Every campaign of the log, in order of its submission."""
     folded = Campaigns()
     told: dict[str, CampaignHistory] = {}
-    for event, head in events(log.select(LogQuery(types=TYPES))):
+    for event, head in decode_events(log.select(LogQuery(types=TYPES))):
         if isinstance(event, CampaignCompleted):
             told[event.campaign].ended_at = head.recorded_at
         elif isinstance(event, CampaignArchived | CampaignUnarchived):
@@ -72,21 +72,21 @@ def campaign_histories(log: Log) -> dict[str, CampaignHistory]:
     return told
 
 
-def campaign_history(log: Log, name: str) -> CampaignHistory:
+def read_campaign_history(log: Log, name: str) -> CampaignHistory:
     """Raises NotFound."""
-    found = campaign_histories(log).get(name)
+    found = list_campaign_histories(log).get(name)
     if found is None:
         raise NotFound(f"There is no campaign {name!r} in this log.", remedy="List them: labos campaign list")
     return found
 
 
-def campaign_rows(log: Log, name: str) -> list[RowHistory]:
+def list_campaign_rows(log: Log, name: str) -> list[RowHistory]:
     """The rows of a campaign that were submitted or refused, in order. Raises NotFound."""
     known = False
     rows: dict[int, RowHistory] = {}
-    names: Catalogue = catalogue_of(log)
+    names: Catalogue = read_catalogue(log)
     book = RunBook(names)
-    for event, head in events(log.select(LogQuery(correlation=name))):
+    for event, head in decode_events(log.select(LogQuery(correlation=name))):
         known = known or isinstance(event, CampaignEvent)
         if isinstance(event, CampaignRowRefused):
             rows[event.row] = RowHistory(event.row, "refused", why=event.why)

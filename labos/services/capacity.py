@@ -28,8 +28,8 @@ from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.errors import Refused
-from labos.planning.choosing import options_in_order
-from labos.planning.explain import sentence
+from labos.planning.choosing import sort_options
+from labos.planning.explain import describe_wait
 from labos.planning.scheduler import Scheduler, list_ready_steps
 
 CAP = 32
@@ -49,7 +49,7 @@ class Capacity(msgspec.Struct, frozen=True):
     why: str = ""
 
 
-def capacity(
+def measure_capacity(
     workcell: Workcell,
     stock: Stock,
     plan: Plan,
@@ -73,7 +73,7 @@ def capacity(
         wait = bench.let_in()
         if wait is None:
             continue
-        why = sentence(wait)
+        why = describe_wait(wait)
         if wait.blocked or not bench.go_on():
             break
     copies = len(bench.state.runs.active)
@@ -129,7 +129,7 @@ class _PaperBench:
         """Start the oldest waiting copy; what it waits for if that cannot be done."""
         run = next(iter(self.state.runs.queued.values()))
         found = Wait(reasons.Gone())
-        for option in options_in_order(self.state, run, self.now):
+        for option in sort_options(self.state, run, self.now):
             for step in self.state.runs.plans[option.plan].starts:
                 wait = self.scheduler.check_start(self.state, option, step, self.now)
                 if wait is None:

@@ -15,7 +15,7 @@ from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
 from labos.core.runs import RunBound, RunSubmitted
 from labos.ports import LogQuery
-from labos.services.log import Log, events
+from labos.services.log import Log, decode_events
 
 LEARNT = (
     LabCreated.TYPE,
@@ -72,23 +72,23 @@ class Catalogue(msgspec.Struct):
         submitted = self.runs.get(run)
         return None if submitted is None else self.plans.get(submitted.plan)
 
-    def step(self, run: str, index: int) -> PlanStep | None:
+    def find_step(self, run: str, index: int) -> PlanStep | None:
         plan = self.plan_of(run)
         return plan.steps[index] if plan is not None and index < len(plan.steps) else None
 
-    def workcell(self, run: str) -> str:
+    def find_workcell(self, run: str) -> str:
         plan = self.plan_of(run)
         return plan.workcell if plan is not None else ""
 
-    def experiment(self, run: str) -> str:
+    def find_experiment(self, run: str) -> str:
         submitted = self.runs.get(run)
         return str(submitted.experiment) if submitted is not None else ""
 
 
-def catalogue_of(log: Log, upto: int | None = None) -> Catalogue:
+def read_catalogue(log: Log, upto: int | None = None) -> Catalogue:
     """The catalogue of a whole log."""
     catalogue = Catalogue()
-    teach(catalogue, events(log.select(LogQuery(types=LEARNT, upto=upto))))
+    teach(catalogue, decode_events(log.select(LogQuery(types=LEARNT, upto=upto))))
     return catalogue
 
 

@@ -22,7 +22,7 @@ class Checkpoint(msgspec.Struct, frozen=True, omit_defaults=True):
     seal: str = ""
 
 
-def checkpoint_of(log: Log) -> Checkpoint:
+def make_checkpoint(log: Log) -> Checkpoint:
     """The log's end now."""
     head = log.head()
     return Checkpoint(head.lab, head.position, head.hash.hex(), iso_time(head.recorded_at))
@@ -38,7 +38,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         ) from None
 
 
-def contradiction(log: Log, seen: Checkpoint) -> str:
+def find_contradiction(log: Log, seen: Checkpoint) -> str:
     """How the log contradicts a checkpoint, in one sentence; empty if it does not."""
     head = log.head()
     if head.lab != seen.lab:

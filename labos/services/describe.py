@@ -23,14 +23,14 @@ from labos.core import users as u
 from labos.core.approvals import ApprovalGiven, ApprovalRefused, ApprovalRequested, RunApproved
 from labos.core.envelope import Envelope
 from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased
-from labos.core.ids import local, owner_parts
+from labos.core.ids import local, split_owner
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.policy import PolicyApplied
 from labos.core.registry import Event
 from labos.core.repeated import RequestRepeated
 from labos.core.signatures import RecordsSigned, RunSigned
 from labos.core.suggestions import OrderSuggested
-from labos.core.wells import by_well
+from labos.core.wells import sort_by_well
 from labos.services.catalogue import Catalogue
 from labos.services.times import show_time
 
@@ -50,19 +50,19 @@ def owner_name(owner: str) -> str:
         return "nobody"
     if owner == "shared":
         return "everybody (shared)"
-    kind, name = owner_parts(owner)
+    kind, name = split_owner(owner)
     return name if kind == "user" else f"{kind} {name}"
 
 
-def short(value: Any, limit: int = 60) -> str:
+def shorten_value(value: Any, limit: int = 60) -> str:
     """A value as JSON, cut."""
-    text = json.dumps(by_well(value), ensure_ascii=False)
+    text = json.dumps(sort_by_well(value), ensure_ascii=False)
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
 def step_name(run: str, index: int, names: Catalogue) -> str:
     """``R1 #3 'Seal plate'``; just ``R1 #3`` where the plan is not known."""
-    step = names.step(run, index)
+    step = names.find_step(run, index)
     key = f" {step.key!r}" if step is not None else ""
     return f"{run} #{index}{key}" if run else "no run"
 
@@ -101,17 +101,17 @@ def _name_subject(event: Event, names: Catalogue) -> str:
     return ""
 
 
-def _action(event: Any, names: Catalogue) -> str:
+def _name_action(event: Any, names: Catalogue) -> str:
     """``sealer.seal``; just ``sealer`` where the step is not known."""
-    step = names.step(event.run, event.step)
+    step = names.find_step(event.run, event.step)
     module = local(event.module)
     return f"{module}.{step.action}" if step is not None and event.run else module
 
 
-def _anchor(event: st.WindowBreached, names: Catalogue) -> str:
+def _name_anchor(event: st.WindowBreached, names: Catalogue) -> str:
     if event.anchor is None:
         return f"a step of {event.of}"
-    anchor = names.step(event.run, event.anchor)
+    anchor = names.find_step(event.run, event.anchor)
     return repr(anchor.key) if anchor is not None else f"step {event.anchor}"
 
 
@@ -132,12 +132,12 @@ def _name_place(target: str) -> str:
     return "in the lab" if target == g.WHOLE_LAB else f"of {local(target)}"
 
 
-def _counts(contents: Sequence[str]) -> str:
+def _describe_counts(contents: Sequence[str]) -> str:
     counts = {kind: contents.count(kind) for kind in contents}
     return ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
 
 
-def _sight(event: b.StationObserved) -> str:
+def _describe_sight(event: b.StationObserved) -> str:
     what = event.labware or event.type or "something"
     if event.count is None:
         return what
@@ -165,23 +165,27 @@ def _list(names: tuple[str, ...]) -> str:
 
 SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     a.ActionRequested: lambda e, _: f"{local(e.module)}.{e.name} requested (attempt {e.attempt})",
-    a.ActionAccepted: lambda e, n: f"{_action(e, n)} accepted (attempt {e.attempt})",
-    a.ActionRejected: lambda e, n: f"{_action(e, n)} refused for {'good' if e.final else 'now'}: {e.why}",
+    a.ActionAccepted: lambda e, n: f"{_name_action(e, n)} accepted (attempt {e.attempt})",
+    a.ActionRejected: lambda e, n: (
+        f"{_name_action(e, n)} refused for {'good' if e.final else 'now'}: {e.why}"
+    ),
     a.ActionSucceeded: lambda e, n: (
-        f"{_action(e, n)} succeeded" + _when(e.result is not None, f", result {short(e.result)}")
+        f"{_name_action(e, n)} succeeded" + _when(e.result is not None, f", result {shorten_value(e.result)}")
     ),
     a.ActionReported: lambda e, n: (
-        f"{_action(e, n)} is reported as done; looked at: {', '.join(map(local, e.looks))}"
+        f"{_name_action(e, n)} is reported as done; looked at: {', '.join(map(local, e.looks))}"
     ),
     a.ActionFailed: lambda e, n: (
-        f"{_action(e, n)} failed (effects: {e.effects}"
+        f"{_name_action(e, n)} failed (effects: {e.effects}"
         + _when(e.kind != "software", f", {e.kind} error")
         + f"): {e.error}"
     ),
-    a.ActionUnknown: lambda e, n: f"{_action(e, n)} ended unknown: {e.why}",
-    a.ActionReconciled: lambda e, n: f"{_action(e, n)} settled by {e.by}: {_DONE.get(e.effects, e.effects)}",
+    a.ActionUnknown: lambda e, n: f"{_name_action(e, n)} ended unknown: {e.why}",
+    a.ActionReconciled: lambda e, n: (
+        f"{_name_action(e, n)} settled by {e.by}: {_DONE.get(e.effects, e.effects)}"
+    ),
     a.ActionEvidence: lambda e, n: (
-        f"{_action(e, n)}: late word of {'success' if e.succeeded else f'failure ({e.error})'}, "
+        f"{_name_action(e, n)}: late word of {'success' if e.succeeded else f'failure ({e.error})'}, "
         f"effects {e.effects}; settled as {e.settled_as}"
     ),
     a.ActionDiscovered: lambda e, _: (
@@ -202,7 +206,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"may be at any of: {', '.join(local(place) or 'gone' for place in e.places)} ({e.why})"
     ),
     b.LabwareObserved: lambda e, _: f"seen at {local(e.station)} by {e.by}",
-    b.LabwareChanged: lambda e, _: f"now has {e.variable} = {short(e.value)}",
+    b.LabwareChanged: lambda e, _: f"now has {e.variable} = {shorten_value(e.value)}",
     b.BarcodeRead: lambda e, _: f"bears the barcode {e.barcode} (read by {e.by})",
     b.LiquidTransferred: lambda e, _: (
         f"got {sum(e.volumes_ul):g} µL of {e.liquid} into {len(e.wells)} wells at {local(e.module)}"
@@ -223,8 +227,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.count} × {e.type} loaded at {local(e.station)}{_when(e.lot, f' (lot {e.lot})')}"
     ),
     b.StationUnloaded: lambda e, _: f"{e.count} taken away from {local(e.station)}",
-    b.StationObserved: lambda e, _: f"{e.by} saw {_sight(e)} at {local(e.station)}",
-    b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
+    b.StationObserved: lambda e, _: f"{e.by} saw {_describe_sight(e)} at {local(e.station)}",
+    b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_describe_counts(e.contents)}",
     b.WasteEmptied: lambda e, _: f"{local(e.station)} was emptied",
     r.RunSubmitted: lambda e, _: (
         f"{e.user} submitted {e.workflow!r}"
@@ -249,7 +253,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     r.RunCompleted: lambda e, _: f"completed all {e.steps} steps",
     r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
     r.RunCancelled: lambda e, _: f"cancelled{_when(e.why, f': {e.why}')}",
-    st.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_anchor(e, n)}",
+    st.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_name_anchor(e, n)}",
     st.StepRetried: lambda e, _: (
         f"is done again{_when(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"
     ),
@@ -289,10 +293,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     m.NodeLeft: lambda e, _: f"node gone: {e.why}",
     m.NodeStateChanged: lambda e, _: f"{e.status}{_when(e.error, f': {e.error}')}",
     m.VariableSet: lambda e, _: (
-        f"{e.variable} is {'not known' if e.value is None else short(e.value)}" + _when(e.by, f" (by {e.by})")
+        f"{e.variable} is {'not known' if e.value is None else shorten_value(e.value)}"
+        + _when(e.by, f" (by {e.by})")
     ),
     m.SetpointClaimed: lambda e, _: (
-        f"{e.setpoint} is {'not known' if e.value is None else short(e.value)}, kept for {e.by}"
+        f"{e.setpoint} is {'not known' if e.value is None else shorten_value(e.value)}, kept for {e.by}"
     ),
     m.SetpointReleased: lambda e, _: f"{e.setpoint} is not kept for {e.by} any more",
     m.ModuleTakenOut: lambda e, _: (
@@ -405,7 +410,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     x.ExperimentEnded: lambda e, _: "ended" + _when(e.why not in ("", "ended"), f": {e.why}"),
     x.ExperimentResumed: lambda e, _: "its application was started again, and goes on",
     x.ExperimentNoted: lambda e, _: (
-        f"{e.kind.replace('_', ' ')} {e.name!r}" + _when(e.facts, f": {short(e.facts)}")
+        f"{e.kind.replace('_', ' ')} {e.name!r}" + _when(e.facts, f": {shorten_value(e.facts)}")
     ),
 }
 """The sentence of each kind of event, without its subject."""

@@ -180,9 +180,9 @@ def check_permissions(paths: Iterable[Path]) -> DoctorFinding:
 def check_certificates(authority: Authority, now_ns: int) -> list[DoctorFinding]:
     """Whether the certificates of a secure bus are valid, and how long still. Raises LabosError if their list
     cannot be read."""
-    admitted = authority.members().admitted
+    admitted = authority.read_members().admitted
     found = [finding for entry in admitted if (finding := _check_certificate(entry, now_ns))]
-    ends = authority.not_after()
+    ends = authority.find_end()
     if ends - now_ns < CA_LITTLE_NS:
         told = f"The authority in {authority.folder} ends {show_time(ends)}, and all certificates with it."
         remedy = "Make another authority (labos pki init --pki FOLDER), and issue all certificates anew."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from labos.core.state import LabState, picture
+from labos.core.state import LabState, encode_picture
 from labos.planning.hindsight import TimeRange
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.services.runs import RunHistory
@@ -23,7 +23,7 @@ def tell_due(state: LabState, stories: Iterable[RunHistory], now: int) -> dict[s
     found = {story.id: _tell_past(story) for story in dated if story.over}
     if not alive:
         return found
-    forecast = forecast_lab(ForecastRequest(picture(state), now, most_steps=MOST_STEPS))
+    forecast = forecast_lab(ForecastRequest(encode_picture(state), now, most_steps=MOST_STEPS))
     ends = {run.run: run.ends for run in forecast.runs}
     for story in dated:
         if story.id in alive:

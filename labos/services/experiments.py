@@ -15,7 +15,7 @@ from labos.core.lab import StartsPaused, StartsResumed
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
 from labos.core.structs import make_from
 from labos.ports import LogQuery
-from labos.services.log import Log, events
+from labos.services.log import Log, decode_events
 
 TYPES = ("experiment", "run", "starts")
 
@@ -39,11 +39,11 @@ class ExperimentHistory(msgspec.Struct):
         return sum(found == status for found in self.runs.values())
 
 
-def experiment_histories(log: Log) -> dict[str, ExperimentHistory]:
+def list_experiment_histories(log: Log) -> dict[str, ExperimentHistory]:
     """Every experiment of the log, in order of its start."""
     told: dict[str, ExperimentHistory] = {}
     home: dict[str, str] = {}
-    for event, head in events(log.select(LogQuery(types=TYPES))):
+    for event, head in decode_events(log.select(LogQuery(types=TYPES))):
         match event:
             case ExperimentStarted():
                 told[event.experiment] = make_from(

@@ -13,8 +13,8 @@ import msgspec
 from labos.core.actions import ActionReconciled, ActionSucceeded
 from labos.errors import NotFound
 from labos.ports import LogQuery
-from labos.services.catalogue import catalogue_of
-from labos.services.log import Log, events
+from labos.services.catalogue import read_catalogue
+from labos.services.log import Log, decode_events
 
 _KINDS = (ActionSucceeded.TYPE, ActionReconciled.TYPE)
 
@@ -30,24 +30,24 @@ class ResultFile(msgspec.Struct, frozen=True):
     time: int
 
 
-def files_of(log: Log, run: str = "", upto: int | None = None) -> list[ResultFile]:
+def list_files(log: Log, run: str = "", upto: int | None = None) -> list[ResultFile]:
     """The files of a run's results, or of all runs, oldest first. Raises NotFound for an unknown run."""
-    names = catalogue_of(log, upto)
+    names = read_catalogue(log, upto)
     if run and run not in names.runs:
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
     found: list[ResultFile] = []
     query = LogQuery(streams=(run,) if run else (), types=_KINDS, upto=upto)
-    for event, head in events(log.select(query)):
+    for event, head in decode_events(log.select(query)):
         if isinstance(event, ActionSucceeded | ActionReconciled):
-            step = names.step(event.run, event.step) if event.run else None
+            step = names.find_step(event.run, event.step) if event.run else None
             key = step.key if step is not None else str(event.step)
             ended = getattr(event, "ended_ns", 0) or head.recorded_at
-            for file, sha256, size in files_in(event.result):
+            for file, sha256, size in iterate_files(event.result):
                 found.append(ResultFile(event.run, key, file, sha256, size, ended))
     return found
 
 
-def files_in(result: Any) -> Iterator[tuple[str, str, int]]:
+def iterate_files(result: Any) -> Iterator[tuple[str, str, int]]:
     """Name, SHA-256 and bytes of each file in a result."""
     waiting = [result]
     while waiting:

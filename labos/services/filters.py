@@ -16,8 +16,8 @@ from labos.core.labware import LabwareEvent, LabwareUncertain
 from labos.core.registry import TYPES, Event
 from labos.errors import BadInput, NotFound
 from labos.ports import LogQuery
-from labos.services.catalogue import Catalogue, catalogue_of
-from labos.services.log import Log, event_of
+from labos.services.catalogue import Catalogue, read_catalogue
+from labos.services.log import Log, decode_event
 from labos.spec.findings import near
 
 
@@ -55,12 +55,12 @@ class FilteredLog:
 
     def __init__(self, log: Log, wanted: LogFilter) -> None:
         self.log, self.wanted = log, wanted
-        self.names: Catalogue = catalogue_of(log)
+        self.names: Catalogue = read_catalogue(log)
         self._actions: set[str] = set()
         self._check()
         if wanted.labware:
             self._note_actions()
-        self._tokens = _tokens(wanted)
+        self._tokens = _make_tokens(wanted)
 
     def read_matching(self, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
         """The events of the log up to a position, in order. Raises LogTooNew, LogDamaged."""
@@ -79,14 +79,14 @@ class FilteredLog:
     def read_later(self, after: int, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
         """What has been added behind a position, as ``read_matching`` would show it."""
         for record in self.log.read(after, upto):
-            self.names.learn(event_of(record))
+            self.names.learn(decode_event(record))
             yield from self.match(record)
 
     def match(self, record: Record) -> Iterator[tuple[Event, Record]]:
         """The record's event if it is wanted."""
         if self._may_concern(record):
-            event = event_of(record)
-            if self._concerns(event, record.head):
+            event = decode_event(record)
+            if self._is_about(event, record.head):
                 yield event, record
 
     # -- inside ------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ class FilteredLog:
         """Raises NotFound, for a station with its module."""
         modules, stations = set[str](), set[str]()
         for record in self.log.select(LogQuery(types=(WorkcellApplied.TYPE, StationsApplied.TYPE))):
-            event = event_of(record)
+            event = decode_event(record)
             if isinstance(event, WorkcellApplied):
                 modules.update(spec.name for spec in event.modules)
             elif isinstance(event, StationsApplied):
@@ -131,7 +131,7 @@ class FilteredLog:
 
     def _knows_labware(self, name: str) -> bool:
         records = self.log.select(LogQuery(mentions=name))
-        return any(name in _labware(event_of(record)) for record in records)
+        return any(name in _list_labware(decode_event(record)) for record in records)
 
     def knows_user(self) -> bool:
         """Whether the user that is asked for ever did anything in this log."""
@@ -142,10 +142,10 @@ class FilteredLog:
         """Actions that touched the labware: what became of them does not name it again."""
         query = LogQuery(types=(ActionRequested.TYPE,), mentions=self.wanted.labware)
         for record in self.log.select(query):
-            self._note_action(event_of(record))
+            self._note_action(decode_event(record))
 
     def _note_action(self, event: Event) -> None:
-        if isinstance(event, ActionRequested) and self.wanted.labware in _labware(event):
+        if isinstance(event, ActionRequested) and self.wanted.labware in _list_labware(event):
             self._actions.add(event.action)
 
     def _may_concern(self, record: Record) -> bool:
@@ -167,37 +167,37 @@ class FilteredLog:
             return True
         return any(token in record.payload for token in self._tokens)
 
-    def _concerns(self, event: Event, head: Envelope) -> bool:
+    def _is_about(self, event: Event, head: Envelope) -> bool:
         wanted = self.wanted
         self._note_action(event)
         about: Event = event
         if isinstance(event, InterventionResolved):
             about = self.names.interventions.get(event.intervention, event)
-        if wanted.run and wanted.run not in _runs(about):
+        if wanted.run and wanted.run not in _list_runs(about):
             return False
         if wanted.module and not _names_module(about, head.actor, wanted.module):
             return False
-        if wanted.labware and wanted.labware not in _labware(about):
+        if wanted.labware and wanted.labware not in _list_labware(about):
             action = getattr(about, "action", "") or getattr(about, "subject", "")
             if action not in self._actions or not isinstance(about, ActionEvent | InterventionRequested):
                 return False
-        if wanted.experiment and wanted.experiment not in self._experiments(about, head):
+        if wanted.experiment and wanted.experiment not in self._list_experiments(about, head):
             return False
-        return not wanted.user or wanted.user in self._users(event, about, head)
+        return not wanted.user or wanted.user in self._list_users(event, about, head)
 
-    def _experiments(self, event: Event, head: Envelope) -> set[str]:
+    def _list_experiments(self, event: Event, head: Envelope) -> set[str]:
         matching_events = {head.correlation, getattr(event, "experiment", ""), getattr(event, "by", "")}
         owner = str(getattr(event, "owner", ""))
         matching_events.add(owner.removeprefix("experiment:"))
         matching_events.add(getattr(event, "subject", ""))
-        return matching_events | {self.names.experiment(run) for run in _runs(event)}
+        return matching_events | {self.names.find_experiment(run) for run in _list_runs(event)}
 
-    def _users(self, event: Event, about: Event, head: Envelope) -> set[str]:
+    def _list_users(self, event: Event, about: Event, head: Envelope) -> set[str]:
         matching_events = {head.actor, getattr(event, "by", ""), getattr(event, "user", "")}
         matching_events.add(str(getattr(event, "owner", "")).removeprefix("user:"))
-        runs = [self.names.runs[run] for run in _runs(about) if run in self.names.runs]
+        runs = [self.names.runs[run] for run in _list_runs(about) if run in self.names.runs]
         matching_events |= {run.user for run in runs}
-        for name in self._experiments(about, head):
+        for name in self._list_experiments(about, head):
             experiment = self.names.experiments.get(name)
             if experiment is not None:
                 matching_events.add(experiment.user)
@@ -210,7 +210,7 @@ def is_of_type(type_: str, wanted: str) -> bool:
     return type_ == family or type_.startswith(f"{family}.")
 
 
-def _tokens(wanted: LogFilter) -> tuple[bytes, ...]:
+def _make_tokens(wanted: LogFilter) -> tuple[bytes, ...]:
     """Byte strings: a payload that concerns the filter's narrowest name contains at least one of them."""
     for name, owner in ((wanted.run, "run"), (wanted.labware, ""), (wanted.experiment, "experiment")):
         if name:
@@ -222,7 +222,7 @@ def _quote(name: str) -> bytes:
     return msgspec.json.encode(name)
 
 
-def _runs(event: Event) -> set[str]:
+def _list_runs(event: Event) -> set[str]:
     """The runs that an event names."""
     matching_events = {str(getattr(event, "run", ""))}
     for field in ("by", "subject"):
@@ -233,7 +233,7 @@ def _runs(event: Event) -> set[str]:
     return matching_events - {""}
 
 
-def _labware(event: Event) -> set[str]:
+def _list_labware(event: Event) -> set[str]:
     """The labware that an event names; not what stands in arguments, where P7 may be a well."""
     named = getattr(event, "labware", ())
     matching_events = {named} if isinstance(named, str) else set(named)

@@ -16,18 +16,18 @@ from labos.core.ids import local
 from labos.core.interventions import Intervention
 from labos.core.labware import LabwareHandedOver
 from labos.core.modules import ModuleStatus
-from labos.core.runs import DONE, RunState, in_play, statuses_of
+from labos.core.runs import DONE, RunState, count_in_play, list_statuses
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.topics import PlannedWork
 from labos.planning.scheduler import Scheduler
-from labos.services.history import state_at
-from labos.services.inventory import Inventory, Shortfall, inventory, list_shortfalls
-from labos.services.log import Log, events
+from labos.services.history import fold_state_at
+from labos.services.inventory import Inventory, Shortfall, count_inventory, list_shortfalls
+from labos.services.log import Log, decode_events
 from labos.services.runs import RunBook
 from labos.services.times import iso_time
 from labos.services.twh import Meter, Twh
-from labos.services.waits import QUEUED_JUDGED, reasons
+from labos.services.waits import QUEUED_JUDGED, list_reasons
 
 
 class OpenRun(msgspec.Struct, frozen=True):
@@ -139,13 +139,13 @@ class Handover(msgspec.Struct, frozen=True):
     twh: Twh
 
 
-def handover(log: Log, since: int, until: int) -> Handover:
+def read_handover(log: Log, since: int, until: int) -> Handover:
     """The account of a shift from ``since`` to ``until`` (UTC ns). Raises LogTooNew, LogDamaged."""
     meter = Meter()
     book = RunBook(meter.names)
     given: dict[str, str] = {}
     begun = False
-    for event, head in events(log.read()):
+    for event, head in decode_events(log.read()):
         if not begun and head.recorded_at >= since:
             # A lab that is younger than its shift began with its first event.
             begun, since = True, head.recorded_at if head.position == 1 else since
@@ -156,8 +156,8 @@ def handover(log: Log, since: int, until: int) -> Handover:
             given[event.labware] = event.by
     if not begun:
         meter.start_over(since)
-    state = state_at(log)
-    left = inventory(state, until, iso_time(until)[:10])
+    state = fold_state_at(log)
+    left = count_inventory(state, until, iso_time(until)[:10])
     queued = list(state.runs.queued.values())
     return Handover(
         lab=meter.names.lab,
@@ -173,7 +173,7 @@ def handover(log: Log, since: int, until: int) -> Handover:
             for story in book.runs.values()
             if story.over and story.ended_at >= since
         ),
-        questions=tuple(_question(asked) for asked in state.interventions.open.values()),
+        questions=tuple(_make_question(asked) for asked in state.interventions.open.values()),
         away=tuple(_list_unavailable(state)),
         held=tuple(
             ManualAccess(cell, access.by, access.asked_at) for cell, access in state.lab.access.items()
@@ -194,7 +194,7 @@ def _run(state: LabState, run: RunState, now: int) -> OpenRun:
         for action in state.actions.open.values()
         if action.run == run.id
     )
-    waits = [] if doing else reasons(state, run, now, Scheduler())
+    waits = [] if doing else list_reasons(state, run, now, Scheduler())
     status = "paused" if run.paused else run.status
     return OpenRun(
         run=run.id,
@@ -203,14 +203,14 @@ def _run(state: LabState, run: RunState, now: int) -> OpenRun:
         experiment=str(run.experiment),
         status=status,
         done=run.statuses.count(DONE),
-        steps=in_play(plan, statuses_of(plan, run)),
+        steps=count_in_play(plan, list_statuses(plan, run)),
         doing=doing,
         waits=tuple(dict.fromkeys(reason.why for reason in waits)),
         stuck=any(reason.blocked for reason in waits),
     )
 
 
-def _question(asked: Intervention) -> OpenQuestion:
+def _make_question(asked: Intervention) -> OpenQuestion:
     planned = asked.kind == PlannedWork.KIND
     choices = " | ".join(choice.name for choice in asked.choices)
     return make_from(

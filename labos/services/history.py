@@ -13,7 +13,7 @@ from labos.services.times import Moment, show_time
 NOW = Moment()
 
 
-def position_at(log: Log, moment: Moment = NOW) -> int:
+def find_position_at(log: Log, moment: Moment = NOW) -> int:
     """The last position that counts at a moment: everything recorded up to and at that time.
     Raises BadInput for a moment before the log begins or behind its end."""
     head = log.head()
@@ -34,12 +34,12 @@ def position_at(log: Log, moment: Moment = NOW) -> int:
     return found.head.position
 
 
-def state_at(log: Log, moment: Moment = NOW) -> LabState:
+def fold_state_at(log: Log, moment: Moment = NOW) -> LabState:
     """The state at a moment. Raises BadInput, LogTooNew, LogDamaged."""
-    return fold_to(log, position_at(log, moment))
+    return fold_to(log, find_position_at(log, moment))
 
 
-def stations_of(state: LabState) -> list[tuple[StationName, Station]]:
+def list_stations(state: LabState) -> list[tuple[StationName, Station]]:
     """The stations by workcell and name, as the workcells list them."""
     return sorted(state.bench.stations.items(), key=lambda item: workcell_of(item[0]))
 

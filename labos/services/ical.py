@@ -16,7 +16,7 @@ YEARS = 30
 """For so long after the latest booking a time zone is described."""
 
 
-def ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
+def encode_ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
     """A calendar of these bookings. It is the same as long as they are."""
     calendar = Calendar()
     calendar.add("prodid", "-//LabOS//bookings//EN")
@@ -25,7 +25,7 @@ def ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
     calendar.add("x-wr-calname", f"LabOS: {state.lab.name}")
     calendar.add("x-published-ttl", "PT15M")
     for booking in bookings:
-        calendar.add_component(_event(state, booking))
+        calendar.add_component(_make_event(state, booking))
     begins = [booking.begins for booking in bookings]
     calendar.add_missing_timezones(
         _to_datetime(min(begins, default=0), "UTC").date() - timedelta(days=366),
@@ -34,7 +34,7 @@ def ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
     return bytes(calendar.to_ical())
 
 
-def _event(state: LabState, booking: Booking) -> Event:
+def _make_event(state: LabState, booking: Booking) -> Event:
     event = Event()
     event.add("uid", f"{booking.id}@{state.lab.id}")
     event.add("sequence", booking.made)
@@ -60,4 +60,4 @@ def _to_datetime(at: int, zone: str) -> datetime:
     return datetime.fromtimestamp(at // 1_000_000_000, zone_or_utc(zone))
 
 
-__all__ = ["ical"]
+__all__ = ["encode_ical"]

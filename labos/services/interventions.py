@@ -18,7 +18,7 @@ from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.topics import PlannedWork, UnknownAction
 from labos.ports import LogQuery
-from labos.services.log import Log, events
+from labos.services.log import Log, decode_events
 from labos.services.times import show_time
 
 TYPES = ("intervention", RunSubmitted.TYPE, PlanRecorded.TYPE)
@@ -68,12 +68,12 @@ class InterventionHistory(msgspec.Struct):
         return tuple(name for name in named if name) or (local(self.subject),)
 
 
-def intervention_histories(log: Log) -> dict[str, InterventionHistory]:
+def list_intervention_histories(log: Log) -> dict[str, InterventionHistory]:
     """Every question of the log, in the order in which they were asked. Raises LogTooNew, LogDamaged."""
     told: dict[str, InterventionHistory] = {}
     plans: dict[str, str] = {}
     workflows: dict[str, str] = {}
-    for event, head in events(log.select(LogQuery(types=TYPES))):
+    for event, head in decode_events(log.select(LogQuery(types=TYPES))):
         match event:
             case PlanRecorded():
                 plans[event.plan] = event.workflow
@@ -95,7 +95,7 @@ def intervention_histories(log: Log) -> dict[str, InterventionHistory]:
 def describe_answer(log: Log, name: str) -> str:
     """How a question was answered, as a sentence; empty if there never was one, or if it is open. Raises
     LogTooNew, LogDamaged."""
-    for event, head in events(log.select(LogQuery(types=(InterventionResolved.TYPE,)))):
+    for event, head in decode_events(log.select(LogQuery(types=(InterventionResolved.TYPE,)))):
         if not isinstance(event, InterventionResolved) or event.intervention != name:
             continue
         at = show_time(head.recorded_at)
@@ -106,7 +106,7 @@ def describe_answer(log: Log, name: str) -> str:
     return ""
 
 
-def whereabouts(state: LabState, question: Intervention) -> str:
+def describe_whereabouts(state: LabState, question: Intervention) -> str:
     """Where the labware of a motion is now, as far as the lab knows: since it asked somebody may have seen
     something. Empty if the question is about no motion."""
     action = state.actions.open.get(ActionId(question.subject))

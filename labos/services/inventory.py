@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, RunId, StationName
-from labos.core.runs import SETTLED, RunState, statuses_of
+from labos.core.runs import SETTLED, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.wells import well_key
 from labos.planning.timetable import make_timetable
@@ -100,7 +100,7 @@ class Ahead(msgspec.Struct, frozen=True):
     uses: list[tuple[str, int, str, float]]
 
 
-def inventory(state: LabState, now: int, today: str) -> Inventory:
+def count_inventory(state: LabState, now: int, today: str) -> Inventory:
     """What is left at ``now`` (UTC ns); ``today`` is the date by which lots expire."""
     promised: dict[str, float] = {}
     short: dict[str, Shortfall] = {}
@@ -118,10 +118,10 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
             if name in left and name not in short and promised[name] > left[name]:
                 short[name] = Shortfall(found.run.id, found.run.workflow, step, at)
     return Inventory(
-        tuple(_resources(state, today, promised, short)),
-        tuple(_stacks(state, promised, short)),
+        tuple(_list_resources(state, today, promised, short)),
+        tuple(_list_stacks(state, promised, short)),
         looked_at,
-        tuple(_wastes(state, promised, short)),
+        tuple(_list_wastes(state, promised, short)),
     )
 
 
@@ -129,7 +129,7 @@ Promised = dict[str, float]
 Shorts = dict[str, Shortfall]
 
 
-def _resources(state: LabState, today: str, promised: Promised, short: Shorts) -> Iterator[ResourceLeft]:
+def _list_resources(state: LabState, today: str, promised: Promised, short: Shorts) -> Iterator[ResourceLeft]:
     modules = list(dict.fromkeys(name.rpartition(":")[0] for name in state.resources.levels))
     place = {module: at for at, module in enumerate(modules)}
 
@@ -150,7 +150,7 @@ def _resources(state: LabState, today: str, promised: Promised, short: Shorts) -
         yield ResourceLeft(ModuleName(module), resource, *figures)
 
 
-def _stacks(state: LabState, promised: Promised, short: Shorts) -> Iterator[StackLeft]:
+def _list_stacks(state: LabState, promised: Promised, short: Shorts) -> Iterator[StackLeft]:
     for place, station in state.bench.stations.items():
         if station.spec.kind != "stack":
             continue
@@ -162,7 +162,7 @@ def _stacks(state: LabState, promised: Promised, short: Shorts) -> Iterator[Stac
         yield StackLeft(place, *figures)
 
 
-def _wastes(state: LabState, promised: Promised, short: Shorts) -> Iterator[WasteLeft]:
+def _list_wastes(state: LabState, promised: Promised, short: Shorts) -> Iterator[WasteLeft]:
     for place, station in state.bench.stations.items():
         if station.spec.kind == "waste":
             capacity = station.spec.capacity
@@ -177,7 +177,7 @@ def list_runs_ahead(state: LabState, now: int) -> Iterator[Ahead]:
     for run in [*state.runs.active.values(), *queued][:ENOUGH_RUNS]:
         plan = state.runs.plan_of(run)
         table = make_timetable(plan)
-        steps = statuses_of(plan, run)
+        steps = list_statuses(plan, run)
         left = [i for i, status in enumerate(steps) if status not in SETTLED]
         begun_s = min((table.slots[i].start_s for i in left), default=0.0)
         # The whole run is shifted until each of its modules has come free.

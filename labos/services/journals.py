@@ -13,7 +13,7 @@ from labos.core.lab import KernelStarted
 from labos.errors import JournalDamaged, Refused
 from labos.node.journal import Journal, knows_more
 from labos.ports import LogQuery
-from labos.services.log import Log, event_of
+from labos.services.log import Log, decode_event
 
 
 class Surplus(msgspec.Struct, frozen=True):
@@ -23,7 +23,7 @@ class Surplus(msgspec.Struct, frozen=True):
     knows: str
 
 
-def owners(folder: Path) -> dict[str, str]:
+def find_owners(folder: Path) -> dict[str, str]:
     """The labs to which the journals in a folder belong, by ``workcell.module``. Damaged ones, and those
     that belong to nobody yet, are left out."""
     found: dict[str, str] = {}
@@ -38,7 +38,7 @@ def owners(folder: Path) -> dict[str, str]:
 def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
     """A log without a single event is none that its nodes' journals have seen: it was lost, copied
     without its write-ahead log, or another database is meant. Raises Refused."""
-    known = {} if log.head().position else owners(folder)
+    known = {} if log.head().position else find_owners(folder)
     if known:
         name, lab = next(iter(known.items()))
         more = f" and {len(known) - 1} more" if len(known) > 1 else ""
@@ -51,11 +51,11 @@ def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
         )
 
 
-def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
+def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
     """What journals know more than the log. They must have been read before the log: a request is in
     the log before its node hears of it."""
     head = log.head()
-    starts = _starts(log)
+    starts = _list_starts(log)
     found: list[Surplus] = []
     for name, journal in journals.items():
         if journal.lab and not head.position:
@@ -78,7 +78,7 @@ def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundActi
     """What the journals in a folder know and the log of their lab does not, by module: actions, and the
     position up to which it was told of things (0: the log holds all of that). Damaged ones are left out, as
     their nodes refuse to start."""
-    head, starts = log.head(), _starts(log)
+    head, starts = log.head(), _list_starts(log)
     found: list[tuple[ModuleName, list[FoundAction], int]] = []
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
@@ -101,9 +101,9 @@ def _is_requested(log: Log, position: int, action: str, end: int) -> bool:
     if not 1 <= position <= end:
         return False
     record = next(log.read(position - 1, position), None)
-    return record is not None and getattr(event_of(record), "action", "") == action
+    return record is not None and getattr(decode_event(record), "action", "") == action
 
 
-def _starts(log: Log) -> list[tuple[int, int]]:
-    pairs = [(event_of(r), r.head.position) for r in log.select(LogQuery(types=(KernelStarted.TYPE,)))]
+def _list_starts(log: Log) -> list[tuple[int, int]]:
+    pairs = [(decode_event(r), r.head.position) for r in log.select(LogQuery(types=(KernelStarted.TYPE,)))]
     return [(event.epoch, position) for event, position in pairs if isinstance(event, KernelStarted)]

@@ -12,9 +12,9 @@ from labos.core.actions import ActionRequested
 from labos.core.envelope import Record
 from labos.core.ids import local
 from labos.ports import LogQuery
-from labos.services.catalogue import Catalogue, catalogue_of
+from labos.services.catalogue import Catalogue, read_catalogue
 from labos.services.describe import owner_name
-from labos.services.log import Log, event_of
+from labos.services.log import Log, decode_event
 
 
 class RecordReference(msgspec.Struct, frozen=True):
@@ -67,16 +67,16 @@ class LabwareHistory(msgspec.Struct):
         return names[0] if len(names) == 1 else "not known: " + " or ".join(names)
 
 
-def labware_history(log: Log, labware: str, upto: int | None = None) -> LabwareHistory | None:
+def read_labware_history(log: Log, labware: str, upto: int | None = None) -> LabwareHistory | None:
     """One labware's story up to a position; None if the log does not know it until then."""
     query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), mentions=labware, upto=upto)
-    return fold_histories(log.select(query), catalogue_of(log, upto)).get(labware)
+    return fold_histories(log.select(query), read_catalogue(log, upto)).get(labware)
 
 
-def labware_histories(log: Log, upto: int | None = None) -> dict[str, LabwareHistory]:
+def list_labware_histories(log: Log, upto: int | None = None) -> dict[str, LabwareHistory]:
     """Every labware there ever was, in order of its first placement."""
     query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), upto=upto)
-    return fold_histories(log.select(query), catalogue_of(log, upto))
+    return fold_histories(log.select(query), read_catalogue(log, upto))
 
 
 def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, LabwareHistory]:
@@ -84,7 +84,7 @@ def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, Lab
     told: dict[str, LabwareHistory] = {}
     acts: dict[str, str] = {}
     for record in records:
-        event = event_of(record)
+        event = decode_event(record)
         if isinstance(event, ActionRequested):
             acts[event.action] = _act(event, names)
         elif isinstance(event, b.LabwareEvent):
@@ -147,7 +147,7 @@ def _stand(
 
 
 def _act(event: ActionRequested, names: Catalogue) -> str:
-    step = names.step(event.run, event.step)
+    step = names.find_step(event.run, event.step)
     key = f", {event.run} #{event.step} {step.key!r}" if step is not None else f", {event.run}"
     return f"{local(event.module)}.{event.name}{key if event.run else ''}"
 

@@ -37,19 +37,19 @@ class Log(Protocol):
         """The words that stand beside it for these references."""
 
 
-def event_of(record: Record) -> Event:
+def decode_event(record: Record) -> Event:
     """The event of a record. Raises LogTooNew, LogDamaged."""
     head = record.head
     try:
         return decode(head.type, head.schema, record.payload)
     except (msgspec.MsgspecError, UnicodeDecodeError, TypeError) as error:
-        raise _unreadable(head.position, error) from None
+        raise _make_unreadable_error(head.position, error) from None
 
 
-def events(records: Iterable[Record]) -> Iterator[tuple[Event, Envelope]]:
+def decode_events(records: Iterable[Record]) -> Iterator[tuple[Event, Envelope]]:
     """Every event with its envelope. Raises LogTooNew, LogDamaged."""
     for record in records:
-        yield event_of(record), record.head
+        yield decode_event(record), record.head
 
 
 def fold_to(log: Log, position: int) -> LabState:
@@ -63,11 +63,11 @@ def fold_to(log: Log, position: int) -> LabState:
         try:
             evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
         except (msgspec.MsgspecError, TypeError, KeyError, ValueError, IndexError) as error:
-            raise _unreadable(row[0], error) from None
+            raise _make_unreadable_error(row[0], error) from None
     return state
 
 
-def _unreadable(position: int, error: Exception) -> LogDamaged:
+def _make_unreadable_error(position: int, error: Exception) -> LogDamaged:
     return LogDamaged(
         f"The record at position {position} contradicts the log ({error}).", position=position, remedy=VERIFY
     )

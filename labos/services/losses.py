@@ -13,10 +13,10 @@ import msgspec
 from labos.core.envelope import Envelope, Record
 from labos.core.lab import KernelStarted
 from labos.core.registry import Event
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState
-from labos.services.log import events
-from labos.services.next_touch import Touch, next_touches
+from labos.services.log import decode_events
+from labos.services.next_touch import Touch, list_next_touches
 from labos.services.standstill import Cause, Standstill
 from labos.services.twh import Meter, ScopeKind, TwhReport
 
@@ -153,7 +153,7 @@ class LossBook:
             list_accounts("experiment"),
             list_accounts("run"),
             tuple(self.intervals),
-            tuple(next_touches(self.standstill.state, self._at)),
+            tuple(list_next_touches(self.standstill.state, self._at)),
             self._at,
         )
 
@@ -174,9 +174,9 @@ class LossBook:
     def _charge(self, length: int, overall: Cause | None) -> None:
         state = self.standstill.state
         causes: dict[str, Cause | None] = {}
-        briefly = length < lab_ns(state, BRIEF_S)
+        briefly = length < convert_lab_s(state, BRIEF_S)
         for run in state.runs.active.values():
-            cause = overall or self.standstill.cause(run, briefly=briefly)
+            cause = overall or self.standstill.find_cause(run, briefly=briefly)
             causes[run.id] = cause
             if cause is None:
                 self._since.pop(run.id, None)
@@ -185,19 +185,19 @@ class LossBook:
             self._note(run.id, cause)
         for name in [name for name in self._since if name not in causes]:
             del self._since[name]
-        for (kind, name), members in self._scopes(list(state.runs.active.values())).items():
+        for (kind, name), members in self._list_scopes(list(state.runs.active.values())).items():
             cause = self._find_common_cause(members, causes)
             on_clock = overall is None and any(map(self._on_clock, members))
             self._book(kind, name).charge(cause, length, on_clock)
             if kind == "lab":
                 self._note("", cause)
-        busy = {self._cell(run) for run in state.runs.active.values()}
+        busy = {self._find_cell(run) for run in state.runs.active.values()}
         waiting: dict[tuple[ScopeKind, str], list[RunState]] = {}
         for run in state.runs.queued.values():
             if not busy:
                 waiting.setdefault(("lab", ""), []).append(run)
-            if self._cell(run) not in busy:
-                waiting.setdefault(("workcell", self._cell(run)), []).append(run)
+            if self._find_cell(run) not in busy:
+                waiting.setdefault(("workcell", self._find_cell(run)), []).append(run)
         for (kind, name), members in waiting.items():
             cause = overall or self._explain_not_begun(members, briefly)
             self._book(kind, name).charge(cause, length, False)
@@ -214,15 +214,15 @@ class LossBook:
     def _explain_not_begun(self, members: list[RunState], briefly: bool) -> Cause:
         """Why none of the runs that wait has been let in."""
         judged = members[:QUEUED_JUDGED]
-        found = [self.standstill.cause(run, briefly=briefly) for run in judged]
+        found = [self.standstill.find_cause(run, briefly=briefly) for run in judged]
         return ABOUT_TO_START if None in found or found[0] is None else found[0]
 
-    def _scopes(self, runs: list[RunState]) -> dict[tuple[ScopeKind, str], list[RunState]]:
+    def _list_scopes(self, runs: list[RunState]) -> dict[tuple[ScopeKind, str], list[RunState]]:
         """The runs under way in every scope that has any."""
         found: dict[tuple[ScopeKind, str], list[RunState]] = {}
         for run in runs:
             found.setdefault(("lab", ""), []).append(run)
-            found.setdefault(("workcell", self._cell(run)), []).append(run)
+            found.setdefault(("workcell", self._find_cell(run)), []).append(run)
             found.setdefault(("run", run.id), []).append(run)
             if run.experiment:
                 found.setdefault(("experiment", run.experiment), []).append(run)
@@ -231,7 +231,7 @@ class LossBook:
     def _on_clock(self, run: RunState) -> bool:
         state = self.standstill.state
         asked = any(question.run == run.id for question in state.interventions.open.values())
-        return not (run.paused or asked or self._cell(run) in state.lab.access)
+        return not (run.paused or asked or self._find_cell(run) in state.lab.access)
 
     def _note(self, name: str, cause: Cause | None) -> None:
         """Remember since when a run (empty: the lab) has stood still, and for what."""
@@ -242,16 +242,16 @@ class LossBook:
         if cause is not None:
             self._open.setdefault(name, (self._at, cause))
 
-    def _cell(self, run: RunState) -> str:
+    def _find_cell(self, run: RunState) -> str:
         return self.standstill.state.runs.plan_of(run).workcell
 
     def _book(self, kind: ScopeKind, name: str) -> _Book:
         return self._books.setdefault((kind, name), _Book(kind, name))
 
 
-def account(records: Iterable[Record], now: int | None = None) -> Losses:
+def sum_losses(records: Iterable[Record], now: int | None = None) -> Losses:
     """Where the time of every scope of a log went. Raises LogTooNew, LogDamaged."""
     book = LossBook()
-    for event, head in events(records):
+    for event, head in decode_events(records):
         book.add(event, head)
     return book.report(now)

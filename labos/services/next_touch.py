@@ -15,7 +15,7 @@ from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.planning.forecast import is_pending
-from labos.services.inventory import Ahead, Inventory, inventory, list_runs_ahead, list_shortfalls
+from labos.services.inventory import Ahead, Inventory, count_inventory, list_runs_ahead, list_shortfalls
 from labos.services.times import iso_time
 
 
@@ -30,11 +30,16 @@ class Touch(msgspec.Struct, frozen=True):
     remedy: str = ""
 
 
-def next_touches(state: LabState, now: int) -> list[Touch]:
+def list_next_touches(state: LabState, now: int) -> list[Touch]:
     """What a person is needed for, the first first; ``now`` in UTC ns."""
     walked = list(list_runs_ahead(state, now))
-    left = inventory(state, now, iso_time(now)[:10])
-    found = [*_find_asked(state), *_modules(state, walked), *_supplies(left), *_work(state, walked)]
+    left = count_inventory(state, now, iso_time(now)[:10])
+    found = [
+        *_find_asked(state),
+        *_list_modules(state, walked),
+        *_list_supplies(left),
+        *_list_work(state, walked),
+    ]
     return sorted(found, key=lambda touch: (max(touch.at, now), touch.at))
 
 
@@ -49,7 +54,7 @@ def _find_asked(state: LabState) -> Iterator[Touch]:
         yield Touch(access.asked_at, "access", what, "", f"labos access {cell} --done")
 
 
-def _modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
+def _list_modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
     """Modules that runs need and that do not come back by themselves; each once, where it is needed
     first."""
     named: set[str] = set()
@@ -67,13 +72,13 @@ def _modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
                 yield Touch(at, "module", f"{local(name)} ({why})", found.run.id, remedy)
 
 
-def _supplies(left: Inventory) -> Iterator[Touch]:
+def _list_supplies(left: Inventory) -> Iterator[Touch]:
     for name, out in list_shortfalls(left):
         what = local(name).replace(":", " ")
         yield Touch(out.at, "supply", f"{what} will not do for step {out.step!r}", out.run)
 
 
-def _work(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
+def _list_work(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
     """Steps that a workflow plans for a person and that have not been asked for yet."""
     for found in walked:
         run = found.run

@@ -61,7 +61,7 @@ def pack_node(package: NodePackage) -> bytes:
         options += f" --secure --cert {place}"
     options += f" {package.options}" if package.options else ""
     files = {
-        "install.sh": _script(package, place).encode(),
+        "install.sh": _write_script(package, place).encode(),
         f"node-{package.name}.env": f"LABOS_WORKCELL={package.workcell}\nLABOS_NODE={options}\n".encode(),
         "labos.env": b"LABOS_HOME=/var/lib/labos/lab\n",
         **{name: text.encode() for name, text in read_units().items()},
@@ -70,7 +70,7 @@ def pack_node(package: NodePackage) -> bytes:
     if package.certificate is not None:
         names = ("ca.pem", "cert.pem", "key.pem")
         files |= {f"certificate/{name}": _read(package.certificate / name) for name in names}
-    return _tar(f"labos-node-{package.workcell}-{package.name}", files)
+    return _pack_tar(f"labos-node-{package.workcell}-{package.name}", files)
 
 
 def _check(package: NodePackage) -> None:
@@ -107,7 +107,7 @@ def _read(path: Path) -> bytes:
         ) from None
 
 
-def _script(package: NodePackage, place: str) -> str:
+def _write_script(package: NodePackage, place: str) -> str:
     wheels = '--find-links "$HERE/wheels"' if package.wheels else ""
     certificate = ""
     if package.certificate is not None:
@@ -171,7 +171,7 @@ fi
 """
 
 
-def _tar(folder: str, files: Mapping[str, bytes]) -> bytes:
+def _pack_tar(folder: str, files: Mapping[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for name, data in sorted(files.items()):

@@ -15,7 +15,7 @@ from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.ports import BlobReader, LogQuery
-from labos.services.log import Log, event_of
+from labos.services.log import Log, decode_event
 
 MOST_LINES = 200
 """So many lines of a difference between two texts are shown."""
@@ -32,7 +32,7 @@ class ChangedPart(msgspec.Struct, frozen=True):
     lines: tuple[str, ...] = ()
 
 
-def sentence(state: LabState, subject: str) -> str:
+def describe_waiting(state: LabState, subject: str) -> str:
     """That a submission waits for an approval, why, and what to do; empty if it does not."""
     proposal = state.approvals.open.get(subject)
     if proposal is None:
@@ -42,7 +42,7 @@ def sentence(state: LabState, subject: str) -> str:
     return f"{what} waits for approval, because {why}. An operator answers: labos approve {subject}"
 
 
-def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal) -> list[ChangedPart]:
+def list_differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal) -> list[ChangedPart]:
     """How a proposal differs from what was approved last of its name. Reads the log and texts that are kept
     beside it."""
     if proposal.kind == "amendment":
@@ -52,29 +52,34 @@ def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal
     past = state.approvals.past.get(f"{proposal.kind}:{proposal.name}")
     if past is None:
         return []
-    return [ChangedPart(part, _lines(log, blobs, proposal, past, part)) for part in proposal.changed]
+    return [ChangedPart(part, _compare_lines(log, blobs, proposal, past, part)) for part in proposal.changed]
 
 
-def _lines(log: Log, blobs: BlobReader, proposal: Proposal, past: LastApproval, part: str) -> tuple[str, ...]:
+def _compare_lines(
+    log: Log, blobs: BlobReader, proposal: Proposal, past: LastApproval, part: str
+) -> tuple[str, ...]:
     was, now = past.parts.get(part, ""), proposal.parts.get(part, "")
     if part == "payload":
-        old, new = _first(log, past.subject, RunSubmitted), _first(log, proposal.subject, RunSubmitted)
+        old, new = (
+            _find_first(log, past.subject, RunSubmitted),
+            _find_first(log, proposal.subject, RunSubmitted),
+        )
         if isinstance(old, RunSubmitted) and isinstance(new, RunSubmitted):
             return tuple(compare(old.payload, new.payload))
         return ()
     if part == "terms":
         return tuple(compare(msgspec.to_builtins(past.terms), msgspec.to_builtins(proposal.terms)))
     if part == "workflow" or part.startswith("file:"):
-        return tuple(_texts_compared(_text(blobs, was), _text(blobs, now)))
+        return tuple(_compare_texts(_read_text(blobs, was), _read_text(blobs, now)))
     return ()
 
 
-def _first(log: Log, stream: str, kind: type[Event]) -> Event | None:
+def _find_first(log: Log, stream: str, kind: type[Event]) -> Event | None:
     record = next(iter(log.select(LogQuery(streams=(stream,), types=(kind.TYPE,)))), None)
-    return event_of(record) if record is not None else None
+    return decode_event(record) if record is not None else None
 
 
-def _text(blobs: BlobReader, digest: str) -> str | None:
+def _read_text(blobs: BlobReader, digest: str) -> str | None:
     """A text that is kept beside the log; of a campaign's definition that of its workflow."""
     try:
         text = blobs.get(digest).decode() if digest else ""
@@ -87,7 +92,7 @@ def _text(blobs: BlobReader, digest: str) -> str | None:
     return str(whole["text"]) if isinstance(whole, dict) and isinstance(whole.get("text"), str) else text
 
 
-def _texts_compared(old: str | None, new: str | None) -> Iterator[str]:
+def _compare_texts(old: str | None, new: str | None) -> Iterator[str]:
     if old is None or new is None:
         return
     lines = unified_diff(old.splitlines(), new.splitlines(), "before", "now", lineterm="", n=1)
@@ -100,7 +105,7 @@ def _texts_compared(old: str | None, new: str | None) -> Iterator[str]:
 
 def compare(old: dict[str, Any] | None, new: dict[str, Any] | None) -> Iterator[str]:
     """The values that differ, each with what it was."""
-    before, now = _flat(old or {}), _flat(new or {})
+    before, now = _flatten_table(old or {}), _flatten_table(new or {})
     for number, key in enumerate(k for k in {**before, **now} if before.get(k, _NONE) != now.get(k, _NONE)):
         if number == MOST_VALUES:
             yield "…"
@@ -115,11 +120,11 @@ def _show_value(values: dict[str, Any], key: str) -> str:
     return msgspec.json.encode(values[key]).decode() if key in values else "not given"
 
 
-def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flatten_table(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict) and value:
-            found |= _flat(value, f"{prefix}{key}.")
+            found |= _flatten_table(value, f"{prefix}{key}.")
         else:
             found[f"{prefix}{key}"] = value
     return found

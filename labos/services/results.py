@@ -23,9 +23,9 @@ from labos.core.effects import Move, Needs, Relid, Unlid
 from labos.core.wells import well_key
 from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader, LogQuery
-from labos.services.catalogue import catalogue_of
-from labos.services.log import Log, events
-from labos.services.samples import Registration, registrations
+from labos.services.catalogue import read_catalogue
+from labos.services.log import Log, decode_events
+from labos.services.samples import Registration, list_registrations
 from labos.services.times import iso_time
 
 if TYPE_CHECKING:
@@ -92,30 +92,30 @@ class ValueTable(msgspec.Struct, frozen=True):
     values: dict[str, float | bool | str]
 
 
-def readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> Readings:
+def read_readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> Readings:
     """Every value by well that a run's steps returned, in the order of its steps' ends and of the
     plates' wells. Samples are
     those that the plate's sheet said last before the step ended, else the first that was said
     after. Raises NotFound for a run that never was."""
-    names = catalogue_of(log, upto)
+    names = read_catalogue(log, upto)
     if run not in names.runs:
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
     sheets: dict[str, list[Registration]] = {"": []}
     plates: dict[str, str] = {}
     found = Readings()
     query = LogQuery(streams=(run,), types=_KINDS, upto=upto)
-    for event, head in events(log.select(query)):
+    for event, head in decode_events(log.select(query)):
         if isinstance(event, ActionRequested):
-            plates[event.action] = labware_of_action(event)
+            plates[event.action] = find_labware_of_action(event)
         elif isinstance(event, ActionSucceeded | ActionReconciled):
             plate = plates.get(event.action, "")
-            step = names.step(run, event.step)
+            step = names.find_step(run, event.step)
             key = step.key if step is not None else str(event.step)
             ended = getattr(event, "ended_ns", 0) or head.recorded_at
-            for table in tables(event.result):
+            for table in iterate_tables(event.result):
                 if plate not in sheets:
-                    sheets[plate] = registrations(log, blobs, plate, upto)
-                samples = _samples_at(sheets[plate], head.position)
+                    sheets[plate] = list_registrations(log, blobs, plate, upto)
+                samples = _find_samples_at(sheets[plate], head.position)
                 for well, value in table.values.items():
                     found.append(
                         Reading(
@@ -126,29 +126,29 @@ def readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> 
     return found
 
 
-def tables(result: Any) -> Iterator[ValueTable]:
+def iterate_tables(result: Any) -> Iterator[ValueTable]:
     """The tables by well in a step's result; none in most."""
     if isinstance(result, list):
         for item in result:
             if isinstance(item, dict):
-                yield from tables(item)
+                yield from iterate_tables(item)
     elif isinstance(result, dict):
         if isinstance(result.get("tables"), list):
-            yield from tables(result["tables"])
+            yield from iterate_tables(result["tables"])
         elif isinstance(result.get("wells"), dict):
-            yield from _by_quantity(result["wells"], result)
-        elif result and all(_well(key) for key in result):
-            yield from _by_quantity(result, {})
+            yield from _split_by_quantity(result["wells"], result)
+        elif result and all(_match_well(key) for key in result):
+            yield from _split_by_quantity(result, {})
 
 
-def _by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[ValueTable]:
+def _split_by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[ValueTable]:
     """One table for each quantity. What stands in no well, or is no value, is left out."""
     found: dict[str, dict[str, float | bool | str]] = {}
     units = about.get("units")
     units = units if isinstance(units, dict) else {}
     plain = str(about.get("quantity") or "value")
     for name, value in wells.items():
-        well = _well(name)
+        well = _match_well(name)
         if not well:
             continue
         for quantity, item in (value if isinstance(value, dict) else {plain: value}).items():
@@ -159,12 +159,12 @@ def _by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator
         yield ValueTable(quantity, str(units.get(quantity, about.get("unit") or "")), values)
 
 
-def _well(name: str) -> str:
+def _match_well(name: str) -> str:
     match = _WELL.fullmatch(name.upper())
     return f"{match[1]}{match[2]}" if match else ""
 
 
-def labware_of_action(event: ActionRequested) -> str:
+def find_labware_of_action(event: ActionRequested) -> str:
     """The labware that an action worked on, if it was one."""
     touched = {
         effect.plate if isinstance(effect, Unlid | Relid) else effect.labware
@@ -174,7 +174,7 @@ def labware_of_action(event: ActionRequested) -> str:
     return str(touched.pop()) if len(touched) == 1 else ""
 
 
-def _samples_at(sheets: list[Registration], position: int) -> dict[str, str]:
+def _find_samples_at(sheets: list[Registration], position: int) -> dict[str, str]:
     if not sheets:
         return {}
     last = bisect.bisect_left([sheet.position for sheet in sheets], position) - 1

@@ -16,8 +16,8 @@ from labos.core.registry import Event
 from labos.core.structs import make_from
 from labos.errors import NotFound
 from labos.ports import LogQuery
-from labos.services.catalogue import Catalogue, catalogue_of, teach
-from labos.services.log import Log, events
+from labos.services.catalogue import Catalogue, read_catalogue, teach
+from labos.services.log import Log, decode_events
 
 FAMILIES = ("run", "action", "window")
 OVER = ("completed", "failed", "cancelled")
@@ -92,7 +92,7 @@ class RunBook:
         elif isinstance(event, a.ActionEvent):
             run = self.runs.get(event.run)
             if run is not None and event.step < len(run.steps):
-                _step(run, run.steps[event.step], event, head.recorded_at)
+                _fold_step(run, run.steps[event.step], event, head.recorded_at)
         elif isinstance(event, r.RunEvent):
             run = self.runs.get(event.run)
             if run is not None:
@@ -124,15 +124,15 @@ class RunBook:
 
 def run_histories(log: Log) -> dict[str, RunHistory]:
     """Every run of the log, in order of submission."""
-    book = RunBook(catalogue_of(log))
-    _tell(book, events(log.select(LogQuery(types=FAMILIES))))
+    book = RunBook(read_catalogue(log))
+    _tell(book, decode_events(log.select(LogQuery(types=FAMILIES))))
     return book.runs
 
 
 def run_history(log: Log, run: str, upto: int | None = None) -> RunHistory:
     """One run, read from its own stream and the one that holds its plan: what else the log holds
     costs nothing. Raises NotFound."""
-    own = list(events(log.select(LogQuery(streams=(run,), upto=upto))))
+    own = list(decode_events(log.select(LogQuery(streams=(run,), upto=upto))))
     names = Catalogue()
     teach(names, own)
     submitted = names.runs.get(run)
@@ -140,10 +140,10 @@ def run_history(log: Log, run: str, upto: int | None = None) -> RunHistory:
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
     if submitted.plan not in names.plans and submitted.planned_by:
         query = LogQuery(streams=(submitted.planned_by,), types=("plan",), upto=upto)
-        teach(names, events(log.select(query)))
+        teach(names, decode_events(log.select(query)))
     if submitted.plan not in names.plans:
         # Runs that were submitted before `planned_by` was noted.
-        names = catalogue_of(log, upto)
+        names = read_catalogue(log, upto)
     book = RunBook(names, keep=run)
     _tell(book, own)
     return book.runs[run]
@@ -176,13 +176,13 @@ def _run(run: RunHistory, event: r.RunEvent, at: int) -> None:
                 elif step.state == "pending":
                     step.state = "skipped"
         case r.RunCompleted():
-            _over(run, "completed", at)
+            _end_run(run, "completed", at)
         case r.RunFailed():
             run.why = f"{event.why} ({event.kind} error)"
-            _over(run, "failed", at)
+            _end_run(run, "failed", at)
         case r.RunCancelled():
             run.why = run.why or event.why
-            _over(run, "cancelled", at)
+            _end_run(run, "cancelled", at)
         case st.WindowBreached():
             if event.step < len(run.steps):
                 run.steps[event.step].breached = True
@@ -199,14 +199,14 @@ def _run(run: RunHistory, event: r.RunEvent, at: int) -> None:
                 run.steps[event.step].state = "pending"
 
 
-def _over(run: RunHistory, status: str, at: int) -> None:
+def _end_run(run: RunHistory, status: str, at: int) -> None:
     run.status, run.ended_at = status, at
     for begun in run.flying.values():
         run.busy.append((begun, at))
     run.flying.clear()
 
 
-def _step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int) -> None:
+def _fold_step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int) -> None:
     match event:
         case a.ActionRequested():
             step.state, step.attempts = "in flight", max(step.attempts, event.attempt)

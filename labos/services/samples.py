@@ -8,7 +8,7 @@ from labos.core.labware import Sample, SamplesRegistered
 from labos.core.wells import well_key
 from labos.errors import LogDamaged
 from labos.ports import BlobReader, LogQuery
-from labos.services.log import Log, events
+from labos.services.log import Log, decode_events
 
 
 class Registration(msgspec.Struct, frozen=True):
@@ -23,12 +23,14 @@ class Registration(msgspec.Struct, frozen=True):
     """In the order of the plate: A1, A2, A10, B1."""
 
 
-def registrations(log: Log, blobs: BlobReader, labware: str, upto: int | None = None) -> list[Registration]:
+def list_registrations(
+    log: Log, blobs: BlobReader, labware: str, upto: int | None = None
+) -> list[Registration]:
     """What was said of a plate, in order; the last counts. Raises NotFound and LogDamaged for a
     blob that is missing or changed."""
     query = LogQuery(types=(SamplesRegistered.TYPE,), mentions=labware, upto=upto)
     found: list[Registration] = []
-    for event, head in events(log.select(query)):
+    for event, head in decode_events(log.select(query)):
         if isinstance(event, SamplesRegistered) and event.labware == labware:
             samples = event.wells or _unpack(blobs, event.blob, head.position)
             wells = tuple(sorted(samples, key=lambda sample: well_key(sample.well)))

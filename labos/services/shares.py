@@ -24,21 +24,21 @@ class ShareAccount(msgspec.Struct, frozen=True):
     quota: Quota
 
 
-def ledger(state: LabState, now: int) -> list[ShareAccount]:
+def make_ledger(state: LabState, now: int) -> list[ShareAccount]:
     """Everybody who stands in the shares file or has used the lab, by group and name."""
     shares = state.shares
     users = sorted({*shares.members, *shares.usage, *shares.had})
     groups: dict[str, list[str]] = {}
     for user in users:
         groups.setdefault(shares.group_of.get(user, f"\0{user}"), []).append(user)
-    weights = {name: _weight(state, name, members) for name, members in groups.items()}
-    levels = {user: usage.level(now) for user, usage in shares.usage.items()}
+    weights = {name: _find_weight(state, name, members) for name, members in groups.items()}
+    levels = {user: usage.compute_level(now) for user, usage in shares.usage.items()}
     whole, used = sum(weights.values()), sum(levels.values())
     accounts = []
     for name, members in groups.items():
-        among = sum(shares.member(user).weight for user in members)
+        among = sum(shares.find_member(user).weight for user in members)
         for user in members:
-            member, had = shares.member(user), shares.had.get(user, Had())
+            member, had = shares.find_member(user), shares.had.get(user, Had())
             accounts.append(
                 ShareAccount(
                     user=user,
@@ -46,8 +46,8 @@ def ledger(state: LabState, now: int) -> list[ShareAccount]:
                     weight=member.weight,
                     wanted=weights[name] / whole * member.weight / among,
                     had=levels.get(user, 0.0) / used if used else 0.0,
-                    lab_hours=had.week.lab_ns(now) * state.lab.pace / 3.6e12,
-                    consumables={kind: had.week.count_used(kind, now) for kind in _kinds(had)},
+                    lab_hours=had.week.sum_lab_ns(now) * state.lab.pace / 3.6e12,
+                    consumables={kind: had.week.count_used(kind, now) for kind in _list_kinds(had)},
                     running=had.running,
                     queued=had.queued,
                     quota=member.quota,
@@ -56,10 +56,10 @@ def ledger(state: LabState, now: int) -> list[ShareAccount]:
     return sorted(accounts, key=lambda account: (account.group, account.user))
 
 
-def _weight(state: LabState, name: str, members: list[str]) -> float:
+def _find_weight(state: LabState, name: str, members: list[str]) -> float:
     group = state.shares.groups.get(name)
     return group.weight if group is not None else state.shares.members.get(members[0], Member()).weight
 
 
-def _kinds(had: Had) -> list[str]:
+def _list_kinds(had: Had) -> list[str]:
     return sorted({kind for kinds in had.week.consumed.values() for kind in kinds})

@@ -12,8 +12,8 @@ from typing import Protocol, TypeVar
 import msgspec
 
 from labos.core.envelope import Record
-from labos.core.state import picture_with
-from labos.core.words import PREFIX, Kept, put_into_json, put_into_text, references_in
+from labos.core.state import rewrite_picture
+from labos.core.words import PREFIX, Kept, list_references, put_into_json, put_into_text
 from labos.ports import Head, LogQuery
 from labos.services.log import Log, Row
 
@@ -30,7 +30,7 @@ class WordsBeside(Protocol):
     def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]: ...
 
 
-def texts_of(log: WordsBeside, references: Iterable[str]) -> dict[str, str]:
+def read_texts(log: WordsBeside, references: Iterable[str]) -> dict[str, str]:
     """The texts of references, without those that were erased. Raises StoreUnavailable."""
     named = list(references)
     if not named:
@@ -40,34 +40,34 @@ def texts_of(log: WordsBeside, references: Iterable[str]) -> dict[str, str]:
 
 def show_json(log: WordsBeside, data: bytes) -> bytes:
     """JSON with the words put in. Raises StoreUnavailable."""
-    named = references_in(data)
-    return put_into_json(data, texts_of(log, named)) if named else data
+    named = list_references(data)
+    return put_into_json(data, read_texts(log, named)) if named else data
 
 
 def show_text(log: WordsBeside, text: str) -> str:
     """Plain text with the words put in. Raises StoreUnavailable."""
-    return put_into_text(text, texts_of(log, references_in(text.encode())))
+    return put_into_text(text, read_texts(log, list_references(text.encode())))
 
 
 def show_struct(log: WordsBeside, value: S) -> S:
     """A struct with the words put into all its texts. Raises StoreUnavailable."""
     data = msgspec.json.encode(value)
-    return msgspec.json.decode(show_json(log, data), type=type(value)) if references_in(data) else value
+    return msgspec.json.decode(show_json(log, data), type=type(value)) if list_references(data) else value
 
 
 def show_records(log: WordsBeside, records: Sequence[Record]) -> list[Record]:
     """Records with the words put into their payloads. Raises StoreUnavailable."""
-    named = [_references(record) for record in records]
-    texts = texts_of(log, dict.fromkeys(name for names in named for name in names))
+    named = [_list_references(record) for record in records]
+    texts = read_texts(log, dict.fromkeys(name for names in named for name in names))
     return [
         msgspec.structs.replace(record, payload=put_into_json(record.payload, texts)) if names else record
         for record, names in zip(records, named, strict=True)
     ]
 
 
-def _references(record: Record) -> list[str]:
+def _list_references(record: Record) -> list[str]:
     # SQLite lets a column hold a value of any type: the reader of the event says that it is damaged.
-    return references_in(record.payload) if isinstance(record.payload, bytes) else []
+    return list_references(record.payload) if isinstance(record.payload, bytes) else []
 
 
 class ShownLog:
@@ -87,9 +87,9 @@ class ShownLog:
 
     def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
         """As the log's own, so each record is checked before its words are put in."""
-        for rows in _in_pages(self._log.replay(after, upto)):
-            named = [name for row in rows for name in references_in(row[4])]
-            texts = texts_of(self._log, dict.fromkeys(named))
+        for rows in _split_into_pages(self._log.replay(after, upto)):
+            named = [name for row in rows for name in list_references(row[4])]
+            texts = read_texts(self._log, dict.fromkeys(named))
             for row in rows:
                 yield (*row[:4], put_into_json(row[4], texts)) if PREFIX.encode() in row[4] else row
 
@@ -98,17 +98,17 @@ class ShownLog:
         if found is None or PREFIX.encode() not in found[2]:
             return found
         position, hash_, data = found
-        texts = texts_of(self._log, references_in(data))
-        return position, hash_, picture_with(data, lambda text: put_into_text(text, texts))
+        texts = read_texts(self._log, list_references(data))
+        return position, hash_, rewrite_picture(data, lambda text: put_into_text(text, texts))
 
     def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
         return self._log.words_of(references)
 
     def _show(self, records: Iterator[Record]) -> Iterator[Record]:
-        for page in _in_pages(records):
+        for page in _split_into_pages(records):
             yield from show_records(self._log, page)
 
 
-def _in_pages(items: Iterator[T]) -> Iterator[list[T]]:
+def _split_into_pages(items: Iterator[T]) -> Iterator[list[T]]:
     while page := list(islice(items, PAGE)):
         yield page

@@ -12,7 +12,7 @@ from labos.core.envelope import Record
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.registry import decode
 from labos.core.runs import RUN_ENDS, RunSubmitted
-from labos.core.signatures import RecordsSigned, RunSigned, digest_of_records
+from labos.core.signatures import RecordsSigned, RunSigned, make_digest_of_records
 from labos.core.structs import make_from
 from labos.errors import NotFound, Refused
 from labos.ports import LogQuery
@@ -83,13 +83,13 @@ def record_of(log: Log, subject: str, kind: Kind) -> Signed:
     return _digest_subject(log, subject, kind)
 
 
-def runs_of(log: Log, subject: str, upto: int | None = None) -> tuple[str, ...]:
+def list_runs(log: Log, subject: str, upto: int | None = None) -> tuple[str, ...]:
     """The runs of an experiment or of a campaign, in the order of the log, submitted up to a position."""
     submitted = log.select(LogQuery(types=(RunSubmitted.TYPE,), correlation=subject, upto=upto))
     return tuple(record.head.stream for record in submitted if record.head.stream != subject)
 
 
-def kind_of(log: Log, subject: str) -> Kind:
+def find_kind(log: Log, subject: str) -> Kind:
     """What can be signed under this name. Raises NotFound."""
     found = _kind_of(log, subject)
     if found is None:
@@ -99,7 +99,7 @@ def kind_of(log: Log, subject: str) -> Kind:
     return found
 
 
-def signatures_of(log: Log, subject: str = "") -> list[Signature]:
+def list_signatures(log: Log, subject: str = "") -> list[Signature]:
     """The signatures under a run, an experiment or a campaign, or all there are, in the order of the log."""
     found: list[Signature] = []
     known: dict[str, Signed] = {}
@@ -107,19 +107,19 @@ def signatures_of(log: Log, subject: str = "") -> list[Signature]:
         event = read_signature(record)
         if subject not in ("", event[0]):
             continue
-        found.append(_signature(log, record, event, known))
+        found.append(_make_signature(log, record, event, known))
     return found
 
 
-def signatures_under(log: Log, subject: str) -> list[Signature]:
+def list_signatures_under(log: Log, subject: str) -> list[Signature]:
     """The signatures under something. Raises NotFound if there never was one."""
-    kind_of(log, subject)
-    return signatures_of(log, subject)
+    find_kind(log, subject)
+    return list_signatures(log, subject)
 
 
 def check_signatures(log: Log) -> VerifiedPart:
     """Whether each signature is under what was signed."""
-    found = signatures_of(log)
+    found = list_signatures(log)
     broken = [each for each in found if not each.holds]
     faults = tuple(
         f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, and they are "
@@ -139,7 +139,7 @@ def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned
     return event.subject, event.kind, event
 
 
-def _signature(
+def _make_signature(
     log: Log,
     record: Record,
     said: tuple[str, Kind, RunSigned | RecordsSigned],
@@ -165,17 +165,17 @@ def _signature(
 
 
 def _digest_subject(log: Log, subject: str, kind: Kind) -> Signed:
-    runs = () if kind == "run" else runs_of(log, subject)
-    return digest_of(kind, len(runs), _records(log, (subject, *runs)))
+    runs = () if kind == "run" else list_runs(log, subject)
+    return digest_records(kind, len(runs), _read_records(log, (subject, *runs)))
 
 
-def digest_of(kind: Kind, runs: int, records: Iterable[Record]) -> Signed:
+def digest_records(kind: Kind, runs: int, records: Iterable[Record]) -> Signed:
     """What is signed, of records in the order of the log."""
     envelopes = [record.envelope for record in records]
-    return Signed(kind, runs, len(envelopes), digest_of_records(envelopes))
+    return Signed(kind, runs, len(envelopes), make_digest_of_records(envelopes))
 
 
-def _records(log: Log, streams: tuple[str, ...]) -> list[Record]:
+def _read_records(log: Log, streams: tuple[str, ...]) -> list[Record]:
     """All records of these streams, in the order of the log."""
     found = [
         record

@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.actions import Action, ActionFailed, ActionStatus
-from labos.core.effects import places
+from labos.core.effects import list_places
 from labos.core.envelope import Envelope
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName, experiment_owner, local
@@ -31,7 +31,7 @@ from labos.core.state import LabState
 from labos.core.steps import StepUnexpected
 from labos.core.topics import PlannedWork
 from labos.core.waits import Wait
-from labos.planning.obstacle import obstacle
+from labos.planning.obstacle import find_obstacle
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import find_touched_keys, is_key_of_all
 
@@ -94,7 +94,7 @@ class Standstill:
                 self._taken_by_person[event.module] = "/" not in head.actor and head.actor != "labos"
         self._forget(event)
 
-    def cause(self, run: RunState, *, briefly: bool = False) -> Cause | None:
+    def find_cause(self, run: RunState, *, briefly: bool = False) -> Cause | None:
         """What a run that is alive waits for in the end; None if it goes on, or waits for one that does.
         ``briefly``: it is not worth a look at the whole bench; who waits for his turn waits for what he
         waited for before."""
@@ -120,13 +120,13 @@ class Standstill:
         self._looked.pop(own, None)
         self._before.pop(own, None)
 
-    def _entries(self, run: RunState) -> list[Entry]:
+    def _list_entries(self, run: RunState) -> list[Entry]:
         known = self._looked.get(run.id)
         if known is None:
             known = list(self._look(run))
             if not known and self._briefly:
                 return self._before.get(run.id, [PASSES])
-            known = self._before[run.id] = known or list(self._steps(run))
+            known = self._before[run.id] = known or list(self._iterate_steps(run))
             if PASSES not in known:  # who may start keeps no key whose change would show that it may not
                 self._looked[run.id] = known
         return known
@@ -136,7 +136,7 @@ class Standstill:
     def _find_final_cause(self, run: RunState, seen: set[RunId]) -> Cause | None:
         seen.add(run.id)
         found: Cause | None = None
-        for entry in self._entries(run):
+        for entry in self._list_entries(run):
             if isinstance(entry, Cause):
                 found = found or entry
                 continue
@@ -156,7 +156,7 @@ class Standstill:
         state = self.state
         asked = [question for question in state.interventions.open.values() if question.run == run.id]
         if asked:
-            yield self._question(asked[0])
+            yield self._make_question_cause(asked[0])
             return
         access = state.lab.access.get(state.runs.plan_of(run).workcell)
         if access is not None:
@@ -171,9 +171,9 @@ class Standstill:
         if run.status == RunStatus.CANCELLING and not flying:
             yield PASSES
 
-    def _steps(self, run: RunState) -> Iterator[Entry]:
+    def _iterate_steps(self, run: RunState) -> Iterator[Entry]:
         """What the steps whose turn it is wait for."""
-        waits = self._scheduler.waits(self.state, run, self.state.recorded_at)
+        waits = self._scheduler.list_waits(self.state, run, self.state.recorded_at)
         if not waits:
             yield PASSES
         for _, wait in waits:
@@ -189,7 +189,7 @@ class Standstill:
         lost = module is None or module.status in (ModuleStatus.GONE, ModuleStatus.ERROR)
         return (self._explain_away(action.module) if lost else None) or PASSES
 
-    def _question(self, question: Intervention) -> Cause:
+    def _make_question_cause(self, question: Intervention) -> Cause:
         kind = question.kind
         if kind == PlannedWork.KIND:
             return Cause("planned", "work by hand", question.module, asked=True)
@@ -239,7 +239,7 @@ class Standstill:
             case reasons.StackEmpty() | reasons.WasteFull():
                 place = StationName(reason.place)
                 lacks = "empty" if isinstance(reason, reasons.StackEmpty) else "full"
-                return Cause("resource", f"{local(place)} {lacks}", self._module_at(place))
+                return Cause("resource", f"{local(place)} {lacks}", self._find_module_at(place))
             case reasons.Uncertain():
                 return self._charge_lost(reason.place)
             case reasons.Lost():
@@ -247,9 +247,9 @@ class Standstill:
             case reasons.Outcome():
                 return Cause("error", "unknown action", "", "operational", asked=True)
             case reasons.Halted():
-                return Cause("person", "paused", self._module_at(reason.target))
+                return Cause("person", "paused", self._find_module_at(reason.target))
             case reasons.NoWayOut():
-                found = obstacle(self._scheduler.safety, self.state, run)
+                found = find_obstacle(self._scheduler.safety, self.state, run)
                 words = [found.replace("experiment ", "experiment:")]
             case (
                 reasons.Paused()
@@ -269,7 +269,7 @@ class Standstill:
                 | reasons.WrongWay()
                 | reasons.NoGrip()
             ):
-                at = self._module_at(next(iter(reason.names), ""))
+                at = self._find_module_at(next(iter(reason.names), ""))
                 return Cause("person", reason.code.replace("_", " "), at)
             case (
                 reasons.TooEarly()
@@ -318,7 +318,7 @@ class Standstill:
                     return PASSES
             case _:
                 assert_never(reason)
-        others, left = self._runs_named_in(words)
+        others, left = self._find_runs_named_in(words)
         others = tuple(other for other in others if other != run.id)
         if left is not None and not others:
             return self._charge_left(left)
@@ -335,25 +335,25 @@ class Standstill:
             action = self.state.actions.open.get(ActionId(question.subject))
             moved = [*question.motions, *(action.effects if action is not None else ())]
             if names & {getattr(effect, "labware", "") for effect in moved} or names & set(question.labware):
-                return self._question(question)
+                return self._make_question_cause(question)
         return Cause("error", "labware lost", "", "operational", asked=False)
 
     def _charge_left(self, item: LabwareId) -> Cause:
         """Labware that no run will move away stands in the way."""
         for question in self.state.interventions.open.values():
             if item in question.labware:
-                return self._question(question)
+                return self._make_question_cause(question)
         station = self.state.bench.labware[item].station
-        return Cause("person", "labware in the way", self._module_at(station))
+        return Cause("person", "labware in the way", self._find_module_at(station))
 
-    def _module_at(self, name: str) -> str:
+    def _find_module_at(self, name: str) -> str:
         """The module of a station, or the one of that name; empty if it is nobody's."""
         station = self.state.bench.stations.get(StationName(name))
         if station is not None:
             return station.spec.module
         return name if name in self.state.modules.by_name else ""
 
-    def _runs_named_in(self, words: Iterable[str]) -> tuple[tuple[RunId, ...], LabwareId | None]:
+    def _find_runs_named_in(self, words: Iterable[str]) -> tuple[tuple[RunId, ...], LabwareId | None]:
         """The runs that words speak of: by name, at work on a module or at a station, as owners of labware;
         and labware of nobody that lives."""
         state = self.state
@@ -368,7 +368,7 @@ class Standstill:
                     owners[state.bench.labware[item].owner] = True
                     items[state.bench.labware[item].owner] = item
             for action in state.actions.open.values():
-                if name == action.module or name in places(action.effects):
+                if name == action.module or name in list_places(action.effects):
                     owners[f"run:{action.run}"] = True
         runs: dict[RunId, bool] = {}
         for owner in owners:

@@ -12,7 +12,7 @@ from labos.core.fold import evolve
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.errors import LogDamaged
-from labos.services.log import VERIFY, event_of
+from labos.services.log import VERIFY, decode_event
 
 PAST_COUNTERS = ("position", "recorded_at", "versions")
 """What every event changes: not worth a line each time."""
@@ -37,13 +37,15 @@ class LogStep(msgspec.Struct, frozen=True):
     changes: list[StateChange]
 
 
-def plain(state: LabState) -> dict[str, Any]:
+def make_plain_state(state: LabState) -> dict[str, Any]:
     """The state as JSON values."""
     built: dict[str, Any] = msgspec.to_builtins(state, str_keys=True)
     return built
 
 
-def steps(records: Iterable[Record], state: LabState, first: int, last: int | None) -> Iterator[LogStep]:
+def iterate_steps(
+    records: Iterable[Record], state: LabState, first: int, last: int | None
+) -> Iterator[LogStep]:
     """Fold records into a state; yields each from ``first`` to ``last`` with its changes. Raises
     LogTooNew, LogDamaged."""
     seen: dict[str, Any] | None = None
@@ -52,8 +54,8 @@ def steps(records: Iterable[Record], state: LabState, first: int, last: int | No
         if last is not None and position > last:
             return
         if position >= first and seen is None:
-            seen = plain(state)
-        event = event_of(record)
+            seen = make_plain_state(state)
+        event = decode_event(record)
         try:
             evolve(state, event, position, record.head.recorded_at)
         except (TypeError, KeyError, ValueError, IndexError) as error:
@@ -63,23 +65,25 @@ def steps(records: Iterable[Record], state: LabState, first: int, last: int | No
                 remedy=VERIFY,
             ) from None
         if seen is not None:
-            now = plain(state)
-            yield LogStep(record, event, list(changes(seen, now)))
+            now = make_plain_state(state)
+            yield LogStep(record, event, list(list_changes(seen, now)))
             seen = now
 
 
-def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[StateChange]:
+def list_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[StateChange]:
     """Where two states differ, without what every event changes."""
     for key in (*before, *(k for k in after if k not in before)):
         if key not in PAST_COUNTERS:
-            yield from _between(key, before.get(key, _ABSENT), after.get(key, _ABSENT))
+            yield from _list_changes_between(key, before.get(key, _ABSENT), after.get(key, _ABSENT))
 
 
-def _between(path: str, before: Any, after: Any) -> Iterator[StateChange]:
+def _list_changes_between(path: str, before: Any, after: Any) -> Iterator[StateChange]:
     if before == after:
         return
     if isinstance(before, dict) and isinstance(after, dict):
         for key in (*before, *(k for k in after if k not in before)):
-            yield from _between(f"{path}.{key}", before.get(key, _ABSENT), after.get(key, _ABSENT))
+            yield from _list_changes_between(
+                f"{path}.{key}", before.get(key, _ABSENT), after.get(key, _ABSENT)
+            )
     else:
         yield StateChange(path, before, after)

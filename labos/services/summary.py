@@ -10,7 +10,7 @@ from labos.core import actions as a
 from labos.core.envelope import Envelope, Record
 from labos.core.registry import Event
 from labos.core.structs import make_from
-from labos.services.log import events
+from labos.services.log import decode_events
 from labos.services.runs import RunBook, RunHistory
 from labos.services.twh import Meter, TwhReport
 from labos.services.waits import WaitBook
@@ -150,7 +150,7 @@ def summarise(records: Iterable[Record], now: int | None = None) -> Summary:
     usage = _Usage()
     waits: WaitBook | None = WaitBook()
     last: Envelope | None = None
-    for event, head in events(records):
+    for event, head in decode_events(records):
         meter.add(event, head)
         book.add(event, head)
         usage.add(event, head.recorded_at)
@@ -171,8 +171,8 @@ def summarise(records: Iterable[Record], now: int | None = None) -> Summary:
         events=last.position if last else 0,
         wall_s=span / 1e9,
         runs=tuple(_run(run, end, names.pace, charged.get(run.id, {})) for run in book.runs.values()),
-        modules=tuple(_module(name, use, span) for name, use in sorted(usage.modules.items())),
-        users=_users(book, usage, names.pace),
+        modules=tuple(_summarise_module(name, use, span) for name, use in sorted(usage.modules.items())),
+        users=_summarise_users(book, usage, names.pace),
         twh=meter.report(end),
     )
 
@@ -181,7 +181,7 @@ def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSu
     end = run.ended_at or now
     start = run.started_at or end
     flying = [(since, end) for since in run.flying.values()]
-    working = union_ns([*run.busy, *flying])
+    working = measure_union_ns([*run.busy, *flying])
     return make_from(
         RunSummary,
         run,
@@ -200,7 +200,7 @@ def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSu
     )
 
 
-def union_ns(spans: list[tuple[int, int]]) -> int:
+def measure_union_ns(spans: list[tuple[int, int]]) -> int:
     """How long at least one of the spans lasts."""
     total, reached = 0, 0
     for since, until in sorted(spans):
@@ -209,12 +209,12 @@ def union_ns(spans: list[tuple[int, int]]) -> int:
     return total
 
 
-def _module(name: str, use: _Use, span: int) -> ModuleSummary:
+def _summarise_module(name: str, use: _Use, span: int) -> ModuleSummary:
     share = use.busy_ns / span if span else 0.0
     return ModuleSummary(name, use.actions, use.failed, use.unknown, use.busy_ns / 1e9, share)
 
 
-def _users(book: RunBook, usage: _Usage, pace: float) -> tuple[UserSummary, ...]:
+def _summarise_users(book: RunBook, usage: _Usage, pace: float) -> tuple[UserSummary, ...]:
     found: list[UserSummary] = []
     for name in sorted({run.user for run in book.runs.values()}):
         runs = [run for run in book.runs.values() if run.user == name]

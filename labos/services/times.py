@@ -96,10 +96,10 @@ def with_iso_times(plain: Any) -> Any:
         return [with_iso_times(item) for item in plain]
     if not isinstance(plain, dict):
         return plain
-    return {name: _as_moments(name, value) for name, value in plain.items()}
+    return {name: _show_moments(name, value) for name, value in plain.items()}
 
 
-def _as_moments(name: str, value: Any) -> Any:
+def _show_moments(name: str, value: Any) -> Any:
     if name in _FOREIGN:
         return value
     if name == "busy" and isinstance(value, list | tuple):

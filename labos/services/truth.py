@@ -18,16 +18,18 @@ from labos.core.state import LabState
 from labos.node.world import World, lid_of
 
 
-def differences(world: World, state: LabState, records: Sequence[Record], workcell: str = "") -> list[str]:
+def list_differences(
+    world: World, state: LabState, records: Sequence[Record], workcell: str = ""
+) -> list[str]:
     """Where the bench and the log disagree; empty if they agree in every plate. Of a lab with several
     workcells each has a bench of its own."""
     found = [f"{m.device} {m.facts['what']} at {m.place}" for m in world.crashes()]
-    plates = plates_by_labware(world, records)
+    plates = find_plates_by_labware(world, records)
     places = world.places()
     pieces = [item for item in state.bench.labware.values() if workcell in ("", workcell_of(item.station))]
     carried = {item.id: way for item in pieces if (way := _list_possible_places(state, item))}
     for labware, way in carried.items():
-        found += _under_way(way, labware, plates.get(labware, labware), places)
+        found += _take_under_way(way, labware, plates.get(labware, labware), places)
     for name, station in state.bench.stations.items():
         if station.spec.kind == "waste" or name in state.bench.shelves:
             continue
@@ -55,7 +57,7 @@ def differences(world: World, state: LabState, records: Sequence[Record], workce
             lying = places.pop(lid_of(plates.get(item.on, item.on)), [])
             if lying != [plates.get(item.id, item.id)]:
                 found.append(f"on {item.on}: bench {lying}, log {item.id}")
-    for stacked in [plate for plate in plates_in(state, world) if plate not in plates.values()]:
+    for stacked in [plate for plate in list_plates_in(state, world) if plate not in plates.values()]:
         places.pop(lid_of(stacked), None)
     found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
     found += find_repeated_work(world, records, workcell)
@@ -75,7 +77,7 @@ def _list_possible_places(state: LabState, item: Labware) -> list[str]:
     return [*places, f"hand:{local(action.module)}"] if places else []
 
 
-def _under_way(way: list[str], name: str, plate: str, places: dict[str, list[str]]) -> list[str]:
+def _take_under_way(way: list[str], name: str, plate: str, places: dict[str, list[str]]) -> list[str]:
     """What is carried may be anywhere on its way; the log says no more. It is taken out of ``places``."""
     here = next((place for place, standing in places.items() if plate in standing), "")
     if here not in way:
@@ -87,10 +89,12 @@ def _under_way(way: list[str], name: str, plate: str, places: dict[str, list[str
     return []
 
 
-def bench_contents(world: World, state: LabState, records: Sequence[Record]) -> dict[StationName, list[str]]:
+def list_bench_contents(
+    world: World, state: LabState, records: Sequence[Record]
+) -> dict[StationName, list[str]]:
     """What is to be seen at each station of a simulated bench, bottom to top: labware by the id that the log
     gave it, else by its type; with its lid. What a waste has swallowed is not to be seen."""
-    names = {plate: name for name, plate in plates_by_labware(world, records).items()}
+    names = {plate: name for name, plate in find_plates_by_labware(world, records).items()}
     places = world.places()
 
     def name_plate(plate: str) -> str:
@@ -120,7 +124,7 @@ def bench_name(station: StationSpec) -> str:
     return f"hand:{local(station.module)}" if station.kind == "gripper" else local(station.name)
 
 
-def plates_in(state: LabState, world: World) -> list[str]:
+def list_plates_in(state: LabState, world: World) -> list[str]:
     """The plates of the stacks: they have no names yet, nor have their lids."""
     stacks = [name for name, station in state.bench.stations.items() if station.spec.kind == "stack"]
     return [plate for name in stacks for plate in world.at(local(name))]
@@ -151,7 +155,7 @@ def find_repeated_work(world: World, records: Sequence[Record], workcell: str = 
     ]
 
 
-def plates_by_labware(world: World, records: Sequence[Record]) -> dict[str, str]:
+def find_plates_by_labware(world: World, records: Sequence[Record]) -> dict[str, str]:
     """Which plate each labware id stands for: both are counted as they come off the stacks, and as
     people put them down elsewhere."""
     taken: dict[str, list[str]] = {}

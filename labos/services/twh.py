@@ -35,7 +35,7 @@ from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.topics import Approval, PlannedWork
 from labos.services.catalogue import LEARNT, Catalogue
-from labos.services.log import events
+from labos.services.log import decode_events
 
 ScopeKind = Literal["lab", "workcell", "experiment", "run"]
 
@@ -199,7 +199,7 @@ class Meter:
         self.names.learn(event)
         match event:
             case ActionSucceeded():
-                for clock in self._clocks(event.run):
+                for clock in self._list_clocks(event.run):
                     clock.finish_command(at)
             case r.RunSubmitted():
                 self._on_request(event, head)
@@ -251,7 +251,7 @@ class Meter:
 
     def start_over(self, now: int) -> None:
         """Measure from ``now`` (UTC ns) on only, as for one shift; what runs goes on running."""
-        for clock in self._every():
+        for clock in self._list_all():
             clock.start_over(max(now, self._now))
 
     def report(self, now: int | None = None) -> TwhReport:
@@ -265,7 +265,7 @@ class Meter:
             self.names.pace,
         )
 
-    def totals(self, now: int) -> tuple[Twh, dict[str, Twh]]:
+    def read_totals(self, now: int) -> tuple[Twh, dict[str, Twh]]:
         """The figures of the lab and of its workcells at ``now`` (UTC ns)."""
         at = max(self._now, now)
         return self._lab.measure(at), {name: clock.measure(at) for name, clock in self._cells.items()}
@@ -291,11 +291,11 @@ class Meter:
             for plan in [plan for plan in self.names.plans if plan not in used]:
                 del self.names.plans[plan]
 
-    def _clocks(self, run: str) -> list[_Clock]:
+    def _list_clocks(self, run: str) -> list[_Clock]:
         """The clocks of the scopes that a run belongs to."""
         clocks = [self._lab]
         if run in self.names.runs:
-            cell, experiment = self.names.workcell(run), self.names.experiment(run)
+            cell, experiment = self.names.find_workcell(run), self.names.find_experiment(run)
             clocks.append(self._cells.setdefault(cell, _Clock("workcell", cell)))
             clocks.append(self._runs.setdefault(run, _Clock("run", run)))
             if experiment:
@@ -304,13 +304,13 @@ class Meter:
 
     def _set(self, run: str, at: int) -> None:
         works = run in self._alive and run not in self._paused and run not in self._asked.values()
-        works = works and self.names.workcell(run) not in self._held
-        for clock in self._clocks(run):
+        works = works and self.names.find_workcell(run) not in self._held
+        for clock in self._list_clocks(run):
             clock.set(run, works, at)
 
     def _on_request(self, event: r.RunSubmitted, head: Envelope) -> None:
         """To ask for work is no intervention; to bring a module out of its error is one."""
-        cell, plan = self.names.workcell(event.run), self.names.plan_of(event.run)
+        cell, plan = self.names.find_workcell(event.run), self.names.plan_of(event.run)
         if plan is not None and plan.steps and all(step.recovers for step in plan.steps):
             self._on_touch(cell, head)
         else:
@@ -322,18 +322,18 @@ class Meter:
         planned = question is not None and question.kind == PlannedWork.KIND
         if planned and event.choice != "withdrawn":
             self._counted.add(head.id)
-            for clock in self._clocks(run):
+            for clock in self._list_clocks(run):
                 clock.note_planned_help(head.recorded_at)
         elif question is not None and question.kind == Approval.KIND:
             self._counted.add(head.id)  # to let work begin is as little an intervention as to ask for it
         elif (event.choice != "withdrawn" and _is_person(event.by)) or head.causation in self._seen:
             self._counted.add(head.id)
             if run:
-                clocks = self._clocks(run)
+                clocks = self._list_clocks(run)
             elif question is not None and question.subject in self._experiments:
                 clocks = [self._lab, self._experiments[question.subject]]
             else:
-                clocks = self._all_of(workcell_of(question.module) if question else "")  # type: ignore[arg-type]
+                clocks = self._list_all_of(workcell_of(question.module) if question else "")  # type: ignore[arg-type]
             self.causes[question.kind if question is not None else head.type] += 1
             for clock in clocks:
                 clock.end_stretch(head.recorded_at)
@@ -345,11 +345,11 @@ class Meter:
         cell = event.name
         (self._held.add if isinstance(event, AccessRequested) else self._held.discard)(cell)
         self._counted.add(head.id)
-        runs = [run for run in sorted(self._alive) if self.names.workcell(run) == cell]
+        runs = [run for run in sorted(self._alive) if self.names.find_workcell(run) == cell]
         for run in runs:
             self._set(run, head.recorded_at)
         if isinstance(event, AccessEnded) and cell in self._busy_cells:
-            for clock in self._all_of(cell):
+            for clock in self._list_all_of(cell):
                 clock.note_planned_help(head.recorded_at)
 
     def _on_touch(self, cell: str, head: Envelope) -> None:
@@ -361,7 +361,7 @@ class Meter:
             return
         self._counted.add(head.id)
         self.causes[head.type] += 1
-        for clock in self._all_of(cell):
+        for clock in self._list_all_of(cell):
             clock.end_stretch(head.recorded_at)
 
     def _on_planned_help(self, cell: str, head: Envelope) -> None:
@@ -371,10 +371,10 @@ class Meter:
         if cell not in self._busy_cells or not _is_person(head.actor) or head.causation in self._touches:
             return
         self._touches.add(head.id)
-        for clock in self._all_of(cell):
+        for clock in self._list_all_of(cell):
             clock.planned += 1
 
-    def _all_of(self, cell: str) -> list[_Clock]:
+    def _list_all_of(self, cell: str) -> list[_Clock]:
         """The lab, the workcell (every one, if it is not said which), its experiments and runs
         that are alive."""
         clocks: dict[int, _Clock] = {id(self._lab): self._lab}
@@ -382,24 +382,24 @@ class Meter:
             if not cell or name == cell:
                 clocks[id(clock)] = clock
         for run in sorted(self._alive):
-            if not cell or self.names.workcell(run) == cell:
-                clocks.update((id(clock), clock) for clock in self._clocks(run))
+            if not cell or self.names.find_workcell(run) == cell:
+                clocks.update((id(clock), clock) for clock in self._list_clocks(run))
         return list(clocks.values())
 
     def _skip(self, before: int, at: int) -> None:
         """No kernel lived between the last event and this one: no clock ran."""
-        for clock in self._every():
+        for clock in self._list_all():
             clock.advance(before)
             clock.at = at
 
-    def _every(self) -> tuple[_Clock, ...]:
+    def _list_all(self) -> tuple[_Clock, ...]:
         return (self._lab, *self._cells.values(), *self._experiments.values(), *self._runs.values())
 
 
 def measure(records: Iterable[Record], now: int | None = None) -> TwhReport:
     """Time without human intervention in every scope of a log."""
     meter = Meter()
-    for event, head in events(records):
+    for event, head in decode_events(records):
         meter.add(event, head)
     return meter.report(now)
 

@@ -21,7 +21,7 @@ from labos.core.modules import ModuleCalibrated
 from labos.core.plans import PlanRecorded
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
-from labos.core.state import LabState, fold_fingerprint, picture
+from labos.core.state import LabState, encode_picture, fold_fingerprint
 from labos.errors import JournalDamaged, LabosError, LogDamaged, NotFound
 from labos.node.journal import Journal
 from labos.services.log import Log
@@ -104,7 +104,7 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
     state = LabState()
     for row in store.replay(0, found.position):
         evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
-    if picture(state) != found.data:
+    if encode_picture(state) != found.data:
         fault = f"The sealed snapshot of position {found.position} is not what the log folds to."
         return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
     return VerifiedPart(
@@ -133,7 +133,7 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
     """Whether each blob that the log names is there and is what its name says; those that nothing names are
     counted. Raises StoreUnavailable."""
     stored = set(blobs.names())  # before the log: a blob is there before the event that names it
-    named, mentioned = _digests(log)
+    named, mentioned = _list_digests(log)
     faults, positions = [], []
     for digest, position in named.items():
         try:
@@ -165,7 +165,7 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
 def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
     """The blobs that no event of the log names, in whatever field. Raises StoreUnavailable."""
     stored = set(blobs.names())  # before the log: a blob is there before the event that names it
-    named, mentioned = _digests(log)
+    named, mentioned = _list_digests(log)
     return sorted(stored - named.keys() - mentioned)
 
 
@@ -191,7 +191,7 @@ def check_benches(folder: Path) -> VerifiedPart:
     motions, faults = 0, []
     for path in files:
         try:
-            motions += _motions(path)
+            motions += _count_motions(path)
         except (sqlite3.Error, ValueError, TypeError) as error:
             faults.append(f"The record {path} of a simulated bench is damaged: {error}.")
     return VerifiedPart(
@@ -199,7 +199,7 @@ def check_benches(folder: Path) -> VerifiedPart:
     )
 
 
-def _motions(path: Path) -> int:
+def _count_motions(path: Path) -> int:
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5)) as record:
         (sound,) = record.execute("PRAGMA integrity_check(1)").fetchone()
         if sound != "ok":
@@ -215,7 +215,7 @@ def _motions(path: Path) -> int:
         return number
 
 
-def _digests(log: Log) -> tuple[dict[str, int], set[str]]:
+def _list_digests(log: Log) -> tuple[dict[str, int], set[str]]:
     """The blobs that the log needs, by the position that first names each, and everything else in it that
     looks like the name of one."""
     named: dict[str, int] = {}

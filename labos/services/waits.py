@@ -19,7 +19,7 @@ from labos.core.rules import NODE_AWAY_S
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import remedy, sentence
+from labos.planning.explain import describe_wait, find_remedy
 from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler
 
@@ -70,7 +70,7 @@ class WaitBook:
                 self._note(run.id, BEHIND, length)
 
     def _charge(self, run: RunState, now: int, length: int) -> None:
-        found = reasons(self.state, run, now, self.scheduler, causes=False)
+        found = list_reasons(self.state, run, now, self.scheduler, causes=False)
         self._note(run.id, found[0].why if found else READY, length)
 
     def _note(self, run: str, why: str, length: int) -> None:
@@ -78,7 +78,7 @@ class WaitBook:
         times[why] = times.get(why, 0) + length
 
 
-def reasons(
+def list_reasons(
     state: LabState, run: RunState, now: int, scheduler: Scheduler | None = None, *, causes: bool = True
 ) -> list[WaitReason]:
     """Why a run does not go on now; empty if something of it may start, or is in flight where a node is.
@@ -86,14 +86,14 @@ def reasons(
     scheduler = scheduler or Scheduler()
 
     def words(wait: Wait) -> str:
-        return explain_wait(scheduler.safety, state, run, wait) if causes else sentence(wait)
+        return explain_wait(scheduler.safety, state, run, wait) if causes else describe_wait(wait)
 
     return [
-        *_absent_nodes(state, run),
+        *_list_absent_nodes(state, run),
         *(
-            WaitReason(step, words(wait), wait.blocked, remedy(wait))
+            WaitReason(step, words(wait), wait.blocked, find_remedy(wait))
             for step, wait in (
-                (step, _name_unknown(state, wait)) for step, wait in scheduler.waits(state, run, now)
+                (step, _name_unknown(state, wait)) for step, wait in scheduler.list_waits(state, run, now)
             )
             if not isinstance(wait.reason, NotPending)
         ),
@@ -104,13 +104,13 @@ def _name_unknown(state: LabState, wait: Wait) -> Wait:
     """A module whose last action ended unknown is busy until somebody has answered."""
     busy = wait.reason.module if isinstance(wait.reason, ModuleBusy) else ""
     for action in state.actions.open.values() if busy else ():
-        question = state.interventions.about(action.id) if action.module == busy else None
+        question = state.interventions.find_about(action.id) if action.module == busy else None
         if question is not None and action.status == ActionStatus.UNKNOWN:
             return Wait(Unsettled(action.module, question.id), wait.on)
     return wait
 
 
-def _absent_nodes(state: LabState, run: RunState) -> Iterable[WaitReason]:
+def _list_absent_nodes(state: LabState, run: RunState) -> Iterable[WaitReason]:
     """Steps in flight whose nodes are away: only they know how their actions ended."""
     steps = state.runs.plan_of(run).steps
     for index, step in enumerate(run.steps):
@@ -118,4 +118,4 @@ def _absent_nodes(state: LabState, run: RunState) -> Iterable[WaitReason]:
         if module is not None and module.status == ModuleStatus.GONE:
             wait = Wait(ModuleDown(module.spec.name, "GONE", module.error))
             asked = f"; {NODE_AWAY_S:g} s after it went a person is asked how {steps[index].action!r} ended"
-            yield WaitReason(index, sentence(wait) + asked, True, remedy(wait))
+            yield WaitReason(index, describe_wait(wait) + asked, True, find_remedy(wait))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
-from labos.core.erasure import WordsErased, references_in_words
+from labos.core.erasure import WordsErased, list_references_in_words
 from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.services.log import Log
@@ -32,7 +32,7 @@ def check_words(store: WordsStore) -> VerifiedPart:
     """Whether each text beside the log is the one that was written, and whether each that is gone was erased
     by an event: of this log, or of a newer one that it is an older copy of, as the lab's folder knows. Raises
     StoreUnavailable, BadInput."""
-    named, erased = _references(store)
+    named, erased = _count_references(store)
     elsewhere = store.erasures()
     found: list[tuple[int, str]] = []
     whole = gone = apart = 0
@@ -65,7 +65,7 @@ def check_words(store: WordsStore) -> VerifiedPart:
     )
 
 
-def _references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
+def _count_references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
     """The references that stand in fields of words, and those that events say were erased; each with the
     position."""
     named: dict[str, int] = {}
@@ -75,6 +75,6 @@ def _references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
             event = decode(kind, schema, payload)
             assert isinstance(event, WordsErased)
             erased.update((reference, position) for reference in event.references())
-        for reference in references_in_words(kind, payload):
+        for reference in list_references_in_words(kind, payload):
             named.setdefault(reference, position)
     return named, erased

@@ -4,11 +4,11 @@ Workcell file → ``CompiledWorkcell`` (``load_workcell``); workflow file, paylo
 ``Compiled`` (``compile_workflow``). Every fault names file, line, column, field and a remedy.
 """
 
-from labos.spec.bench import BenchFile, Stock, default_stock
+from labos.spec.bench import BenchFile, Stock, make_default_stock
 from labos.spec.durations import parse_duration
 from labos.spec.findings import Finding, SpecErrors
 from labos.spec.labware import load_labware
-from labos.spec.library import find_spec, list_specs, specs_folder
+from labos.spec.library import find_spec, find_specs_folder, list_specs
 from labos.spec.models import LabwareType
 from labos.spec.source import Source
 from labos.spec.source import parse as parse_source
@@ -35,11 +35,12 @@ __all__ = [
     "Stock",
     "compile_workcell",
     "compile_workflow",
-    "default_stock",
     "find_spec",
+    "find_specs_folder",
     "list_specs",
     "load_labware",
     "load_workcell",
+    "make_default_stock",
     "parse_duration",
     "parse_source",
     "parse_workcell",
@@ -47,7 +48,6 @@ __all__ = [
     "read_source",
     "read_workflow",
     "resolve_station",
-    "specs_folder",
     "validate_workcell",
     "validate_workflow",
 ]

@@ -15,7 +15,7 @@ from pydantic import Field
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
 from labos.core.structs import make_from
-from labos.spec.mismatch import plainly
+from labos.spec.mismatch import explain_plainly
 from labos.spec.parts import Name, Part, Seconds
 
 EMPTY: tuple[Any, ...] = ("", (), [], None)
@@ -122,8 +122,8 @@ def description_of(about: About, driver: str) -> Description:
         about,
         driver=driver,
         version="",
-        actions=tuple(_action(name, action) for name, action in about.actions.items()),
-        stations=_stations(about.stations),
+        actions=tuple(_make_action(name, action) for name, action in about.actions.items()),
+        stations=_make_stations(about.stations),
     )
 
 
@@ -131,7 +131,7 @@ def extend(description: Description, more: Extends) -> Description:
     """A driver's description with what the module offers beyond it. Raises BadEffect."""
     actions = {action.name: action for action in description.actions}
     for name, written in more.actions.items():
-        action, known = _action(name, written), description.action(name)
+        action, known = _make_action(name, written), description.action(name)
         if known is None:
             actions[name] = action
             continue
@@ -140,13 +140,13 @@ def extend(description: Description, more: Extends) -> Description:
             continue
         new = [arg for arg in action.args if arg.name not in {arg.name for arg in known.args}]
         actions[known.name] = msgspec.structs.replace(known, args=(*known.args, *new))
-    stations = {station.name: station for station in (*_stations(more.stations), *description.stations)}
+    stations = {station.name: station for station in (*_make_stations(more.stations), *description.stations)}
     return msgspec.structs.replace(
         description, actions=tuple(actions.values()), stations=tuple(stations.values())
     )
 
 
-def resettable(description: Description) -> Description:
+def add_reset(description: Description) -> Description:
     """With the action ``reset``, which every node has, whether it was written down or not."""
     if description.action("reset") is not None:
         return description
@@ -159,7 +159,7 @@ def find_description(module: ModuleSpec, descriptions: Mapping[str, Description]
     its driver was told, else its driver's."""
     written = module.config.get("about") or module.config.get("offers")
     if written:
-        found = resettable(description_of(About.model_validate(written), module.driver))
+        found = add_reset(description_of(About.model_validate(written), module.driver))
     elif module.driver in descriptions:
         found = descriptions[module.driver]
     else:
@@ -168,25 +168,25 @@ def find_description(module: ModuleSpec, descriptions: Mapping[str, Description]
     return extend(found, Extends.model_validate(more)) if more else found
 
 
-def _stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:
+def _make_stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:
     return tuple(
         Station(name, s.kind, s.capacity, s.access, s.claim, tuple(s.aliases)) for name, s in written.items()
     )
 
 
-def _action(name: str, action: ActionAbout) -> ActionSpec:
+def _make_action(name: str, action: ActionAbout) -> ActionSpec:
     return make_from(
         ActionSpec,
         action,
         name=name,
-        args=tuple(_arg(key, arg) for key, arg in action.args.items()),
-        effects=tuple(_effect(name, index, written) for index, written in enumerate(action.effects)),
+        args=tuple(_make_arg(key, arg) for key, arg in action.args.items()),
+        effects=tuple(_make_effect(name, index, written) for index, written in enumerate(action.effects)),
         duration_s=action.duration,
         aliases=tuple(action.aliases),
     )
 
 
-def _arg(name: str, arg: ArgAbout) -> Arg:
+def _make_arg(name: str, arg: ArgAbout) -> Arg:
     return make_from(
         Arg,
         arg,
@@ -197,18 +197,18 @@ def _arg(name: str, arg: ArgAbout) -> Arg:
     )
 
 
-def _effect(action: str, index: int, written: Mapping[str, dict[str, Any] | None]) -> AnyEffect:
+def _make_effect(action: str, index: int, written: Mapping[str, dict[str, Any] | None]) -> AnyEffect:
     if len(written) != 1:
         raise BadEffect("an effect has one name, such as `move:`", action, index)
     ((name, fields),) = written.items()
     try:
         return msgspec.convert({"effect": name, **(fields or {})}, AnyEffect)  # type: ignore[no-any-return]
     except msgspec.ValidationError as error:
-        says = f"the effect {name!r} does not fit: {plainly(error)}"
-        raise BadEffect(says, action, index, _form_of(name)) from error
+        says = f"the effect {name!r} does not fit: {explain_plainly(error)}"
+        raise BadEffect(says, action, index, _find_form(name)) from error
 
 
-def _form_of(name: str) -> str:
+def _find_form(name: str) -> str:
     """How an effect is written; empty if there is none of that name."""
     kind = EFFECTS.get(name)
     if kind is None:
@@ -219,7 +219,7 @@ def _form_of(name: str) -> str:
     return f"Write `{name}: {{{needed}}}`{f'; it may also say {others}' if others else ''}."
 
 
-def about_of(description: Description) -> dict[str, Any]:
+def make_about(description: Description) -> dict[str, Any]:
     """A description as what is written below ``about:``; what says nothing is left out."""
     plain = {
         "description": description.description,
@@ -235,12 +235,12 @@ def about_of(description: Description) -> dict[str, Any]:
 
 
 def _write_station(station: Station) -> dict[str, Any]:
-    plain, usual = _without(msgspec.to_builtins(station), "name"), msgspec.to_builtins(Station(""))
+    plain, usual = _drop_keys(msgspec.to_builtins(station), "name"), msgspec.to_builtins(Station(""))
     return {key: list(v) if isinstance(v, tuple) else v for key, v in plain.items() if v != usual[key]}
 
 
 def _write_action(action: ActionSpec) -> dict[str, Any]:
-    plain = _without(
+    plain = _drop_keys(
         msgspec.to_builtins(action), "name", "args", "effects", "duration_s", "by_person", "cancellable"
     )
     kept = {
@@ -258,12 +258,12 @@ def _write_action(action: ActionSpec) -> dict[str, Any]:
 
 
 def _write_arg(arg: Arg) -> dict[str, Any]:
-    plain = _without(msgspec.to_builtins(arg), "name", "required")
+    plain = _drop_keys(msgspec.to_builtins(arg), "name", "required")
     kept = {key: value for key, value in plain.items() if value not in EMPTY}
     if arg.required != (arg.default is None):
         kept["required"] = arg.required
     return kept
 
 
-def _without(table: dict[str, Any], *keys: str) -> dict[str, Any]:
+def _drop_keys(table: dict[str, Any], *keys: str) -> dict[str, Any]:
     return {key: value for key, value in table.items() if key not in keys}

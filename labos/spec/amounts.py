@@ -26,14 +26,16 @@ FileOf = Callable[[str], bytes | None]
 """The content of the file of that name; None where it cannot be had (a warning was given)."""
 
 
-def arguments_of(text: str) -> set[str]:
+def list_arguments(text: str) -> set[str]:
     """The arguments that an amount depends on."""
     in_file = _IN_FILE.fullmatch(text)
     name = in_file["arg"] if in_file else find_argument(text)
     return {name} if name else set()
 
 
-def amount_of(text: str, values: Mapping[str, Any], file_of: FileOf, counter: Counter | None = None) -> Count:
+def compute_amount(
+    text: str, values: Mapping[str, Any], file_of: FileOf, counter: Counter | None = None
+) -> Count:
     """What a place-holder stands for; ``counter`` is how the driver counts it from the file. Raises
     SpecError, with the place in the file where there is one."""
     in_file = _IN_FILE.fullmatch(text)
@@ -49,15 +51,15 @@ def amount_of(text: str, values: Mapping[str, Any], file_of: FileOf, counter: Co
         why = "it is not here" if name else "no file is named"
         return Count(otherwise, why, "Put the file beside the workflow, and name it.")
     if counter is None:
-        return Count(otherwise, "it does not say", f"Say it there: {as_written(path)}.")
+        return Count(otherwise, "it does not say", f"Say it there: {show_path(path)}.")
     counted = counter(name, content, values)
     if not counted.doubt:
         return counted
-    remedy = counted.remedy or f"Say it there: {as_written(path)}."
+    remedy = counted.remedy or f"Say it there: {show_path(path)}."
     return Count(max(counted.amount, otherwise), counted.doubt, remedy)
 
 
-def as_written(path: list[str]) -> str:
+def show_path(path: list[str]) -> str:
     """How a number is written in a file: ``resources: {tips: N}``."""
     text = "N"
     for part in reversed(path):

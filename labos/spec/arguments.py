@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from labos.core.arguments import describe_arg, find_flaw, names_of, unit_of
+from labos.core.arguments import describe_arg, find_flaw, list_names, unit_of
 from labos.core.canonical import refuse_non_finite
 from labos.core.model import ActionSpec, Arg
-from labos.spec.durations import SECONDS, quantity
+from labos.spec.durations import SECONDS, match_quantity
 from labos.spec.findings import near
 
 Tell = Callable[[str, str, str], None]
@@ -25,7 +25,7 @@ def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str
     """The arguments under their own names, defaults filled in. An optional argument that was
     given nothing is left out. Faults go to ``tell``."""
     bound: dict[str, Any] = {}
-    by_name = names_of(action)
+    by_name = list_names(action)
     for name, value in written.items():
         arg = by_name.get(name)
         if arg is None:
@@ -46,7 +46,7 @@ def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str
             and arg.required
             and not any(name in written for name in (arg.name, *arg.aliases))
         ):
-            tell("", f"The action {action.name!r} needs the argument {arg.name!r}.", _how(arg))
+            tell("", f"The action {action.name!r} needs the argument {arg.name!r}.", _explain_how(arg))
         elif arg.name not in bound and arg.default is not None:
             bound[arg.name] = arg.default
     return bound
@@ -67,11 +67,11 @@ def _check(arg: Arg, name: str, value: Any, tell: Tell) -> Any:
     except ValueError as error:
         problem = str(error)
     if problem:
-        tell(name, f"{_name(arg, name)} {problem}.", _how(arg))
+        tell(name, f"{_describe_name(arg, name)} {problem}.", _explain_how(arg))
     return value
 
 
-def _name(arg: Arg, name: str) -> str:
+def _describe_name(arg: Arg, name: str) -> str:
     return f"The argument {name!r}" + (f" ({arg.name})" if name != arg.name else "")
 
 
@@ -91,7 +91,7 @@ def _read(arg: Arg, value: Any) -> Any:
 
 def _with_unit(arg: Arg, text: str) -> Any:
     """``"2 min"`` for an argument in seconds."""
-    match = quantity(text)
+    match = match_quantity(text)
     if not match:
         return text
     if not match[2]:
@@ -105,6 +105,6 @@ def _with_unit(arg: Arg, text: str) -> Any:
     raise ValueError(f"{takes}, not in {unit!r}")
 
 
-def _how(arg: Arg) -> str:
+def _explain_how(arg: Arg) -> str:
     """What the argument takes, as a remedy."""
     return f"Write {describe_arg(arg)} for {arg.name!r}."

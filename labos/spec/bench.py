@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from labos.core.bench import parts
+from labos.core.bench import split_item
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import StationSpec, Workcell
 from labos.errors import SpecError
@@ -33,7 +33,7 @@ class BenchFile(msgspec.Struct, frozen=True):
     away_from_rest: dict[ModuleName, tuple[str, ...]] = {}
 
 
-def default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> BenchFile:
+def make_default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> BenchFile:
     """Every stack full of plates, with lids of a type if one is named, and with ``room`` for some more: a
     simulated bench for a file that declares no stock."""
     usual = f"{DEFAULT_LABWARE}+{lid}" if lid else DEFAULT_LABWARE
@@ -57,7 +57,7 @@ def read_stock(written: Mapping[str, Mapping[str, int]], stations: Stations, rem
             remarks.error(error.message, path, error.remedy, key=True)
             continue
         _check(place, counts, station, remarks)
-        shelves = stations.shelves(station.name)
+        shelves = stations.list_shelves(station.name)
         if shelves:
             pieces = [labware for labware, count in counts.items() for _ in range(count)]
             found += [Stock(shelf, piece, 1) for shelf, piece in zip(shelves, pieces, strict=False)]
@@ -77,8 +77,8 @@ def _check(place: str, counts: Mapping[str, int], station: StationSpec, remarks:
     if station.kind == "waste" and total:
         remarks.error(f"{place} is waste and cannot be stocked.", ("stock", place), "Leave it out.", key=True)
     for labware in counts:
-        if not station.admits(parts(labware)[0]):
-            stacked = parts(labware)[0] in station.refuses
+        if not station.admits(split_item(labware)[0]):
+            stacked = split_item(labware)[0] in station.refuses
             remarks.error(
                 f"{place} does not accept {labware!r}.",
                 ("stock", place, labware),

@@ -10,8 +10,8 @@ import msgspec
 from pydantic import BeforeValidator, Field
 
 from labos.core.campaigns import Budget, Terms
-from labos.core.conditions import condition, fill_in
-from labos.core.expressions import ExpressionError, names_in, parse_expression
+from labos.core.conditions import fill_in, make_condition
+from labos.core.expressions import ExpressionError, list_names, parse_expression
 from labos.core.model import Condition
 from labos.core.viewer import Visibility
 from labos.errors import SpecError
@@ -69,7 +69,7 @@ class StopAfter(Part):
     stop_after: int = Field(ge=1)
 
 
-def _plain_time(value: Any) -> Any:
+def _show_time(value: Any) -> Any:
     return str(value) if value is not None else ""
 
 
@@ -83,7 +83,7 @@ class CampaignFile(Part):
     payload: dict[str, Any] = {}
     rows: RowsEntry
     priority: int = Field(default=0, ge=-100_000, le=100_000)
-    deadline: Annotated[str, BeforeValidator(_plain_time)] = ""
+    deadline: Annotated[str, BeforeValidator(_show_time)] = ""
     due: str = ""
     budget: BudgetEntry = BudgetEntry()
     tags: list[Label] = []
@@ -111,7 +111,7 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
         priority=file.priority,
         budget=Budget(file.budget.runs, file.budget.lab_time, dict(file.budget.consumables)),
         tags=tuple(file.tags),
-        until=_until(file.until, source, report),
+        until=_read_stop_rule(file.until, source, report),
         stop_after={"go_on": 0, "stop": 1}[file.on_failure]
         if isinstance(file.on_failure, str)
         else file.on_failure.stop_after,
@@ -123,7 +123,7 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
     return CampaignSource(file, source, lines, terms)
 
 
-def table_of_campaign(text: str) -> str:
+def find_table_of_campaign(text: str) -> str:
     """The name of the file in which a campaign's table stands; empty if there is none, or its text cannot be
     read."""
     try:
@@ -134,7 +134,7 @@ def table_of_campaign(text: str) -> str:
     return table if isinstance(table, str) else ""
 
 
-def workflow_of_campaign(text: str) -> str:
+def find_workflow_of_campaign(text: str) -> str:
     """The workflow that a campaign's text names. Raises SpecError."""
     source = parse(text)
     workflow = source.data.get("workflow")
@@ -143,7 +143,7 @@ def workflow_of_campaign(text: str) -> str:
     return workflow
 
 
-def beside(campaign: str | Path, name: str) -> Path:
+def find_beside(campaign: str | Path, name: str) -> Path:
     """Where a file is that a campaign file names."""
     return Path(campaign).parent / name
 
@@ -152,7 +152,7 @@ def stop_rule(text: str) -> Condition:
     """A condition on the results of a run's steps. Raises ExpressionError."""
     tree = parse_expression(text)
     values = {}
-    for found in names_in(tree):
+    for found in list_names(tree):
         if len(found) < 3 or found[0] != "steps" or found[2] != "result":
             raise ExpressionError(
                 f"{'.'.join(map(str, found))!r} is no result of a step.",
@@ -163,10 +163,10 @@ def stop_rule(text: str) -> Condition:
         raise ExpressionError(
             f"{text!r} reads no result.", remedy="Name a step's result: `steps.Read.result.od > 0.5`."
         )
-    return condition(text, fill_in(tree, values))
+    return make_condition(text, fill_in(tree, values))
 
 
-def _until(text: str, source: Source, report: FindingList) -> Condition | None:
+def _read_stop_rule(text: str, source: Source, report: FindingList) -> Condition | None:
     if not text:
         return None
     try:

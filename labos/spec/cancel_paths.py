@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.leaving import BenchOfRun, steps_out, way_out
+from labos.core.leaving import BenchOfRun, find_way_out, list_steps_out
 from labos.core.model import Plan
 from labos.spec.dryrun import DryRun
 from labos.spec.paper import Tell
@@ -20,7 +20,7 @@ class CancelPaths:
 
     def __init__(self, plan: Plan, error: Tell, warning: Tell) -> None:
         self.plan, self.error, self.warning = plan, error, warning
-        self.steps = steps_out(plan)
+        self.steps = list_steps_out(plan)
         self._seen: set[Any] = set()
         self._told: set[tuple[int, str]] = set()
         self._left: set[StationName] = set()
@@ -45,10 +45,10 @@ class CancelPaths:
                 self._told.add((index, message))
                 self.error(index, f"After a cancellation behind {key!r}: {message}", remedy)
 
-        steps = way_out(self.plan, find_bench_on_paper(dry))
+        steps = find_way_out(self.plan, find_bench_on_paper(dry))
         out = dry.copy(tell)
         out.run([(index, self.plan.steps[index]) for index in steps])
-        for place in set(out.outputs()) - self._left:
+        for place in set(out.list_outputs()) - self._left:
             if not out.stations[place].is_storage:
                 self._left.add(place)
                 self.warning(
@@ -67,7 +67,7 @@ def find_bench_on_paper(dry: DryRun) -> BenchOfRun:
         if any(dry.variables.get(name, {}).get(variable, value) != value for variable, value in rest.items())
     }
     return BenchOfRun(
-        Counter(dry.outputs()),
+        Counter(dry.list_outputs()),
         {name: station.module for name, station in dry.stations.by_name.items()},
         {name: dict(values) for name, values in dry.variables.items()},
         rests,

@@ -61,13 +61,13 @@ class Carriers:
                 break
             if (cost, hops) > best[here]:
                 continue
-            for there, way in self._onward(here, end):
+            for there, way in self._list_ways_onward(here, end):
                 found = (cost + way.cost, hops + 1)
                 if there not in best or found < best[there]:
                     best[there], came[there] = found, (here, way)
                     heapq.heappush(waiting, (*found, there))
         if end not in came:
-            raise self._no_way(start, end)
+            raise self._make_no_way_error(start, end)
         found_hops: list[Hop] = []
         while (step := came[end]) is not None:
             here, way = step
@@ -76,18 +76,20 @@ class Carriers:
             end = here
         return found_hops[::-1]
 
-    def _onward(self, here: StationName, end: StationName) -> Iterator[tuple[StationName, TransferWay]]:
+    def _list_ways_onward(
+        self, here: StationName, end: StationName
+    ) -> Iterator[tuple[StationName, TransferWay]]:
         """Where labware may be carried to from a station on its way to the end, and how."""
         near = set().union(*(places for places in self._reach.values() if here in places)) - {here}
         for there in sorted(near):
             spec = self.stations[there]
             if there != end and (spec.kind not in BETWEEN or not spec.transfers):
                 continue
-            way = self._cheapest(here, there)
+            way = self._find_cheapest_way(here, there)
             if way is not None:
                 yield there, way
 
-    def _cheapest(self, here: StationName, there: StationName) -> TransferWay | None:
+    def _find_cheapest_way(self, here: StationName, there: StationName) -> TransferWay | None:
         """How labware is carried from one station straight to another. Ways that hold for these two go before
         those that hold for the first, these before those for the second, and these before all others."""
         ranked: dict[tuple[bool, bool], list[TransferWay]] = {}
@@ -100,7 +102,7 @@ class Carriers:
         able = [way for way in ranked[max(ranked)] if {here, there} <= self._reach[way.module]]
         return min(able, key=lambda way: way.cost, default=None)
 
-    def _no_way(self, start: StationName, end: StationName) -> SpecError:
+    def _make_no_way_error(self, start: StationName, end: StationName) -> SpecError:
         reaching = sorted({local(module) for module, places in self._reach.items() if end in places})
         return SpecError(
             f"Nobody carries labware from {local(start)} to {local(end)}, which "
@@ -122,12 +124,12 @@ def _list_offered(workcell: Workcell, descriptions: Mapping[str, Description]) -
     for module in workcell.modules:
         known = find_description(module, descriptions)
         for action in known.actions if known is not None else ():
-            ends = _ends(action)
+            ends = _find_end_arguments(action)
             if ends is not None:
                 yield TransferWay(module.name, action.name, *ends, cost=action.duration_s)
 
 
-def _ends(action: ActionSpec) -> tuple[str, str] | None:
+def _find_end_arguments(action: ActionSpec) -> tuple[str, str] | None:
     """The arguments between which an action carries labware, if it needs no others."""
     for effect in action.effects:
         if type(effect) is not Move:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from labos.core.arguments import names_of
+from labos.core.arguments import list_names
 from labos.core.effects import list_moved
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description
@@ -19,7 +19,7 @@ from labos.errors import SpecError
 from labos.spec.about import find_description
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.stations import Stations
-from labos.spec.uses import Use, entries_of
+from labos.spec.uses import Use, iterate_entries
 from labos.spec.workcell import CompiledWorkcell
 
 APPROACH: Literal["approach"] = "approach"
@@ -57,7 +57,7 @@ class TransferReader:
         """Those on which all of these uses agree; of the arguments only the values count."""
         said: dict[tuple[What, ModuleName, StationName], set[str | None]] = {}
         for use in uses:
-            for end in self.ends(use.module, use.action, use.args):
+            for end in self.list_ends(use.module, use.action, use.args):
                 said.setdefault((end.what, end.arm, end.station), set()).add(end.value)
         return {
             TransferEnd(what, arm, station, "", value)
@@ -65,17 +65,17 @@ class TransferReader:
             if len(values) == 1 and (value := next(iter(values))) is not None
         }
 
-    def ends(self, module: str, action: str, args: Mapping[str, Any]) -> Iterator[TransferEnd]:
+    def list_ends(self, module: str, action: str, args: Mapping[str, Any]) -> Iterator[TransferEnd]:
         """What a step says of the ends of its transfer, at stations that the arm was taught."""
         offered = self._offered[module].action(action) if module in self._offered else None
         if offered is None:
             return
-        arm, known = ModuleName(f"{self.cell.workcell.name}/{module}"), names_of(offered)
+        arm, known = ModuleName(f"{self.cell.workcell.name}/{module}"), list_names(offered)
         written = {known[name].name: name for name in args if name in known}
         for effect in list_moved(offered.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
                 end, grip = place.strip("{}"), grip.strip("{}")
-                station = self._station(args.get(written.get(end, "")), module)
+                station = self._find_station(args.get(written.get(end, "")), module)
                 if station is None or self._stations[station].reach.get(arm) != ():
                     continue
                 if said := args.get(written.get(grip, "")):
@@ -84,10 +84,10 @@ class TransferReader:
                     yield TransferEnd("grip", arm, station, written[grip], value)
                 through = f"{end}_{APPROACH}"
                 if module in self._own and (said := args.get(written.get(through, ""))):
-                    way = self._station(said, module)
+                    way = self._find_station(said, module)
                     yield TransferEnd(APPROACH, arm, station, written[through], local(way) if way else None)
 
-    def _station(self, text: Any, module: str) -> StationName | None:
+    def _find_station(self, text: Any, module: str) -> StationName | None:
         try:
             return self._stations.find(text, module) if isinstance(text, str) else None
         except SpecError:
@@ -125,11 +125,11 @@ def drop_ends(
     whether anything has gone."""
     left = file.model_copy(deep=True)
     has_gone = False
-    for _, entry in entries_of(left):
+    for _, entry in iterate_entries(left):
         dropped = [
             {
                 end.arg
-                for end in carrying.ends(entry.module, entry.action, entry.args)
+                for end in carrying.list_ends(entry.module, entry.action, entry.args)
                 if msgspec.structs.replace(end, arg="") in agreed
             }
             for carrying, agreed in cells

@@ -36,7 +36,7 @@ def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> li
     """The workflow once for each choice of modules; as it is if it leaves none. Faults go to the remarks."""
     known = {local(module.name): module.driver for module in workcell.modules}
     choices: dict[str, Sequence[str]] = {}
-    for path, entry in _entries(file):
+    for path, entry in _iterate_entries(file):
         if entry.module in known:
             continue
         if entry.module.startswith(ANY_OF) and not _is_step(path):
@@ -46,7 +46,7 @@ def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> li
                 "Name the module, or the step of the workflow that it goes with: `module: same as <step>`.",
             )
         elif entry.module.startswith(ANY_OF):
-            choices[entry.name] = _modules_meant(entry, (*path, "module"), known, remarks)
+            choices[entry.name] = _list_modules_meant(entry, (*path, "module"), known, remarks)
     count = prod(len(names) for names in choices.values())
     if count > MOST_PLANS:
         remarks.error(
@@ -83,8 +83,8 @@ def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
     """The workflow once for each choice between modules that it names, whatever the workcell has."""
     choices = {
         entry.name: names
-        for _, entry in _entries(file)
-        if entry.module.startswith(ANY_OF) and "," in entry.module and (names := _names(entry.module))
+        for _, entry in _iterate_entries(file)
+        if entry.module.startswith(ANY_OF) and "," in entry.module and (names := _split_names(entry.module))
     }
     if not choices or prod(map(len, choices.values())) > MOST_PLANS:
         return [file]
@@ -95,24 +95,26 @@ def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
 
 def is_left_open(entry: StepEntry) -> bool:
     """Whether only a workcell tells which module a step, or a place in its arguments, belongs to."""
-    return entry.module.startswith((ANY_OF, SAME_AS)) or any(_steps_meant(v) for _, v in _values(entry))
+    return entry.module.startswith((ANY_OF, SAME_AS)) or any(
+        _list_steps_meant(v) for _, v in _list_values(entry)
+    )
 
 
 def _join_names(names: Sequence[str], word: str) -> str:
     return f" {word} ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def _names(module: str) -> list[str]:
+def _split_names(module: str) -> list[str]:
     return list(
         dict.fromkeys(name.strip() for name in module.removeprefix(ANY_OF).split(",") if name.strip())
     )
 
 
-def _modules_meant(
+def _list_modules_meant(
     entry: StepEntry, path: Path_, known: Mapping[str, str], remarks: Remarks
 ) -> Sequence[str]:
     """The modules of a step that says ``any``: those that it lists, or all with a driver."""
-    names = _names(entry.module)
+    names = _split_names(entry.module)
     if len(names) == 1 and "," not in entry.module:
         found = [name for name, driver in known.items() if driver == names[0]]
         if not found:
@@ -134,17 +136,21 @@ def _modules_meant(
 
 def _check_references(file: WorkflowFile, known: Mapping[str, str], remarks: Remarks) -> bool:
     """Whether a step says that its module, or a place of it, is that of another one."""
-    names = [entry.name for path, entry in _entries(file) if _is_step(path) and entry.module]
+    names = [entry.name for path, entry in _iterate_entries(file) if _is_step(path) and entry.module]
     found = False
-    for path, entry in _entries(file):
-        said = [(name, (*path, where)) for where, value in _values(entry) for name in _steps_meant(value)]
+    for path, entry in _iterate_entries(file):
+        said = [
+            (name, (*path, where))
+            for where, value in _list_values(entry)
+            for name in _list_steps_meant(value)
+        ]
         if entry.module.startswith(SAME_AS) and entry.module not in known:
             said.append((entry.module.removeprefix(SAME_AS).strip(), (*path, "module")))
         for name, at in said:
             found = True
             _check_reference(entry, name, at, names, remarks)
     for key in file.hold:
-        for name in _steps_meant(key):
+        for name in _list_steps_meant(key):
             found = True
             if name not in names:
                 remarks.error(
@@ -166,7 +172,7 @@ def _check_reference(entry: StepEntry, name: str, at: Path_, names: Sequence[str
         )
 
 
-def _entries(file: WorkflowFile) -> Iterator[tuple[Path_, StepEntry]]:
+def _iterate_entries(file: WorkflowFile) -> Iterator[tuple[Path_, StepEntry]]:
     on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
     for top, entries in (("steps", file.steps), ("on_cancel", on_cancel)):
         for index, entry in enumerate(entries):
@@ -181,22 +187,24 @@ def _is_step(path: Path_) -> bool:
     return path[0] == "steps" and len(path) == 2
 
 
-def _values(entry: StepEntry) -> Iterable[tuple[str, Any]]:
+def _list_values(entry: StepEntry) -> Iterable[tuple[str, Any]]:
     return (("args", entry.args), ("payload", entry.payload))
 
 
-def _steps_meant(value: Any) -> list[str]:
+def _list_steps_meant(value: Any) -> list[str]:
     """The steps whose modules a value names."""
     if isinstance(value, str):
         return _MODULE_OF.findall(value)
     if isinstance(value, list | dict):
         items = value.values() if isinstance(value, dict) else value
-        return [name for item in items for name in _steps_meant(item)]
+        return [name for item in items for name in _list_steps_meant(item)]
     return []
 
 
 def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str]) -> BoundWorkflow:
-    modules = {e.name: chosen.get(e.name, e.module) for p, e in _entries(file) if _is_step(p) and e.module}
+    modules = {
+        e.name: chosen.get(e.name, e.module) for p, e in _iterate_entries(file) if _is_step(p) and e.module
+    }
     for _ in modules:  # one may be the same as one that is the same as a third
         for name, module in modules.items():
             if module.startswith(SAME_AS) and module not in known:
@@ -216,7 +224,7 @@ def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str
         elif module.startswith(SAME_AS) and module not in known:
             module = modules.get(module.removeprefix(SAME_AS).strip(), module)
         change: dict[str, Any] = {"module": module} if module != entry.module else {}
-        for name, value in _values(entry):
+        for name, value in _list_values(entry):
             if (filled := fill(value)) != value:
                 change[name] = filled
         if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):

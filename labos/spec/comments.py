@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from labos.spec.source import Path_, SourceList, SourceMapping, field_name
+from labos.spec.source import Path_, SourceList, SourceMapping, name_field
 
 _COMMENT = re.compile(r"(^|\s)(#.*)$")
 
@@ -44,8 +44,8 @@ def place_comments(comments: list[Comment], form: SourceMapping) -> tuple[dict[s
     line of its own to the next entry, what stands above everything to the whole file (``""``). The second
     list is what stands below everything."""
     fields = dict[int, str]()
-    for line, path in _lines(form, ()):
-        fields.setdefault(line, field_name(path))
+    for line, path in _iterate_lines(form, ()):
+        fields.setdefault(line, name_field(path))
     lines = sorted(fields)
     placed, below = dict[str, list[str]](), list[str]()
     for comment in comments:
@@ -61,15 +61,15 @@ def place_comments(comments: list[Comment], form: SourceMapping) -> tuple[dict[s
     return placed, below
 
 
-def _lines(value: Any, path: Path_) -> Iterator[tuple[int, Path_]]:
+def _iterate_lines(value: Any, path: Path_) -> Iterator[tuple[int, Path_]]:
     """Where the entries of a form were written, the outer ones first."""
     if isinstance(value, SourceMapping):
         for key, item in value.items():
             if line := value.keys_at.get(key, value.at).line:
                 yield line, (*path, key)
-            yield from _lines(item, (*path, key))
+            yield from _iterate_lines(item, (*path, key))
     elif isinstance(value, SourceList):
         for index, item in enumerate(value):
             if index < len(value.values_at) and (line := value.values_at[index].line):
                 yield line, (*path, index)
-            yield from _lines(item, (*path, index))
+            yield from _iterate_lines(item, (*path, index))

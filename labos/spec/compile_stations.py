@@ -17,7 +17,7 @@ from labos.spec.kinds import warn_of_unknown
 from labos.spec.labware import load_packaged_labware
 from labos.spec.models import LabwareType, StationEntry, WorkcellFile
 from labos.spec.remarks import Remarks
-from labos.spec.stations import Stations, plain_place
+from labos.spec.stations import Stations, strip_place
 
 WASTE = ("trash", "waste")
 WASTE_CAPACITY = 50
@@ -47,7 +47,7 @@ def compile_stations(
     compiler.fit({name: tuple(kind.grips) for name, kind in types.items() if kind.grips})
     compiler.keep_off_stacks([name for name, kind in sorted(types.items()) if not kind.stackable])
     compiler.fit_out_shelves()
-    return compiler.index()
+    return compiler.make_index()
 
 
 class _StationCompiler:
@@ -58,7 +58,7 @@ class _StationCompiler:
         self.modules: Collection[str] = {entry.name for entry in file.modules}
         self.stations: dict[StationName, StationSpec] = {}
 
-    def index(self) -> Stations:
+    def make_index(self) -> Stations:
         return Stations(self.file.name, self.stations.values())
 
     def describe(self) -> None:
@@ -69,7 +69,7 @@ class _StationCompiler:
 
     def add_written(self) -> None:
         """Stations of the file that no driver describes."""
-        known = self.index()
+        known = self.make_index()
         for place, entry in self.file.stations.items():
             owner, _, last = place.rpartition(".")
             try:
@@ -91,7 +91,7 @@ class _StationCompiler:
 
     def add_shelves(self) -> None:
         """The shelves of the file's hotels, under their names only."""
-        known = self.index()
+        known = self.make_index()
         for place, entry in self.file.stations.items():
             try:
                 hotel = known.find(place)
@@ -107,7 +107,7 @@ class _StationCompiler:
 
     def reach_hotels(self) -> None:
         """An arm reaches into a hotel if it was taught all its shelves."""
-        for hotel, shelves in self._hotels().items():
+        for hotel, shelves in self._list_hotels().items():
             taught = {arm for shelf in shelves for arm in self.stations[shelf].reach}
             for arm in taught:
                 missing = [local(shelf) for shelf in shelves if arm not in self.stations[shelf].reach]
@@ -124,12 +124,12 @@ class _StationCompiler:
 
     def fit_out_shelves(self) -> None:
         """What is said of a hotel holds for each of its shelves."""
-        for hotel, shelves in self._hotels().items():
+        for hotel, shelves in self._list_hotels().items():
             for shelf in shelves:
                 like = self.stations[hotel]
                 self._put(msgspec.structs.replace(like, name=shelf, capacity=1, aliases=(), hotel=hotel))
 
-    def _hotels(self) -> dict[StationName, list[StationName]]:
+    def _list_hotels(self) -> dict[StationName, list[StationName]]:
         found: dict[StationName, list[StationName]] = {}
         for station in self.stations.values():
             if station.hotel:
@@ -140,7 +140,7 @@ class _StationCompiler:
         """Places that were taught, and the arms that can reach them."""
         for owner, places in self.file.locations.items():
             if owner not in self.modules and owner != "workcell":
-                tell = self.remarks.warning if self.foreign else self.remarks.error
+                tell = self.remarks.add_warning if self.foreign else self.remarks.error
                 tell(
                     f"Locations are given for {owner!r}, which is no module here.",
                     ("locations", owner),
@@ -149,7 +149,7 @@ class _StationCompiler:
                 )
             for place in places:
                 name = self._locate(owner, place)
-                if name in self._hotels():
+                if name in self._list_hotels():
                     self.remarks.error(
                         f"{place} has shelves, and {owner} was taught one place there.",
                         ("locations", owner, place),
@@ -157,12 +157,12 @@ class _StationCompiler:
                     )
                 elif name and owner in self.drivers:
                     station = self.stations[name]
-                    reach = {**station.reach, self._module(owner): ()}
+                    reach = {**station.reach, self._name_module(owner): ()}
                     self._put(msgspec.structs.replace(station, reach=reach))
 
     def override(self) -> None:
         """What the file says of stations, over what the drivers say."""
-        known = self.index()
+        known = self.make_index()
         for place, entry in self.file.stations.items():
             try:
                 name = known.find(place)
@@ -192,7 +192,7 @@ class _StationCompiler:
             self._put(msgspec.structs.replace(station, refuses=tuple(kinds)))
             for place, entry in self.file.stations.items():
                 wanted = [kind for kind in entry.accepts or () if kind in kinds]
-                if wanted and self.index().find(place) == station.name:
+                if wanted and self.make_index().find(place) == station.name:
                     message = (
                         f"One {wanted[0]} may not stand upon another, so that {place} cannot stack them."
                     )
@@ -202,7 +202,7 @@ class _StationCompiler:
     # -- one station -------------------------------------------------------------------------
 
     def _describe(self, module: str, station: Station) -> StationSpec:
-        name = self._module(module)
+        name = self._name_module(module)
         return make_from(
             StationSpec,
             station,
@@ -213,7 +213,7 @@ class _StationCompiler:
 
     def _add(self, place: str, kind: StationKind | None) -> StationSpec:
         owner, _, last = place.rpartition(".")
-        module = self._module(owner) if owner in self.drivers else ModuleName("")
+        module = self._name_module(owner) if owner in self.drivers else ModuleName("")
         if kind is None:
             kind = "waste" if not module and last.lower() in WASTE else "nest"
         return StationSpec(
@@ -227,7 +227,7 @@ class _StationCompiler:
     def _locate(self, owner: str, place: str) -> StationName | None:
         """The station at a taught place; a new one where the file may add it."""
         try:
-            return self.index().find(place, owner if owner in self.drivers else "")
+            return self.make_index().find(place, owner if owner in self.drivers else "")
         except SpecError as error:
             module = place.partition(".")[0]
             if module in self.modules and module not in self.drivers:
@@ -240,8 +240,8 @@ class _StationCompiler:
                     return None
                 why = "no driver describes it" if module in self.modules else f"{module!r} is no module here"
                 message = f"The place {place!r} is taken for a nest: {why}."
-                self.remarks.warning(message, path, error.remedy, key=True)
-            station = self._add(plain_place(place) if "." in place else f"wc.{place}", None)
+                self.remarks.add_warning(message, path, error.remedy, key=True)
+            station = self._add(strip_place(place) if "." in place else f"wc.{place}", None)
             self._put(station)
             return station.name
 
@@ -285,7 +285,7 @@ class _StationCompiler:
                     near(manipulator, self.drivers, "module"),
                     key=True,
                 )
-            arm = self._module(manipulator)
+            arm = self._name_module(manipulator)
             if isinstance(grips, list):
                 reach[arm] = tuple(grips)
                 continue
@@ -311,9 +311,9 @@ class _StationCompiler:
         if kind == "waste":
             message = f"What is thrown into {place!r} is gone: nobody can be asked to look for it there."
             self.remarks.error(message, at, "Leave out `observer:`.")
-        return {"observer": self._module(entry.observer), "verify": entry.verify or "always"}
+        return {"observer": self._name_module(entry.observer), "verify": entry.verify or "always"}
 
-    def _module(self, module: str) -> ModuleName:
+    def _name_module(self, module: str) -> ModuleName:
         return ModuleName(f"{self.file.name}/{module}")
 
     def _put(self, station: StationSpec) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.conditions import condition, fill_in
-from labos.core.expressions import ExpressionError, Tree, look_up, names_in, parse_expression
+from labos.core.conditions import fill_in, make_condition
+from labos.core.expressions import ExpressionError, Tree, list_names, look_up, parse_expression
 from labos.core.model import Condition
 from labos.spec.layout import Written
 from labos.spec.source import Path_
@@ -19,7 +19,7 @@ class StepConditions:
     def __init__(self, steps: Steps, feeds: set[int]) -> None:
         self.steps, self.feeds = steps, feeds
 
-    def when(self, index: int) -> Condition | None:
+    def find_condition(self, index: int) -> Condition | None:
         """What has to hold for a step to be done, all conditions in one."""
         written = self.steps.layout.leaves[index].conditions
         found = [self._read(index, one, "when") for one in written]
@@ -41,7 +41,7 @@ class StepConditions:
 
     def _make_condition(self, index: int, text: str, tree: Tree, key: str) -> Condition | None:
         try:
-            return condition(text, tree)
+            return make_condition(text, tree)
         except ExpressionError as error:
             what = f"Step {self.steps.keys[index]!r}: {error.message}"
             self.steps.error(what, ("steps", index, key), error.remedy)
@@ -52,12 +52,12 @@ class StepConditions:
         values: dict[tuple[Any, ...], Tree] = {}
         try:
             tree = parse_expression(written.text)
-            names = names_in(tree)
+            names = list_names(tree)
             for name in names:
                 if name[0] == "payload":
                     values[name] = ("value", look_up(name, {"payload": written.scope}))
                 elif name[0] == "steps":
-                    found = self._name_of_step(index, name, written, path)
+                    found = self._resolve_name(index, name, written, path)
                     if found is None:
                         return None
                     values[name] = found
@@ -70,7 +70,7 @@ class StepConditions:
             return None
         return written.text, fill_in(tree, values)
 
-    def _name_of_step(self, index: int, name: tuple[Any, ...], written: Written, path: Path_) -> Tree | None:
+    def _resolve_name(self, index: int, name: tuple[Any, ...], written: Written, path: Path_) -> Tree | None:
         """A name of an earlier step's result, with the step's key."""
         if len(name) < 3 or name[2] != "result":
             what = f"Step {self.steps.keys[index]!r}: of an earlier step its result can be read."
@@ -79,7 +79,7 @@ class StepConditions:
         step = self.steps.find(str(name[1]), path, written.box)
         if step is None:
             return None
-        if step not in self.steps.before(index):
+        if step not in self.steps.list_before(index):
             what = f"The step {name[1]!r} is not done before this one."
             self.steps.error(what, path, "Refer to an earlier step, or add it under `after:`.")
             return None

@@ -21,7 +21,7 @@ def retry_of(entry: ModuleEntry) -> RetryDefault | None:
     return None if written is None else RetryDefault(written.times, written.delay, written.reset)
 
 
-def setup_of(entry: ModuleEntry) -> Setup | None:
+def make_setup(entry: ModuleEntry) -> Setup | None:
     """What it costs to set a module up for other work, as its entry says."""
     written = entry.setup
     if written is None:
@@ -30,13 +30,13 @@ def setup_of(entry: ModuleEntry) -> Setup | None:
     return Setup(written.by, written.takes, changes)
 
 
-def timeout_of(entry: StepEntry, action: ActionSpec, remarks: Remarks, path: Path_) -> float | None:
+def find_timeout(entry: StepEntry, action: ActionSpec, remarks: Remarks, path: Path_) -> float | None:
     """Lab seconds after which nobody knows how a settled step ended; one that comes before the action's
     nominal end is told of."""
     if not isinstance(entry.timeout, float):
         return None
     if entry.timeout < action.duration_s and not action.by_person:
-        remarks.warning(
+        remarks.add_warning(
             f"Step {entry.name!r} counts as unknown after {entry.timeout:g} s, and {entry.action} takes "
             f"{action.duration_s:g} s.",
             (*path, "timeout"),
@@ -54,7 +54,7 @@ class Defaults:
 
     def fill_in(self, entry: StepEntry, scope: Mapping[str, Any]) -> StepEntry:
         """A step with what its module says where it says nothing itself; ``none`` is nothing at all."""
-        module = self._module(entry, scope)
+        module = self._find_module(entry, scope)
         retry, timeout = entry.retry, entry.timeout
         if retry is None and module is not None and module.retry is not None:
             said = module.retry
@@ -66,7 +66,7 @@ class Defaults:
         changed = {key: value for key, value in kept.items() if value != getattr(entry, key)}
         return entry.model_copy(update=changed) if changed else entry
 
-    def _module(self, entry: StepEntry, scope: Mapping[str, Any]) -> ModuleSpec | None:
+    def _find_module(self, entry: StepEntry, scope: Mapping[str, Any]) -> ModuleSpec | None:
         """The module of a step, which may come from the payload; None where that is told as a fault later."""
         try:
             name = fill(entry.module, scope)

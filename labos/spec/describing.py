@@ -35,12 +35,12 @@ def load_description(source: Source | str | Path) -> DescriptionFile:
     remarks = Remarks(source, report)
     _Check(file, None, remarks).all()
     for name, entry in file.variants.items():
-        _Check(variant(file, name), (name, entry), remarks).all()
+        _Check(apply_variant(file, name), (name, entry), remarks).all()
     report.raise_if_failed()
     return file
 
 
-def variant(file: DescriptionFile, name: str) -> DescriptionFile:
+def apply_variant(file: DescriptionFile, name: str) -> DescriptionFile:
     """The description with what a variant changes. Raises NotFound."""
     if name not in file.variants:
         raise NotFound(f"{file.driver} has no variant {name!r}.", remedy=near(name, file.variants, "variant"))
@@ -49,20 +49,22 @@ def variant(file: DescriptionFile, name: str) -> DescriptionFile:
     return file.model_copy(update=changed)
 
 
-def for_model(file: DescriptionFile, model: str) -> DescriptionFile:
+def apply_model(file: DescriptionFile, model: str) -> DescriptionFile:
     """The description of the variant that a model is of, else the file's own."""
     for name, entry in file.variants.items():
         if model.lower() in {known.lower() for known in entry.models}:
-            return variant(file, name)
+            return apply_variant(file, name)
     return file
 
 
 def places(file: DescriptionFile) -> dict[str, PlaceEntry]:
     """The stations by name, rows of them written out."""
-    return {name: entry for pattern, row in file.stations.items() for name, entry in _row(pattern, row)}
+    return {
+        name: entry for pattern, row in file.stations.items() for name, entry in _expand_row(pattern, row)
+    }
 
 
-def parts_at(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
+def locate_parts(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
     """The frames of all parts in the instrument's own, with the moving ones where ``joints`` say (mm or
     degrees, by part); one that is not named has moved by 0, or by its limit that is nearest to that."""
     joints = joints or {}
@@ -78,9 +80,9 @@ def parts_at(file: DescriptionFile, joints: Mapping[str, float] | None = None) -
     return found
 
 
-def places_at(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """The frames of all stations in the instrument's own, as ``parts_at`` for parts."""
-    parts = parts_at(file, joints)
+def locate_places(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
+    """The frames of all stations in the instrument's own, as ``locate_parts`` for parts."""
+    parts = locate_parts(file, joints)
     return {
         name: parts[entry.on].then(frame(entry.at_mm, entry.turn_deg)) for name, entry in places(file).items()
     }
@@ -91,19 +93,19 @@ def _move(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> Fram
     if moves is None:
         return frame()
     if moves.like is not None:
-        by = moves.times * _value(file, moves.like, joints)
+        by = moves.times * _find_joint_value(file, moves.like, joints)
     else:
-        by = _value(file, name, joints)
+        by = _find_joint_value(file, name, joints)
     return slide(moves.axis, by) if moves.slide_mm is not None else spin(moves.axis, by)
 
 
-def _value(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> float:
+def _find_joint_value(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> float:
     moves = file.parts[name].moves
     low, high = moves.limits if moves is not None else (0.0, 0.0)
     return joints.get(name, min(max(0.0, low), high))
 
 
-def _row(pattern: str, row: PlaceEntry) -> Iterator[tuple[str, PlaceEntry]]:
+def _expand_row(pattern: str, row: PlaceEntry) -> Iterator[tuple[str, PlaceEntry]]:
     numbers = [range(each.from_to[0], each.from_to[1] + 1) for each in row.each.values()]
     for chosen in itertools.product(*numbers):
         at, values = list(row.at_mm), dict(zip(row.each, chosen, strict=True))
@@ -130,28 +132,28 @@ class _Check:
             known = [ASSUMED, DERIVED, *self.file.sources]
             if based.basis not in known:
                 message = f"There is no source {based.basis!r}."
-                self._error(message, (*path, "from"), near(based.basis, known, "source"))
+                self._add_error(message, (*path, "from"), near(based.basis, known, "source"))
         for name, part in self.file.parts.items():
             if name == BASE:
                 message = f"{BASE!r} is the instrument's own frame."
-                self._error(message, ("parts", name), "Call the part otherwise.", key=True)
+                self._add_error(message, ("parts", name), "Call the part otherwise.", key=True)
             if part.moves is not None and not part.shapes:
                 message = f"The part {name!r} moves and has no shape."
-                self._error(
+                self._add_error(
                     message, ("parts", name), "Give it one: simulators refuse what moves and has no mass."
                 )
-            self._stands(part.on, ("parts", name, "on"))
-            self._follows(name)
-        self._no_circles()
+            self._check_stands_on(part.on, ("parts", name, "on"))
+            self._check_follows(name)
+        self._check_no_circles()
         for name, place in self.file.stations.items():
-            self._stands(place.on, ("stations", name, "on"))
+            self._check_stands_on(place.on, ("stations", name, "on"))
             self._check_numbers(name, place)
         if self.file.reach is not None:
-            self._stands(self.file.reach.on, ("reach", "on"))
+            self._check_stands_on(self.file.reach.on, ("reach", "on"))
             for key in ("radius_mm", "height_mm", "rail_mm"):
                 pair = getattr(self.file.reach, key)
                 if pair is not None and pair[0] >= pair[1]:
-                    self._error("The lesser value comes first.", ("reach", key), "Write them in order.")
+                    self._add_error("The lesser value comes first.", ("reach", key), "Write them in order.")
 
     def _list_based(self) -> Iterator[tuple[Path_, Based]]:
         yield ("footprint",), self.file.footprint
@@ -164,12 +166,12 @@ class _Check:
         if self.file.reach is not None:
             yield ("reach",), self.file.reach
 
-    def _stands(self, on: str, path: Path_) -> None:
+    def _check_stands_on(self, on: str, path: Path_) -> None:
         known = [BASE, *self.file.parts]
         if on not in known:
-            self._error(f"There is no part {on!r}.", path, near(on, known, "part"))
+            self._add_error(f"There is no part {on!r}.", path, near(on, known, "part"))
 
-    def _follows(self, name: str) -> None:
+    def _check_follows(self, name: str) -> None:
         moves = self.file.parts[name].moves
         if moves is None or moves.like is None:
             return
@@ -177,9 +179,9 @@ class _Check:
         if leader is None or leader.moves is None or leader.moves.like is not None:
             message = f"No part {moves.like!r} moves by itself."
             moving = [n for n, p in self.file.parts.items() if p.moves is not None and p.moves.like is None]
-            self._error(message, ("parts", name, "moves", "like"), near(moves.like, moving, "part"))
+            self._add_error(message, ("parts", name, "moves", "like"), near(moves.like, moving, "part"))
 
-    def _no_circles(self) -> None:
+    def _check_no_circles(self) -> None:
         for name in self.file.parts:
             seen, here = {name}, self.file.parts[name].on
             while here in self.file.parts and here not in seen:
@@ -187,19 +189,19 @@ class _Check:
                 here = self.file.parts[here].on
             if here == name:
                 message = f"The part {name!r} stands on itself."
-                self._error(message, ("parts", name, "on"), f"Let one of them stand on {BASE!r}.")
+                self._add_error(message, ("parts", name, "on"), f"Let one of them stand on {BASE!r}.")
 
     def _check_numbers(self, name: str, place: PlaceEntry) -> None:
         written = set(PLACEHOLDER.findall(name))
         if written != set(place.each):
             message = f"The name {name!r} and `each` do not bear the same numbers."
-            self._error(message, ("stations", name), "Write {n} in the name for a number n in `each`.")
+            self._add_error(message, ("stations", name), "Write {n} in the name for a number n in `each`.")
         for key, each in place.each.items():
             if each.from_to[0] > each.from_to[1]:
                 path = ("stations", name, "each", key, "from_to")
-                self._error("The lesser number comes first.", path, "Write them in order.")
+                self._add_error("The lesser number comes first.", path, "Write them in order.")
 
-    def _error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+    def _add_error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
         self.remarks.error(message, self._find_path(path), remedy, key=key)
 
     def _find_path(self, path: Path_) -> Path_:
@@ -209,7 +211,7 @@ class _Check:
         return path
 
 
-def plain_of(file: DescriptionFile) -> dict[str, Any]:
+def make_plain(file: DescriptionFile) -> dict[str, Any]:
     """The description as data, with rows of stations written out."""
     data = file.model_dump(by_alias=True, exclude_none=True)
     data["stations"] = {

@@ -45,7 +45,7 @@ class ShapeEntry(Part):
     colour: Colour = "grey"
 
     @model_validator(mode="after")
-    def _one_kind(self) -> ShapeEntry:
+    def _check_one_kind(self) -> ShapeEntry:
         if (self.box_mm is None) == (self.cylinder_mm is None):
             raise ValueError("a shape has either box_mm or cylinder_mm")
         return self
@@ -62,7 +62,7 @@ class MovesEntry(Based):
     times: float = 1.0
 
     @model_validator(mode="after")
-    def _one_way(self) -> MovesEntry:
+    def _check_one_way(self) -> MovesEntry:
         limits = self.slide_mm or self.turn_deg
         if limits is None or (self.slide_mm is not None and self.turn_deg is not None):
             raise ValueError("a part moves by either slide_mm or turn_deg")

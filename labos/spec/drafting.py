@@ -10,16 +10,16 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from labos.core.arguments import names_of
+from labos.core.arguments import list_names
 from labos.core.effects import Unlid
 from labos.core.model import ActionSpec, Description
 from labos.errors import SpecError
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
 from labos.spec.interfaces import is_configured
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile
-from labos.spec.references import keys_in, result_of
+from labos.spec.references import find_result, list_keys
 from labos.spec.remarks import Remarks
-from labos.spec.stations import Stations, plain_place
+from labos.spec.stations import Stations, strip_place
 from labos.spec.uses import ResultUse, Use
 
 DURATION_S = 10.0
@@ -48,10 +48,14 @@ def draft_modules(
         known = described.get(entry.name)
         change: dict[str, Any] = {}
         if entry.active and known is None and entry.about is None:
-            change = {"about": _about(entry, wanted, file, places, described), "driver": "", "active": True}
+            change = {
+                "about": _draft_about(entry, wanted, file, places, described),
+                "driver": "",
+                "active": True,
+            }
             _tell_module(entry, ("modules", index), wanted, remarks)
         elif entry.active and known is not None and entry.about is None:
-            more = _extends(known, wanted, places, remarks, ("modules", index), described)
+            more = _draft_extends(known, wanted, places, remarks, ("modules", index), described)
             change = {"extends": more} if more else {}
         modules.append(entry.model_copy(update=change))
     return file.model_copy(update={"modules": modules})
@@ -74,14 +78,14 @@ def draft_stations(
         action = described[use.module].action(use.action) if use.module in described else None
         if action is None:
             continue
-        for text, is_end in _places_of(use, action):
+        for text, is_end in _list_named_places(use, action):
             name = _find(stations, text, use.module)
             if name is None:
                 name = _declare(text, described, file, written)
                 if text not in told:
                     told.add(text)
                     what = name if _find(stations, name, "") else f"a nest, {name}"
-                    remarks.warning(
+                    remarks.add_warning(
                         f"Nobody describes the place {text!r} ({use.where}): it is taken for {what}.",
                         ("stations", name),
                         f"Say what it is: `stations: {{{name}: {{kind: …}}}}`.",
@@ -95,7 +99,7 @@ def draft_stations(
                 entry = written.get(name, StationEntry())
                 if use.module not in entry.reach:
                     written[name] = entry.model_copy(update={"reach": {**entry.reach, use.module: []}})
-                    remarks.warning(
+                    remarks.add_warning(
                         f"{use.module} was never taught {name}, which it reaches in {use.where}.",
                         ("locations", use.module),
                         f"Teach it before it runs for real: `locations: {{{use.module}: {{{name}: […]}}}}`.",
@@ -127,14 +131,14 @@ def takes_lids_off(uses: Iterable[Use], described: Mapping[str, Description]) ->
 # -- what a module offers ------------------------------------------------------------------------
 
 
-def _about(
+def _draft_about(
     entry: ModuleEntry,
     uses: Sequence[Use],
     file: WorkcellFile,
     places: set[str],
     described: Mapping[str, Description],
 ) -> About:
-    actions = {name: _draft_action(named, places, described) for name, named in _by_action(uses).items()}
+    actions = {name: _draft_action(named, places, described) for name, named in _sort_by_action(uses).items()}
     carries = any(effect for action in actions.values() for effect in action.effects)
     stations = {"gripper": StationAbout(kind="gripper")} if carries else {}
     what = entry.comment or entry.model or "An instrument that no driver serves"
@@ -146,7 +150,7 @@ def _about(
     )
 
 
-def _extends(
+def _draft_extends(
     known: Description,
     uses: Sequence[Use],
     places: set[str],
@@ -155,7 +159,7 @@ def _extends(
     described: Mapping[str, Description],
 ) -> Extends | None:
     found: dict[str, ExtendedAction] = {}
-    for offered, named in _by_action(uses, known).items():
+    for offered, named in _sort_by_action(uses, known).items():
         action, name = known.action(offered), named[0].action
         fitting = [use for use in named if action is None or not _lacks_args(action, use)]
         new = _list_unknown_args(action, fitting) if action is not None else []
@@ -178,7 +182,7 @@ def _extends(
         drafted = found.get(offered)
         is_silent = drafted is not None and drafted.effects == [] and (action is None or drafted.replaces)
         believes = " LabOS believes that it moves no labware." if is_silent else ""
-        remarks.warning(
+        remarks.add_warning(
             f"{message} It is passed on as it is written, and not understood.{believes}",
             path,
             "Write below `extends:` what it does, or correct its name.",
@@ -188,7 +192,7 @@ def _extends(
 
 
 def _list_unknown_args(action: ActionSpec, uses: Iterable[Use]) -> list[str]:
-    known = names_of(action)
+    known = list_names(action)
     return list(dict.fromkeys(name for use in uses for name in use.args if name not in known))
 
 
@@ -213,7 +217,7 @@ def _draft_action(uses: Sequence[Use], places: set[str], described: Mapping[str,
         effects = [{"move": {"source": f"{{{source}}}", "target": f"{{{target}}}"}}]
     returns: Any = None
     for later in (later for use in uses for later in use.result_uses):
-        returns = _add_field(returns, later.fields, _example_value(later, described))
+        returns = _add_field(returns, later.fields, _make_example_value(later, described))
     return ActionAbout(args=args, effects=effects, duration=DURATION_S, returns=returns)
 
 
@@ -226,10 +230,10 @@ def _add_field(returns: Any, fields: Sequence[str], value: Any) -> Any:
     return {**inner, name: _add_field(inner.get(name), rest, value)}
 
 
-def _example_value(later: ResultUse, described: Mapping[str, Description]) -> Any:
+def _make_example_value(later: ResultUse, described: Mapping[str, Description]) -> Any:
     """A value that the argument of a later step can be given."""
     action = described[later.module].action(later.action) if later.module in described else None
-    arg = names_of(action).get(later.arg) if action is not None else None
+    arg = list_names(action).get(later.arg) if action is not None else None
     kind = arg.type if arg is not None else "any"
     if kind == "file" or "files" in later.fields:
         return {"file": "simulated.txt", "text": "simulated\n"}
@@ -252,10 +256,10 @@ def _is_place(name: str, value: Any, places: set[str]) -> bool:
     """Whether an argument names a place. Joint values in its stead are told as what they are later on."""
     if name.lower() in PLACES:
         return isinstance(value, str | list)
-    return isinstance(value, str) and plain_place(value) in places
+    return isinstance(value, str) and strip_place(value) in places
 
 
-def _by_action(uses: Iterable[Use], known: Description | None = None) -> dict[str, list[Use]]:
+def _sort_by_action(uses: Iterable[Use], known: Description | None = None) -> dict[str, list[Use]]:
     """The steps that use an action, by its name: of one that is ``known`` also those that use an alias."""
     found: dict[str, list[Use]] = {}
     for use in uses:
@@ -269,12 +273,12 @@ def _by_action(uses: Iterable[Use], known: Description | None = None) -> dict[st
 
 def _list_places(file: WorkcellFile) -> set[str]:
     """Places that the file names."""
-    return {plain_place(place) for places in file.locations.values() for place in places} | {
-        plain_place(place) for place in file.stations
+    return {strip_place(place) for places in file.locations.values() for place in places} | {
+        strip_place(place) for place in file.stations
     }
 
 
-def _places_of(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
+def _list_named_places(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
     """The places that a step names, and whether labware is carried from or to them."""
     ends = {
         str(getattr(effect, field)).strip("{}")
@@ -282,12 +286,12 @@ def _places_of(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
         for field in ("source", "target")
         if hasattr(effect, field)
     }
-    known = names_of(action)
+    known = list_names(action)
     return [
         (value, known[name].name in ends)
         for name, value in use.args.items()
         if name in known and known[name].type == "station"
-        if isinstance(value, str) and value and not keys_in(value) and result_of(value) is None
+        if isinstance(value, str) and value and not list_keys(value) and find_result(value) is None
     ]
 
 
@@ -303,7 +307,7 @@ def _declare(
     text: str, described: Mapping[str, Description], file: WorkcellFile, written: dict[str, StationEntry]
 ) -> str:
     """Adds a place that nobody describes, under the module that its name begins with; returns its name."""
-    bare = plain_place(text)
+    bare = strip_place(text)
     owner, _, last = bare.rpartition(".")
     owner = next((entry.name for entry in file.modules if entry.name.lower() == owner.lower()), owner)
     aliases: list[str] = []
@@ -311,7 +315,7 @@ def _declare(
         modules = sorted((entry.name for entry in file.modules), key=len, reverse=True)
         owner = next((name for name in modules if _begins_with(bare, name)), "wc")
         last = bare[len(owner) :].lstrip("_- ") if owner != "wc" else bare
-        last = _station_like(last, described.get(owner)) or "default"
+        last = _find_station_like(last, described.get(owner)) or "default"
         aliases = [] if owner == "wc" else [text]
     name = f"{owner}.{last}"
     entry = written.get(name, StationEntry())
@@ -325,7 +329,7 @@ def _begins_with(place: str, module: str) -> bool:
     return re.match(rf"{re.escape(module)}([_\- ]|$)", place, re.IGNORECASE) is not None
 
 
-def _station_like(last: str, description: Description | None) -> str:
+def _find_station_like(last: str, description: Description | None) -> str:
     """The station of a driver that is meant, or the word itself."""
     own = {station.name.lower(): station.name for station in (description.stations if description else ())}
     places = [name for name in own.values() if name != "gripper"]
@@ -350,7 +354,7 @@ def _tell_module(
     what = f"the model {entry.model!r}" if entry.model else "no model"
     names = ", ".join(sorted({use.action for use in uses}))
     drafted = f"its actions are drafted from the workflows: {names}" if names else "no workflow uses it"
-    remarks.warning(
+    remarks.add_warning(
         f"No driver serves the module {entry.name!r} ({what}); {drafted}.",
         (*path, "model") if entry.model else path,
         "It can be simulated. Write below `about:` what its actions do to labware and how long they take.",

@@ -27,7 +27,7 @@ QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d
 LONGEST = 100
 
 
-def quantity(text: str) -> re.Match[str] | None:
+def match_quantity(text: str) -> re.Match[str] | None:
     """A number and its unit; long text is never one, and is not looked at."""
     return QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
 
@@ -37,7 +37,7 @@ def parse_duration(value: Any) -> float:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
     if isinstance(value, str):
-        match = quantity(value)
+        match = match_quantity(value)
         if match:
             number, unit = float(match[1]), match[2] or "s"
             if unit in SECONDS:

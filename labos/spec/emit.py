@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from labos.spec.source import Path_, field_name
+from labos.spec.source import Path_, name_field
 
 WIDTH = 100
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_./()+°µ\-]*( [A-Za-z0-9_./()+°µ\-]+)*")
@@ -23,13 +23,13 @@ def to_yaml(
     comments: Mapping[str, Sequence[str]] | None = None,
     below: Sequence[str] = (),
 ) -> str:
-    """The table as text. ``comments`` stand above the entry of their field, as ``field_name``
+    """The table as text. ``comments`` stand above the entry of their field, as ``name_field``
     writes it; those of fields that have no line of their own above the nearest that has one; those
     ``below`` at the end. One that begins with ``#`` is written as it is, others are broken into lines."""
     emitter = _Emitter(value)
     for field, texts in (comments or {}).items():
-        emitter.comments.setdefault(emitter.nearest(field), []).extend(texts)
-    lines = [*emitter.lines(), *([""] if below else ()), *_comment(below, "")]
+        emitter.comments.setdefault(emitter.find_nearest(field), []).extend(texts)
+    lines = [*emitter.iterate_lines(), *([""] if below else ()), *_write_comment(below, "")]
     return "".join(f"{line}\n" for line in lines)
 
 
@@ -37,61 +37,61 @@ class _Emitter:
     def __init__(self, value: Mapping[str, Any]) -> None:
         self.value = value
         self.comments: dict[str, list[str]] = {}
-        self.known = set(self._paths(value, ()))
+        self.known = set(self._iterate_paths(value, ()))
 
-    def nearest(self, field: str) -> str:
+    def find_nearest(self, field: str) -> str:
         """The field itself or the innermost one around it that has a line; empty for none."""
         while field and field not in self.known:
             cut = max(field.rfind("."), field.rfind("["))
             field = field[:cut] if cut > 0 else ""
         return field
 
-    def lines(self) -> Iterator[str]:
-        yield from _comment(self.comments.get("", []), "")
+    def iterate_lines(self) -> Iterator[str]:
+        yield from _write_comment(self.comments.get("", []), "")
         block = False
         for number, (key, item) in enumerate(self.value.items()):
             if number and (block or _is_block(item)):
                 yield ""
             block = _is_block(item)
-            yield from self._entry(key, item, (key,), "")
+            yield from self._write_entry(key, item, (key,), "")
 
-    def _paths(self, value: Any, path: Path_) -> Iterator[str]:
+    def _iterate_paths(self, value: Any, path: Path_) -> Iterator[str]:
         if path:
-            yield field_name(path)
+            yield name_field(path)
         if not _is_block(value) and path:
             return
         entries = value.items() if isinstance(value, Mapping) else enumerate(value)
         for key, item in entries:
-            yield from self._paths(item, (*path, key))
+            yield from self._iterate_paths(item, (*path, key))
 
-    def _entry(self, key: str, value: Any, path: Path_, indent: str) -> Iterator[str]:
-        yield from _comment(self.comments.get(field_name(path), []), indent)
+    def _write_entry(self, key: str, value: Any, path: Path_, indent: str) -> Iterator[str]:
+        yield from _write_comment(self.comments.get(name_field(path), []), indent)
         if not _is_block(value):
-            yield f"{indent}{scalar(key)}: {_flow(value)}"
+            yield f"{indent}{write_scalar(key)}: {_write_flow(value)}"
             return
-        yield f"{indent}{scalar(key)}:"
+        yield f"{indent}{write_scalar(key)}:"
         yield from self._block(value, path, f"{indent}  ")
 
     def _block(self, value: Any, path: Path_, indent: str) -> Iterator[str]:
         if isinstance(value, Mapping):
             for key, item in value.items():
-                yield from self._entry(key, item, (*path, key), indent)
+                yield from self._write_entry(key, item, (*path, key), indent)
             return
         apart = any(_is_block(item) for item in value)
         for index, item in enumerate(value):
             here = (*path, index)
             if index and apart:
                 yield ""
-            yield from _comment(self.comments.get(field_name(here), []), indent)
+            yield from _write_comment(self.comments.get(name_field(here), []), indent)
             if isinstance(item, Mapping) and item and apart:
-                yield from self._item(item, here, indent)
+                yield from self._write_item(item, here, indent)
             elif not _is_block(item):
-                yield f"{indent}- {_flow(item)}"
+                yield f"{indent}- {_write_flow(item)}"
             else:
                 yield f"{indent}-"
                 yield from self._block(item, here, f"{indent}  ")
 
-    def _item(self, item: Mapping[str, Any], path: Path_, indent: str) -> Iterator[str]:
+    def _write_item(self, item: Mapping[str, Any], path: Path_, indent: str) -> Iterator[str]:
         """A table in a list: its first line bears the dash."""
         dashed = False
         for line in self._block(item, path, f"{indent}  "):
@@ -102,7 +102,7 @@ class _Emitter:
             yield line
 
 
-def scalar(value: Any) -> str:
+def write_scalar(value: Any) -> str:
     """A text, number, truth value or nothing."""
     if value is None:
         return "null"
@@ -133,12 +133,14 @@ def _escape(char: str) -> str:
     return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
-def _flow(value: Any) -> str:
+def _write_flow(value: Any) -> str:
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{scalar(key)}: {_flow(item)}" for key, item in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{write_scalar(key)}: {_write_flow(item)}" for key, item in value.items()) + "}"
+        )
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_flow(item) for item in value) + "]"
-    return scalar(value)
+        return "[" + ", ".join(_write_flow(item) for item in value) + "]"
+    return write_scalar(value)
 
 
 def _is_block(value: Any) -> bool:
@@ -146,15 +148,15 @@ def _is_block(value: Any) -> bool:
     if isinstance(value, Mapping):
         if any(isinstance(item, Mapping | list | tuple) and item for item in value.values()):
             return True
-        return bool(value) and (len(value) > 4 or len(_flow(value)) > WIDTH * 0.6)
+        return bool(value) and (len(value) > 4 or len(_write_flow(value)) > WIDTH * 0.6)
     if isinstance(value, list | tuple):
         return any(isinstance(item, Mapping | list | tuple) for item in value) or (
-            len(_flow(value)) > WIDTH and any(isinstance(item, str) for item in value)
+            len(_write_flow(value)) > WIDTH and any(isinstance(item, str) for item in value)
         )
     return False
 
 
-def _comment(texts: Sequence[str], indent: str) -> Iterator[str]:
+def _write_comment(texts: Sequence[str], indent: str) -> Iterator[str]:
     for text in texts:
         if text.startswith("#"):
             yield indent + " ".join(text.splitlines())

@@ -25,12 +25,12 @@ _STEPS = re.compile(r"^(flowdef|steps):", re.MULTILINE)
 _WORKCELL = re.compile(r"^(modules|workcell_nodes|nodes):", re.MULTILINE)
 
 
-def lab_folder(folder: Path) -> Path:
+def find_lab_folder(folder: Path) -> Path:
     """The nearest folder, up to three above, that holds a workcell file: paths in a workflow may lead through
     it, as ``../protocols/mix.py`` does; also one that has them in a folder ``workcells`` of its own, as the
     packaged specs have. The workflow's own folder if none does."""
     for around in (folder, *folder.parents[:LEVELS]):
-        if _workcells_in(around) or _workcells_in(around / "workcells"):
+        if _list_workcells_in(around) or _list_workcells_in(around / "workcells"):
             return around
     return folder
 
@@ -38,18 +38,18 @@ def lab_folder(folder: Path) -> Path:
 def find_workcells(folder: Path) -> list[Path]:
     """The workcell files of the nearest folder, up to three above, that holds any."""
     for around in (folder, *folder.parents[:LEVELS]):
-        if found := _workcells_in(around):
+        if found := _list_workcells_in(around):
             return found
     return []
 
 
-def _workcells_in(folder: Path) -> list[Path]:
+def _list_workcells_in(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.glob("*.y*ml"))[:MOST_FILES] if _is_workcell(path)]
 
 
 def is_within(path: Path, folder: Path) -> bool:
     """Whether a path stays in a workflow's folder, or in the lab's folder around it."""
-    return path.is_relative_to(folder) or path.is_relative_to(lab_folder(folder))
+    return path.is_relative_to(folder) or path.is_relative_to(find_lab_folder(folder))
 
 
 def _is_workcell(path: Path) -> bool:
@@ -95,7 +95,7 @@ class FileFinder:
         self.given = given
         self.folders = [folder.resolve() for folder in folders]
 
-    def full_name(self, name: str) -> str:
+    def find_full_name(self, name: str) -> str:
         """The name of the file that a logical name means: of those handed in, else in the folders."""
         if name in self.given or not is_logical(name):
             return name

@@ -79,7 +79,7 @@ class FindingList:
     ) -> None:
         self._add("error", message, place, field, remedy, file)
 
-    def warning(
+    def add_warning(
         self,
         message: str,
         place: Place = NOWHERE,

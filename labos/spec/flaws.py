@@ -10,16 +10,16 @@ from labos.spec.mismatch import describe_mismatch
 from labos.spec.parts import Part
 
 
-def flaw_in(model: type[Part], told: Any) -> str:
+def find_first_flaw(model: type[Part], told: Any) -> str:
     """The first thing that keeps a table from being read; empty if nothing does."""
     try:
         model.model_validate(told)
     except ValidationError as errors:
-        return flaw_of(errors)
+        return describe_flaw(errors)
     return ""
 
 
-def flaw_of(errors: ValidationError) -> str:
+def describe_flaw(errors: ValidationError) -> str:
     """The first of these errors, and where it is."""
     first = errors.errors(include_url=False)[0]
     where = ".".join(map(str, first["loc"])) or "the table"

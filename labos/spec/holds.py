@@ -18,7 +18,7 @@ from labos.spec.remarks import Remarks
 from labos.spec.steps import Steps
 
 
-def holds_of(
+def make_holds(
     written: Mapping[str, str | HoldEntry],
     modules: Mapping[str, ModuleSpec],
     claims: Mapping[StationName, str],
@@ -28,7 +28,7 @@ def holds_of(
 ) -> tuple[Hold, ...]:
     """The holds of a plan. ``claims`` tells which module's deck stations belong to; faults of
     what was written go to the remarks."""
-    order = [index for index in steps.order() if steps.layout.leaves[index].part == MAIN]
+    order = [index for index in steps.sort_steps() if steps.layout.leaves[index].part == MAIN]
     explicit: dict[ModuleName, Hold | None] = {}
     for name, entry in written.items():
         module = modules.get(name)
@@ -57,11 +57,11 @@ def holds_of(
                 )
                 continue
             explicit[module.name] = Hold(module.name, first, last)
-    found = [hold for hold in by_default(claims, planned, order) if hold.module not in explicit]
+    found = [hold for hold in make_default_holds(claims, planned, order) if hold.module not in explicit]
     return (*found, *(hold for hold in explicit.values() if hold is not None))
 
 
-def by_default(
+def make_default_holds(
     claims: Mapping[StationName, str], planned: Sequence[PlanStep], order: Sequence[int]
 ) -> list[Hold]:
     """From a run's first work on a module with a deck to the step that brings its labware there."""

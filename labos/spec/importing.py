@@ -13,7 +13,15 @@ from labos.core.model import Description
 from labos.spec.about import find_description as described_module
 from labos.spec.carrying import TransferEnd, TransferReader, add_ends, drop_ends
 from labos.spec.comments import place_comments, read_comments
-from labos.spec.dialects import NOBODYS, Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
+from labos.spec.dialects import (
+    NOBODYS,
+    Dialect,
+    Kind,
+    convert_labware,
+    convert_workcell,
+    convert_workflow,
+    detect_kind,
+)
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, FindingList
 from labos.spec.interfaces import is_configured
@@ -55,47 +63,49 @@ def import_spec(
     """Rewrite a file; what a workcell does not say is drafted from the ``uses`` that workflows make of it, if
     they are given. ``moved`` is of the workcells that a workflow runs on. Raises SpecError or SpecErrors for
     what cannot be used."""
-    kind, _ = kind_of(source)
+    kind, _ = detect_kind(source)
     if kind == "labware":
-        return _labware(source)
+        return _import_labware(source)
     if kind == "workflow":
-        return _workflow(source, moved)
-    return _workcell(source, descriptions, uses)
+        return _import_workflow(source, moved)
+    return _import_workcell(source, descriptions, uses)
 
 
-def _labware(source: Source) -> Imported:
+def _import_labware(source: Source) -> Imported:
     report = FindingList(source.file)
-    form, dialect = labware_form(source, report)
+    form, dialect = convert_labware(source, report)
     file = expect_valid(LabwareFile, form, report)
-    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sort_findings())
+    text = "" if dialect == "labos" else _write_text(file, source, form, dialect, report.sort_findings())
     name = PurePath(source.file).stem
     return Imported("labware", dialect, name, text, report.sort_findings(), {"types": len(file.labware)})
 
 
-def _workflow(source: Source, moved: Sequence[Moved]) -> Imported:
+def _import_workflow(source: Source, moved: Sequence[Moved]) -> Imported:
     report = FindingList(source.file)
-    form, dialect = workflow_form(source, report)
+    form, dialect = convert_workflow(source, report)
     file = expect_valid(WorkflowFile, form, report)
     file, is_shorter = (file, False) if dialect == "labos" else drop_ends(file, moved)
     notes = {"": ["How labware is gripped stands in the workcell's file."]} if is_shorter else {}
-    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sort_findings(), notes)
+    text = (
+        "" if dialect == "labos" else _write_text(file, source, form, dialect, report.sort_findings(), notes)
+    )
     counts = {"steps": len(file.steps), "parameters": len(file.parameters)}
     return Imported("workflow", dialect, file.name, text, report.sort_findings(), counts)
 
 
-def _workcell(
+def _import_workcell(
     source: Source, descriptions: Mapping[str, Description], uses: Sequence[Use] | None
 ) -> Imported:
     cell = compile_workcell(source, descriptions, uses=uses)
-    form, dialect = workcell_form(source, FindingList(source.file))
+    form, dialect = convert_workcell(source, FindingList(source.file))
     file = cell.file
     assert file is not None  # it has been compiled
     text, moved = "", None
     if dialect != "labos":
         carrying = TransferReader(cell, descriptions)
         moved = (carrying, carrying.find_agreed(uses or ()))
-        file, notes = add_ends(complete(file, cell, descriptions), moved[1])
-        text = _text(file, source, form, dialect, cell.findings, notes)
+        file, notes = add_ends(complete_workcell(file, cell, descriptions), moved[1])
+        text = _write_text(file, source, form, dialect, cell.findings, notes)
     counts = {
         "modules": len(file.modules),
         "stations": sum(not station.hotel for station in cell.workcell.stations),
@@ -103,7 +113,7 @@ def _workcell(
     return Imported("workcell", dialect, file.name, text, cell.findings, counts, moved)
 
 
-def complete(
+def complete_workcell(
     file: WorkcellFile, cell: CompiledWorkcell, descriptions: Mapping[str, Description]
 ) -> WorkcellFile:
     """A foreign workcell with everything said that was taken for granted: modules that no driver
@@ -115,7 +125,11 @@ def complete(
         change: dict[str, Any] = {}
         if entry.active and entry.name not in drivers:
             change["active"] = False
-        elif entry.active and entry.about is None and drivers[entry.name] != _by_model(entry, descriptions):
+        elif (
+            entry.active
+            and entry.about is None
+            and drivers[entry.name] != _find_driver_by_model(entry, descriptions)
+        ):
             change["driver"] = drivers[entry.name]
         if not is_configured(entry.interface, entry.config):
             change["interface"] = ""
@@ -150,12 +164,12 @@ def complete(
     return file.model_copy(update=change)
 
 
-def _by_model(entry: ModuleEntry, descriptions: Mapping[str, Description]) -> str | None:
+def _find_driver_by_model(entry: ModuleEntry, descriptions: Mapping[str, Description]) -> str | None:
     """The driver that serves a module's model, if the model says so by itself."""
     return match_driver(entry.model, descriptions) if entry.model else None
 
 
-def _text(
+def _write_text(
     file: Part,
     source: Source,
     form: Source,
@@ -173,11 +187,11 @@ def _text(
     for finding in findings:
         where = "" if finding.file == form.file else f" of {PurePath(finding.file).name}"
         told = f"Line {finding.line}{where}: {finding.message}"
-        comments.setdefault(_home(finding.field, form, file), []).append(told)
+        comments.setdefault(_find_home(finding.field, form, file), []).append(told)
     return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True, by_alias=True)}, comments, below)
 
 
-def _home(field: str, form: Source, file: Part) -> str:
+def _find_home(field: str, form: Source, file: Part) -> str:
     """Where a field of the foreign file stands in our form."""
     for place in getattr(file, "stations", {}):
         if field.startswith("locations.") and field.endswith(f".{place}"):

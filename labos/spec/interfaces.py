@@ -39,7 +39,7 @@ PLANNED: Mapping[str, str] = {
 """Interfaces that workcell files name and that have no adapter."""
 
 
-def why_not_reached(interface: str) -> str:
+def explain_unreachable(interface: str) -> str:
     """Why a module cannot be reached by this interface; empty if it can."""
     if interface in NATIVE or interface in REACHED:
         return ""
@@ -55,7 +55,7 @@ def list_missing_keys(interface: str, config: Mapping[str, Any]) -> list[str]:
     return [group[0] for group in REACHED.get(interface, ()) if not any(config.get(key) for key in group)]
 
 
-def config_at(interface: str, address: str) -> dict[str, Any]:
+def make_config_at(interface: str, address: str) -> dict[str, Any]:
     """What ``config`` says of a node at this address: a URL, ``host:port``, or a name in ROS. Raises
     BadInput."""
     groups = REACHED.get(interface, ())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from labos.core.bench import parts
+from labos.core.bench import split_item
 from labos.spec.findings import near
 from labos.spec.models import ANY, WorkcellFile
 from labos.spec.remarks import Remarks
@@ -23,7 +23,7 @@ def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks
             if meant.startswith("Did you mean"):
                 remedy = f"{meant} Else describe it in a labware file that `labware:` names."
             message = f"Nobody describes the labware type {kind!r}: its wells and grips are not checked."
-            remarks.warning(message, path, remedy, key=key)
+            remarks.add_warning(message, path, remedy, key=key)
 
 
 def _list_named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
@@ -41,5 +41,5 @@ def _list_named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
                     yield kind, ("locations", arm, place, kind), True
     for place, counts in (file.stock or {}).items():
         for item in counts:
-            for kind in parts(item):
+            for kind in split_item(item):
                 yield kind, ("stock", place, item), True

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from labos.core.model import LabwareSpec, WellGrid
 from labos.errors import SpecError
-from labos.spec.dialects import find_kind, labware_form
+from labos.spec.dialects import convert_labware, find_kind
 from labos.spec.findings import FindingList, make_finding
 from labos.spec.library import SUFFIXES, find_spec, list_specs
 from labos.spec.models import ANY, LabwareFile, LabwareType
@@ -24,7 +24,7 @@ def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
     """The labware types of a file, by name. Raises SpecError or SpecErrors."""
     source = source if isinstance(source, Source) else read(source)
     report = FindingList(source.file)
-    form, _ = labware_form(source, report)
+    form, _ = convert_labware(source, report)
     file = expect_valid(LabwareFile, form, report)
     return dict(file.labware)
 
@@ -37,7 +37,7 @@ def load_packaged_labware() -> dict[str, LabwareType]:
     return found
 
 
-def spec_of(name: str, kind: LabwareType) -> LabwareSpec:
+def make_spec(name: str, kind: LabwareType) -> LabwareSpec:
     """A type as it is kept with the workcell."""
     size, wells = kind.footprint, kind.wells
     return LabwareSpec(
@@ -58,19 +58,19 @@ class OwnLabware(NamedTuple):
     digests: tuple[str, ...]
 
 
-def own_labware(
+def read_own_labware(
     written: str | list[str], remarks: Remarks, sent: Mapping[str, bytes] | None = None
 ) -> OwnLabware:
     """What stands in the labware files and folders that a workcell file names. They are looked for beside
     it, or among those that were ``sent`` along with it; faults go to the remarks, with their places in the
     labware files."""
     reader = _Reader(remarks, sent)
-    for path, entry in _entries(written):
+    for path, entry in _iterate_entries(written):
         reader.read(entry, path)
     return OwnLabware(reader.types, tuple(reader.digests.values()))
 
 
-def labware_files(source: Source) -> dict[str, bytes]:
+def read_labware_files(source: Source) -> dict[str, bytes]:
     """The contents of the labware files that a workcell file names, by the names under which it finds
     them: what has to be sent along with its text. What cannot be read is left out, and missed by whoever
     compiles it."""
@@ -79,7 +79,7 @@ def labware_files(source: Source) -> dict[str, bytes]:
     found: dict[str, bytes] = {}
     for entry in entries:
         if isinstance(entry, str):
-            found |= _contents(entry, source.folder)
+            found |= _read_contents(entry, source.folder)
     return found
 
 
@@ -100,7 +100,7 @@ class _Reader:
                 name: text for name, text in self.sent.items() if name == entry or name.startswith(under)
             }
         else:
-            found = _contents(entry, self.beside.folder)
+            found = _read_contents(entry, self.beside.folder)
         if not found:
             nowhere = self.sent is None and self.beside.folder is None
             why = "this workcell was not read from a folder" if nowhere else "none stands there"
@@ -123,7 +123,7 @@ class _Reader:
             self.digests[file] = source.digest
             if (find_kind(source) or ("",))[0] != "labware":
                 raise source.error("This is no labware file.", remedy="Write its types below `labware:`.")
-            form, _ = labware_form(source, report)
+            form, _ = convert_labware(source, report)
         except SpecError as error:
             self.remarks.report.keep(make_finding(error))
             return
@@ -141,14 +141,14 @@ class _Reader:
         self.remarks.report.take(report)
 
 
-def _entries(written: str | list[str]) -> Iterator[tuple[Path_, str]]:
+def _iterate_entries(written: str | list[str]) -> Iterator[tuple[Path_, str]]:
     if isinstance(written, str):
         yield ("labware",), written
     else:
         yield from ((("labware", number), entry) for number, entry in enumerate(written))
 
 
-def _contents(entry: str, folder: Path | None) -> dict[str, bytes]:
+def _read_contents(entry: str, folder: Path | None) -> dict[str, bytes]:
     """The file, or the labware files of the folder, by the names under which the workcell finds them."""
     if folder is None and not Path(entry).is_absolute():
         return {}

@@ -95,7 +95,7 @@ class Layout:
         self._ends: dict[str, frozenset[int]] = {}
         self._open: set[str] = set()
 
-    def box_at(self, path: Path_) -> Box:
+    def find_box_at(self, path: Path_) -> Box:
         """The box in which a reference at a path was written."""
         if len(path) > 1 and path[0] == "steps" and isinstance(path[1], int):
             return self.leaves[path[1]].box
@@ -131,13 +131,13 @@ class Layout:
             return last if isinstance(last, Leaf) else None
         return found
 
-    def before(self, leaf: Leaf, remarks: Remarks) -> set[int]:
+    def find_before(self, leaf: Leaf, remarks: Remarks) -> set[int]:
         """The steps that a step waits for by its place in the file and its ``after``."""
-        node = self._node_of(leaf)
+        node = self._find_node(leaf)
         number = next(n for n, item in enumerate(node.rounds) if item is leaf)
-        return set(self._before_round(node, number, remarks))
+        return set(self._find_before_round(node, number, remarks))
 
-    def _node_of(self, leaf: Leaf) -> LayoutNode:
+    def _find_node(self, leaf: Leaf) -> LayoutNode:
         return self._nodes_of_leaves[leaf.index]
 
     def trace(self, remarks: Remarks) -> None:
@@ -146,7 +146,7 @@ class Layout:
         try:
             while boxes:
                 for node in boxes.pop().nodes:
-                    self.ends(node, remarks)
+                    self.find_ends(node, remarks)
                     boxes += [item for item in node.rounds if isinstance(item, Box)]
         except RecursionError:
             remarks.error(
@@ -167,33 +167,33 @@ class Layout:
                     else:
                         boxes.append(item)
 
-    def _before_round(self, node: LayoutNode, number: int, remarks: Remarks) -> frozenset[int]:
+    def _find_before_round(self, node: LayoutNode, number: int, remarks: Remarks) -> frozenset[int]:
         if number and (not node.parallel or number in node.onward):
-            return self._ends_of_round(node.rounds[number - 1], remarks)
-        return self._before_node(node, remarks)
+            return self._find_ends_of_round(node.rounds[number - 1], remarks)
+        return self._find_before_node(node, remarks)
 
-    def _before_node(self, node: LayoutNode, remarks: Remarks) -> frozenset[int]:
+    def _find_before_node(self, node: LayoutNode, remarks: Remarks) -> frozenset[int]:
         if node.entry.after is None and node.position:
-            return self.ends(node.box.nodes[node.position - 1], remarks)
-        path = self._path_of(node)
+            return self.find_ends(node.box.nodes[node.position - 1], remarks)
+        path = self._find_path(node)
         found: frozenset[int] = frozenset()
         for number, name in enumerate(node.entry.after or ()):
             meant = self.find_named(name, node.box, (*path, "after", number), remarks)
             if isinstance(meant, Leaf):
                 found |= {meant.index}
             elif meant is not None:
-                found |= self.ends(meant, remarks)
+                found |= self.find_ends(meant, remarks)
         above = node.box.node
-        return found if found or above is None else self._before_round(above, node.box.number, remarks)
+        return found if found or above is None else self._find_before_round(above, node.box.number, remarks)
 
-    def _path_of(self, node: LayoutNode) -> Path_:
+    def _find_path(self, node: LayoutNode) -> Path_:
         """A path at which faults of a node are reported: that of its first step."""
         item: Leaf | Box | None = node.rounds[0] if node.rounds else None
         while isinstance(item, Box):
             item = next((r for n in item.nodes for r in n.rounds), None)
         return ("steps", item.index) if isinstance(item, Leaf) and not node.entry.use else ("steps",)
 
-    def ends(self, node: LayoutNode, remarks: Remarks) -> frozenset[int]:
+    def find_ends(self, node: LayoutNode, remarks: Remarks) -> frozenset[int]:
         """The steps with which an entry is done; what comes before it, if it was left out."""
         found = self._ends.get(node.key)
         if found is not None:
@@ -202,17 +202,17 @@ class Layout:
             return frozenset()  # a circle, which is reported as such
         self._open.add(node.key)
         if not node.rounds:
-            found = self._before_node(node, remarks)
+            found = self._find_before_node(node, remarks)
         else:
             last = node.rounds[-1:]
             if node.parallel:
                 last = [item for number, item in enumerate(node.rounds, 1) if number not in node.onward]
-            found = frozenset().union(*(self._ends_of_round(item, remarks) for item in last))
+            found = frozenset().union(*(self._find_ends_of_round(item, remarks) for item in last))
         self._open.discard(node.key)
         self._ends[node.key] = found
         return found
 
-    def _ends_of_round(self, item: Leaf | Box, remarks: Remarks) -> frozenset[int]:
+    def _find_ends_of_round(self, item: Leaf | Box, remarks: Remarks) -> frozenset[int]:
         if isinstance(item, Leaf):
             return frozenset((item.index,))
         followed: set[str] = set()
@@ -227,7 +227,7 @@ class Layout:
                 ):
                     followed.add(other.key)
         open_ends = [node for node in item.nodes if node.key not in followed]
-        return frozenset().union(*(self.ends(node, remarks) for node in open_ends))
+        return frozenset().union(*(self.find_ends(node, remarks) for node in open_ends))
 
 
 class UnrolledRemarks(Remarks):
@@ -238,23 +238,23 @@ class UnrolledRemarks(Remarks):
         self.layout = layout
 
     def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
-        source, at, name = self._origin(path)
-        place, field = source.place(at, key=key), source.field(at) + name
+        source, at, name = self._find_origin(path)
+        place, field = source.place(at, key=key), source.name_field(at) + name
         self.report.error(message, place, field=field, remedy=remedy, file=source.file)
 
-    def warning(
+    def add_warning(
         self, message: str, path: Path_, remedy: str, *, key: bool = False, assumed: Assumed = ""
     ) -> None:
-        source, at, name = self._origin(path)
-        place, field = source.place(at, key=key), source.field(at) + name
-        self.report.warning(message, place, field=field, remedy=remedy, file=source.file, assumed=assumed)
+        source, at, name = self._find_origin(path)
+        place, field = source.place(at, key=key), source.name_field(at) + name
+        self.report.add_warning(message, place, field=field, remedy=remedy, file=source.file, assumed=assumed)
 
     def find_origin(self, path: Path_) -> Origin:
         """Where what is found at a path was written."""
-        source, at, name = self._origin(path)
-        return Origin(source.file, *source.place(at), source.field(at) + name)
+        source, at, name = self._find_origin(path)
+        return Origin(source.file, *source.place(at), source.name_field(at) + name)
 
-    def _origin(self, path: Path_) -> tuple[Source, Path_, str]:
+    def _find_origin(self, path: Path_) -> tuple[Source, Path_, str]:
         if len(path) > 1 and path[0] == "steps" and isinstance(path[1], int):
             leaf = self.layout.leaves[path[1]]
             return leaf.source, (*leaf.path, *path[2:]), f" ({leaf.key})" if leaf.unrolled else ""

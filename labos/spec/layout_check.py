@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from labos.core.ids import local
 from labos.core.model import ModuleSpec
-from labos.spec.describing import for_model, parts_at, places_at
+from labos.spec.describing import apply_model, locate_parts, locate_places
 from labos.spec.description import ASSUMED, DescriptionFile, ReachEntry
-from labos.spec.dialects import workcell_form
+from labos.spec.dialects import convert_workcell
 from labos.spec.findings import Finding, FindingList
 from labos.spec.frames import Frame, from_quaternion
 from labos.spec.remarks import Remarks
@@ -45,11 +45,11 @@ def check_layout(
 ) -> list[Finding]:
     """The warnings about a workcell file that compiled; ``shape_of`` tells a driver's description."""
     report = FindingList(source.file)
-    form, _ = workcell_form(source, FindingList(source.file))
+    form, _ = convert_workcell(source, FindingList(source.file))
     remarks = Remarks(form, report)
-    there = _apart(list(_list_placed(form, cell, shape_of)), remarks)
+    there = _list_apart(list(_list_placed(form, cell, shape_of)), remarks)
     for one, other in combinations(there, 2):
-        _overlap(one, other, remarks)
+        _check_overlap(one, other, remarks)
     by_module = {place.module.name: place for place in there}
     for arm in there:
         if arm.shape.reach is None:
@@ -73,10 +73,10 @@ def _list_placed(
         at = from_quaternion([1000 * value for value in seven[:3]], seven[3:])
         name = local(module.name)
         path = ("modules", written.get(name, 0), "coordinates")
-        yield PlacedModule(name, module, at, for_model(shape, module.model), path)
+        yield PlacedModule(name, module, at, apply_model(shape, module.model), path)
 
 
-def _apart(places: list[PlacedModule], remarks: Remarks) -> list[PlacedModule]:
+def _list_apart(places: list[PlacedModule], remarks: Remarks) -> list[PlacedModule]:
     """Those that have a place of their own: the same numbers for several stand for none."""
     groups: dict[tuple[float, ...], list[PlacedModule]] = {}
     for place in places:
@@ -86,20 +86,20 @@ def _apart(places: list[PlacedModule], remarks: Remarks) -> list[PlacedModule]:
             message = (
                 f"{other.name} has the same coordinates as {first.name}; neither is compared with the rest."
             )
-            remarks.warning(message, other.path, "Write where each stands, or leave them out.")
+            remarks.add_warning(message, other.path, "Write where each stands, or leave them out.")
     return [group[0] for group in groups.values() if len(group) == 1]
 
 
-def _overlap(one: PlacedModule, other: PlacedModule, remarks: Remarks) -> None:
+def _check_overlap(one: PlacedModule, other: PlacedModule, remarks: Remarks) -> None:
     low = max(one.at.at[2], other.at.at[2])
     high = min(place.at.at[2] + place.shape.footprint.height_mm for place in (one, other))
-    deep = _depth(_outline(one), _outline(other))
+    deep = _measure_depth(_outline(one), _outline(other))
     if high - low <= OVERLAP_MM or deep <= OVERLAP_MM:
         return
     guessed = [place.name for place in (one, other) if place.shape.footprint.basis == ASSUMED]
     sizes = f" (the size of {' and '.join(guessed)} is assumed)" if guessed else ""
     message = f"The footprints of {one.name} and {other.name} overlap by {deep:.0f} mm{sizes}."
-    remarks.warning(message, other.path, "Measure where they stand, or correct the description.")
+    remarks.add_warning(message, other.path, "Measure where they stand, or correct the description.")
 
 
 def _outline(place: PlacedModule) -> list[Point]:
@@ -110,7 +110,7 @@ def _outline(place: PlacedModule) -> list[Point]:
     return [corner[:2] for corner in corners]
 
 
-def _depth(one: Sequence[Point], other: Sequence[Point]) -> float:
+def _measure_depth(one: Sequence[Point], other: Sequence[Point]) -> float:
     """How far two convex outlines overlap: by how much one would have to move to be clear of the other;
     0 or less if they are."""
     least = float("inf")
@@ -132,11 +132,11 @@ def _reach(
     *,
     taught: bool,
 ) -> None:
-    found = places_at(holder.shape).get(station.removeprefix(f"{holder.name}."))
+    found = locate_places(holder.shape).get(station.removeprefix(f"{holder.name}."))
     if found is None:
         return
     x, y, height = arm.at.inverse().point(holder.at.point(found.at))
-    axis = parts_at(arm.shape)[reach.on].at
+    axis = locate_parts(arm.shape)[reach.on].at
     along, across = (x - axis[0], y - axis[1]) if reach.rail_axis == "x" else (y - axis[1], x - axis[0])
     low, high = reach.rail_mm or (0.0, 0.0)
     away = hypot(along - min(max(along, low), high), across)
@@ -153,4 +153,4 @@ def _reach(
         return
     path = ("locations", arm.name, station) if taught else ("stations", station, "reach")
     remedy = f"Measure where {holder.name} and {arm.name} stand, or correct a description."
-    remarks.warning(f"By its coordinates {station} is {why}.", path, remedy, key=True)
+    remarks.add_warning(f"By its coordinates {station} is {why}.", path, remedy, key=True)

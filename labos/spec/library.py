@@ -10,7 +10,7 @@ from labos.spec.findings import near
 SUFFIXES = (".yaml", ".yml")
 
 
-def specs_folder() -> Path:
+def find_specs_folder() -> Path:
     """Where the packaged specs are: in the wheel, else in the checkout."""
     package = Path(__file__).resolve().parents[1]
     packaged = package / "_specs"
@@ -19,7 +19,7 @@ def specs_folder() -> Path:
 
 def list_specs(kind: str) -> list[str]:
     """The names of the packaged specs of a kind: workcells, workflows or labware."""
-    folder = specs_folder() / kind
+    folder = find_specs_folder() / kind
     return sorted(path.stem for path in folder.glob("*") if path.suffix in SUFFIXES)
 
 
@@ -29,4 +29,6 @@ def find_spec(kind: str, name: str) -> Path:
     stem = name.removesuffix(".yaml").removesuffix(".yml")
     if stem not in known:
         raise NotFound(f"There is no packaged spec {name!r} in {kind!r}.", remedy=near(stem, known, "spec"))
-    return next(path for suffix in SUFFIXES if (path := specs_folder() / kind / f"{stem}{suffix}").is_file())
+    return next(
+        path for suffix in SUFFIXES if (path := find_specs_folder() / kind / f"{stem}{suffix}").is_file()
+    )

@@ -95,7 +95,7 @@ _COUNTED = {"str": "characters", "bytes": "bytes"}
 _EXPECTED = re.compile(r"Expected `([^`]+)`, got `([^`]+)`")
 
 
-def plainly(error: msgspec.MsgspecError, forms: Mapping[str, str] = {}) -> str:
+def explain_plainly(error: msgspec.MsgspecError, forms: Mapping[str, str] = {}) -> str:
     """What msgspec found wrong, as part of a sentence; what it says of broken JSON stays as it is. ``forms``
     say of patterns what is wrong with a text that does not fit them."""
     text, at, where = str(error).partition(" - at `")

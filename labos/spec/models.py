@@ -129,12 +129,12 @@ class ShelfPoses(Part):
     first: list[float]
     step: list[float]
 
-    def at(self, number: int) -> list[float]:
+    def find_pose(self, number: int) -> list[float]:
         """The joint values at a shelf, counted from 1."""
         return [round(a + (number - 1) * b, 9) for a, b in zip(self.first, self.step, strict=True)]
 
 
-def _kind_of_pose(value: object) -> str:
+def _find_kind_of_pose(value: object) -> str:
     if isinstance(value, ShelfPoses) or (isinstance(value, dict) and "first" in value):
         return "shelves"
     return "types" if isinstance(value, dict) else "pose"
@@ -148,7 +148,7 @@ PoseEntry = Annotated[
         Tag("types"),
     ]
     | Annotated[ShelfPoses, Tag("shelves")],
-    Discriminator(_kind_of_pose),
+    Discriminator(_find_kind_of_pose),
 ]
 """Joint values, or those of each labware type and of ``any`` other, or those of a hotel's shelves."""
 
@@ -264,7 +264,7 @@ class AnyModule(Part):
     any: list[Name] = Field(min_length=1)
 
 
-def _in_words(value: object) -> object:
+def _show_any(value: object) -> object:
     """``{any: [a, b]}`` as the text that means the same."""
     if not isinstance(value, dict):
         return value
@@ -275,7 +275,7 @@ def _in_words(value: object) -> object:
     return ANY_OF + ", ".join(names) + ("," if len(names) == 1 else "")
 
 
-ModuleOfStep = Annotated[str, BeforeValidator(_in_words, json_schema_input_type=str | AnyModule)]
+ModuleOfStep = Annotated[str, BeforeValidator(_show_any, json_schema_input_type=str | AnyModule)]
 
 
 class StepEntry(Part):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from copy import deepcopy
 from typing import Any, Self
 
-from labos.core.bench import parts
+from labos.core.bench import split_item
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, LabwareSpec, ModuleSpec, StationSpec
 from labos.spec.stations import Stations
@@ -21,7 +21,7 @@ class Piece:
     """One piece of labware of the run. ``item`` is its type, and that of its lid if it has one."""
 
     def __init__(self, item: str, *, fresh: bool) -> None:
-        self.kind, lid = parts(item)
+        self.kind, lid = split_item(item)
         self.fresh = fresh
         """Whether it came from a stack; of other labware the variables are not known."""
         self.variables: dict[str, Any] = {}
@@ -32,7 +32,7 @@ class Piece:
         self.parked: StationName | None = None
         """Where its lid was put."""
 
-    def variable(self, name: str) -> Any:
+    def find_variable(self, name: str) -> Any:
         if name == "lidded" and (self.lid is not None or self.fresh):
             return self.lid is not None
         return self.variables.get(name, False if self.fresh else UNKNOWN)
@@ -89,15 +89,15 @@ class Paper:
         ]
         return repr((sorted(here), sorted((name, sorted(v.items())) for name, v in self.variables.items())))
 
-    def outputs(self) -> tuple[StationName, ...]:
+    def list_outputs(self) -> tuple[StationName, ...]:
         """Where the run's labware stands at its end; once a piece."""
         return tuple(name for name, pieces in self.at.items() for _ in pieces)
 
-    def stations_of(self, module: ModuleName) -> list[StationSpec]:
+    def list_stations(self, module: ModuleName) -> list[StationSpec]:
         """Where a module works on labware."""
         return [station for station in self.stations.list_for(module) if station.kind != "gripper"]
 
-    def labware_at(self, index: int, place: StationName, but: Collection[Piece] = ()) -> Piece | None:
+    def find_labware_at(self, index: int, place: StationName, but: Collection[Piece] = ()) -> Piece | None:
         """The run's piece at a place, none of ``but``; one that must stand there from the start, if there is
         none."""
         pieces = self.at.setdefault(place, [])

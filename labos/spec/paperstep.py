@@ -6,7 +6,7 @@ from collections import Counter
 from contextlib import suppress
 from typing import Any
 
-from labos.core.algebra import carry, check_effect, settings_after
+from labos.core.algebra import carry, check_effect, compute_settings_after
 from labos.core.effects import (
     AnyEffect,
     Carrying,
@@ -17,14 +17,14 @@ from labos.core.effects import (
     Requires,
     Sets,
     Transfers,
-    arrivals,
-    hand_of,
+    list_arrivals,
     list_carried,
+    name_hand,
     turn,
 )
 from labos.core.ids import StationName, local
 from labos.core.model import PlanStep
-from labos.core.wells import add_doses, doses_of, draw_doses, find_misfit
+from labos.core.wells import add_doses, draw_doses, find_misfit, list_doses
 from labos.spec.paper import UNKNOWN, Paper, Piece
 
 
@@ -48,30 +48,30 @@ class StepOnPaper:
             check_effect(self, asked)
         for carried in list_carried(self.step.effects):
             check_effect(self, carried)
-            self._hauls.append((carried, *self._haul(carried)))
-        self._room_for_all()
+            self._hauls.append((carried, *self._find_carried(carried)))
+        self._check_room_for_all()
         for what, piece, plate in self._hauls:
             self._carry(what, piece, plate)
-        self._pipette()
+        self._check_pipetting()
         for effect in self.step.effects:
             if isinstance(effect, Sets) and effect.of == "labware" and self.subject is not None:
                 self.subject.variables[effect.variable] = effect.value
-        after = settings_after(self.step.effects)
+        after = compute_settings_after(self.step.effects)
         self.paper.variables.setdefault(self.step.module, {}).update(after.variables)
 
-    def _error(self, message: str, remedy: str) -> None:
+    def _add_error(self, message: str, remedy: str) -> None:
         self.paper.error(self.index, message, remedy)
 
-    def _warning(self, message: str, remedy: str) -> None:
+    def _add_warning(self, message: str, remedy: str) -> None:
         self.paper.warning(self.index, message, remedy)
 
     def _find_worked_on(self) -> Piece | None:
         """The labware that stands where the step takes or needs some, or else on its module."""
         for effect in self.step.effects:
-            place = _where(effect)
+            place = _find_station(effect)
             if place and self.at.get(place):
                 return self.at[place][-1]
-        own = self.paper.stations_of(self.step.module)
+        own = self.paper.list_stations(self.step.module)
         here = [piece for station in own for piece in self.at.get(station.name, [])]
         return here[-1] if here else None
 
@@ -80,9 +80,9 @@ class StepOnPaper:
     def stock(self, what: Carrying, stack: StationName) -> None:
         """Count what is taken, where it is known what there is; it may be refilled meanwhile."""
         if self.paper.stations[stack].kind not in ("stack", "hotel"):
-            self._error(f"{local(stack)} is no stack.", "Name a stack to take from.")
+            self._add_error(f"{local(stack)} is no stack.", "Name a stack to take from.")
         if self.at.get(stack):
-            self._error(
+            self._add_error(
                 f"Labware of this run lies on the stack {local(stack)}.", "Move it away in a step before."
             )
         counts = self.paper.counts
@@ -92,31 +92,31 @@ class StepOnPaper:
         counts[stack] = max(left - 1, 0)
         if not left:
             self.paper.missing.append(stack)
-            self._warning(
+            self._add_warning(
                 f"The stack {local(stack)} is empty by then; the step will wait.",
                 f"Fill it and say so: labos load {local(stack)} --type TYPE --count N --lot LOT",
             )
 
-    def stands(self, what: Carrying, place: StationName) -> None:
+    def check_stands(self, what: Carrying, place: StationName) -> None:
         used = [piece for _, piece, _ in self._hauls if piece is not None]
-        self._found[place] = self.paper.labware_at(self.index, place, used)
+        self._found[place] = self.paper.find_labware_at(self.index, place, used)
         self._check_told_apart(what, place)
 
     def _check_told_apart(self, what: Carrying, place: StationName) -> None:
         """An arm goes to one pose: of several pieces at one station it takes any."""
         station = self.paper.stations[place]
-        shelves = self.paper.stations.shelves(place)
+        shelves = self.paper.stations.list_shelves(place)
         several = station.kind == "hotel" and station.capacity > 1 and not shelves and not what.lid
         if several and station.module != self.step.module:
-            self._warning(
+            self._add_warning(
                 f"{local(place)} holds {station.capacity} pieces, and {local(self.step.module)} was taught "
                 "one place there: it takes what stands at it, whosever it is.",
                 f"Write `shelves: {station.capacity}` instead of its capacity, and teach them.",
             )
 
-    def fits(self, what: Carrying) -> None:
-        piece, plate = self._haul(what)
-        self._apart(what)
+    def check_fits(self, what: Carrying) -> None:
+        piece, plate = self._find_carried(what)
+        self._check_apart(what)
         if plate is not None:
             self._check_lid(what, plate, piece)
         kind = piece.kind if piece is not None else ""
@@ -124,7 +124,7 @@ class StepOnPaper:
         self._check_grip(what.target, what.target_grip, kind)
         waste = self.paper.stations[what.target].kind == "waste"
         if waste and what.stock:
-            self._error(
+            self._add_error(
                 f"What comes off a stack gets its name where it is put down: not in {local(what.target)}.",
                 "Take it to a station first, and discard it in a step after that.",
             )
@@ -133,33 +133,33 @@ class StepOnPaper:
         for place in what.room:
             self._check_type(place, kind)
         if not what.lid and not what.stock:
-            self._faces(what, piece)
+            self._turn_piece(what, piece)
             if waste:
                 self._check_discard(piece)
 
-    def _apart(self, what: Carrying) -> None:
+    def _check_apart(self, what: Carrying) -> None:
         if what.source != what.target:
             return
         where = local(what.source)
         if what.lid:
             message = f"The lid and its plate cannot both be at {where}."
-            self._error(message, "Name another place for the lid.")
+            self._add_error(message, "Name another place for the lid.")
         else:
-            self._error(f"The labware is moved from {where} to where it stands.", "Name another target.")
+            self._add_error(f"The labware is moved from {where} to where it stands.", "Name another target.")
 
     def _check_lid(self, what: Carrying, plate: Piece, lid: Piece | None) -> None:
-        where, lidded = local(what.plate_at), plate.variable("lidded")
+        where, lidded = local(what.plate_at), plate.find_variable("lidded")
         if what.lid == "off" and any(lid is other for _, other, _ in self._hauls):
             lidded = False
         if what.lid == "off" and lidded is False:
-            self._error(
+            self._add_error(
                 f"The labware at {where} has no lid to take off.",
                 "Leave this step out, or stock plates with lids (`plate96+lid96`).",
             )
         elif what.lid == "off" and lidded is UNKNOWN:
             plate.at_first["lidded"] = True
         elif what.lid == "on" and lidded is True:
-            self._error(
+            self._add_error(
                 f"The labware at {where} has a lid already.",
                 "Take it off in a step before, or leave this step out.",
             )
@@ -167,10 +167,10 @@ class StepOnPaper:
     def _check_grip(self, place: StationName, grip: str, kind: str) -> None:
         """The acting arm can hold it so there. Nothing is known of places that it was never taught."""
         station, arm = self.paper.stations[place], self.step.module
-        grips = station.grips(arm, kind) if self._was_taught(place) else ()
+        grips = station.list_grips(arm, kind) if self._was_taught(place) else ()
         if grips and grip and grip not in grips:
             what = f"{kind} {grip}" if kind in station.reach_of else grip
-            self._error(
+            self._add_error(
                 f"{local(arm)} cannot grip {what} at {local(place)}.", f"It can grip {', '.join(grips)}."
             )
 
@@ -178,22 +178,22 @@ class StepOnPaper:
         station = self.paper.stations[place]
         if kind and not station.admits(kind):
             stacked = kind in station.refuses
-            self._error(
+            self._add_error(
                 f"{local(place)} does not accept {kind}.",
                 "One may not stand upon another." if stacked else f"It accepts {', '.join(station.accepts)}.",
             )
 
-    def _faces(self, what: Carrying, piece: Piece) -> None:
+    def _turn_piece(self, what: Carrying, piece: Piece) -> None:
         """Which way round it comes to lie; of what came from nowhere it is not known."""
-        way, wanted = self._way(what, piece), self.paper.stations[what.target].a1
+        way, wanted = self._compute_a1(what, piece), self.paper.stations[what.target].a1
         if way is not UNKNOWN and wanted is not None and way != wanted:
-            self._error(
+            self._add_error(
                 f"The labware would lie turned by {way} degrees at {local(what.target)}, "
                 f"which takes it turned by {wanted}.",
                 "Grip it narrow at one end and wide at the other, or not.",
             )
 
-    def _way(self, what: Carrying, piece: Piece) -> Any:
+    def _compute_a1(self, what: Carrying, piece: Piece) -> Any:
         before = piece.variables.get("a1", 0 if piece.fresh else UNKNOWN)
         if before is UNKNOWN:
             return UNKNOWN
@@ -203,19 +203,19 @@ class StepOnPaper:
     def _check_discard(self, piece: Piece) -> None:
         """A plate goes to waste: its lid must not stay behind where others need the room."""
         if piece.parked is not None and self.at.get(piece.parked):
-            self._error(
+            self._add_error(
                 f"The plate is discarded, and its lid stays behind at {local(piece.parked)}.",
                 "Put the lid back on, or discard it in a step before.",
             )
 
-    def hand(self, what: Carrying) -> None:
-        hand, arm = hand_of(self.step.module), local(self.step.module)
+    def check_hand(self, what: Carrying) -> None:
+        hand, arm = name_hand(self.step.module), local(self.step.module)
         if what.source != hand and self.at.get(hand):
-            self._error(f"The hand of {arm} is full by then.", "Put down what it holds in a step before.")
+            self._add_error(f"The hand of {arm} is full by then.", "Put down what it holds in a step before.")
 
-    def entry(self, what: Carrying, place: StationName) -> None:
+    def check_entry(self, what: Carrying, place: StationName) -> None:
         self._open(place)
-        self._reachable(place)
+        self._check_reachable(place)
 
     def _open(self, place: StationName) -> None:
         """The owner of a station lets an arm in."""
@@ -225,19 +225,19 @@ class StepOnPaper:
             value = variables.get(variable, UNKNOWN)
             if value is not UNKNOWN and value != wanted:
                 owner = local(station.module)
-                self._error(
+                self._add_error(
                     f"{local(place)} is out of reach: {_describe_value(owner, variable, value)}.",
                     f"Add a step before, so that {_describe_value(owner, variable, wanted)}.",
                 )
 
-    def _reachable(self, place: StationName) -> None:
+    def _check_reachable(self, place: StationName) -> None:
         """The acting arm was taught the place. Nothing is known of arms without any poses."""
         module = self.step.module
         if module not in self.paper.taught or self.paper.stations[place].module == module:
             return
         if not self._was_taught(place):
             arm, where = local(module), local(place)
-            self._error(
+            self._add_error(
                 f"{arm} was never taught {where}.",
                 f"Add it under `locations: {arm}:` in the workcell, or use another station.",
             )
@@ -245,37 +245,37 @@ class StepOnPaper:
     def _was_taught(self, place: StationName) -> bool:
         return self.step.module in self.paper.stations[place].reach
 
-    def room(self, what: Carrying, place: StationName) -> None:
-        """What there is room for one by one has to find room together: see ``_room_for_all``."""
+    def check_room(self, what: Carrying, place: StationName) -> None:
+        """What there is room for one by one has to find room together: see ``_check_room_for_all``."""
 
-    def _room_for_all(self) -> None:
-        for place, number in Counter(arrivals(self.step.effects)).items():
+    def _check_room_for_all(self) -> None:
+        for place, number in Counter(list_arrivals(self.step.effects)).items():
             station = self.paper.stations[place]
             if station.kind != "waste" and len(self.at.get(place, ())) + number > station.capacity:
-                self._error(
+                self._add_error(
                     f"{local(place)} is full: labware of this run already stands there.",
                     "Move it away in a step before.",
                 )
 
-    def labware(self, needs: Needs) -> None:
+    def check_labware(self, needs: Needs) -> None:
         self.subject = self._find_needed(needs) or self.subject
 
     def _find_needed(self, needs: Needs) -> Piece | None:
         if needs.station:
-            return self.paper.labware_at(self.index, needs.station)
-        where, places = local(self.step.module), self.paper.stations_of(self.step.module)
+            return self.paper.find_labware_at(self.index, needs.station)
+        where, places = local(self.step.module), self.paper.list_stations(self.step.module)
         for station in places:
             if self.at.get(station.name):
                 return self.at[station.name][-1]
         if len(places) == 1:
-            return self.paper.labware_at(self.index, places[0].name)
+            return self.paper.find_labware_at(self.index, places[0].name)
         if not places:
-            self._error(
+            self._add_error(
                 f"{self.step.action} needs labware, and {where} has no station.",
                 "Add a station of the module under `stations:` in the workcell.",
             )
             return None
-        self._warning(
+        self._add_warning(
             f"{self.step.action} needs labware on {where}, and no step before puts any there.",
             "It must stand there when the run starts; else move some there first.",
         )
@@ -292,26 +292,26 @@ class StepOnPaper:
             if value is UNKNOWN:
                 variables[requires.variable] = requires.value
         else:
-            value = piece.variable(requires.variable) if piece else UNKNOWN
+            value = piece.find_variable(requires.variable) if piece else UNKNOWN
             who = "the labware"
             if piece and value is UNKNOWN:
                 piece.variables[requires.variable] = piece.at_first[requires.variable] = requires.value
         if value is not UNKNOWN and value != requires.value:
-            self._error(
+            self._add_error(
                 f"{self.step.action} needs {_describe_value(who, requires.variable, requires.value)},"
                 f" but then {_describe_value(who, requires.variable, value)}.",
                 "Add a step before that changes it, or leave this step out.",
             )
 
-    def setpoint(self, claims: Claims) -> None:
+    def check_setpoint(self, claims: Claims) -> None:
         """On paper nobody else wants another value."""
 
-    def amount(self, consumes: Consumes) -> None:
+    def check_amount(self, consumes: Consumes) -> None:
         """On paper there is enough: what is left is asked before a run is let in."""
 
     # -- what it does ----------------------------------------------------------------------------
 
-    def _haul(self, what: Carrying) -> tuple[Piece | None, Piece | None]:
+    def _find_carried(self, what: Carrying) -> tuple[Piece | None, Piece | None]:
         """What is carried, and the plate if it is a lid."""
         if what.stock:
             return Piece(self.paper.stock.get(what.stock, ""), fresh=True), None
@@ -334,7 +334,7 @@ class StepOnPaper:
         self.subject = plate or piece or self.subject
         if piece is None or (what.lid and plate is None) or (what.source == what.target and not what.lid):
             return
-        if not what.lid and not what.stock and (way := self._way(what, piece)) is not UNKNOWN:
+        if not what.lid and not what.stock and (way := self._compute_a1(what, piece)) is not UNKNOWN:
             piece.variables["a1"] = way
         if plate is not None:
             plate.variables["lidded"] = what.lid == "on"
@@ -342,18 +342,18 @@ class StepOnPaper:
             if what.lid == "off":
                 plate.parked = what.target
             else:
-                self._not_parked(what.source)
+                self._forget_parked(what.source)
         self._hauled = piece
         carry(self, what)
 
-    def _not_parked(self, place: StationName) -> None:
+    def _forget_parked(self, place: StationName) -> None:
         """The lid that was parked there is on a plate again."""
         for pieces in self.at.values():
             for piece in pieces:
                 if piece.parked == place:
                     piece.parked = None
 
-    def _pipette(self) -> None:
+    def _check_pipetting(self) -> None:
         """What goes into wells fits into them, and what is drawn is there. Lists that do not fit one another
         were told before."""
         piece, effects = self.subject, self.step.effects
@@ -363,17 +363,17 @@ class StepOnPaper:
         fault = find_misfit(effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
         if fault:
             message = f"{fault[0].upper()}{fault[1:]}."
-            self._error(message, "Pour into a well what fits, and draw what is there.")
+            self._add_error(message, "Pour into a well what fits, and draw what is there.")
             return
         for effect in effects:
             with suppress(ValueError):
                 if isinstance(effect, Transfers | Draws):
                     note = add_doses if isinstance(effect, Transfers) else draw_doses
-                    for well, volume in doses_of(effect):
+                    for well, volume in list_doses(effect):
                         note(piece.volumes_ul, [well], [volume])
 
 
-def _where(effect: AnyEffect) -> StationName:
+def _find_station(effect: AnyEffect) -> StationName:
     """The station at which an effect takes or needs labware with a name."""
     if isinstance(effect, Carrying):
         return StationName("") if effect.stock else effect.source

@@ -10,13 +10,13 @@ import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from labos.core.expressions import ExpressionError, names_in, parse_expression
+from labos.core.expressions import ExpressionError, list_names, parse_expression
 from labos.errors import SpecError
-from labos.spec.dialects import workflow_form
+from labos.spec.dialects import convert_workflow
 from labos.spec.files import FileFinder
 from labos.spec.findings import FindingList, near
 from labos.spec.models import RunSteps, StepEntry, WorkflowFile
-from labos.spec.references import keys_in
+from labos.spec.references import list_keys
 from labos.spec.source import Source, parse
 from labos.spec.validation import validate
 
@@ -51,7 +51,9 @@ def find_unused(
         taken = sorted(_find_taken(file, sources, finder))
     except _TakesAll:
         return []
-    found = [(k, v) for k, v in _values(payload) if not any(_serves(name, k, v) for name in taken)]
+    found = [
+        (k, v) for k, v in _iterate_values(payload) if not any(_serves_key(name, k, v) for name in taken)
+    ]
     return [(key, _suggest(key, taken)) for key, _ in found]
 
 
@@ -64,7 +66,7 @@ def _suggest(key: str, taken: Sequence[str]) -> str:
     return near(key, taken, "key")
 
 
-def _serves(name: str, key: str, value: Any) -> bool:
+def _serves_key(name: str, key: str, value: Any) -> bool:
     """Whether a workflow that takes ``name`` takes the value of a key: itself, as part of a table, or
     something in it."""
     if key == name or key.startswith(f"{name}."):
@@ -72,11 +74,11 @@ def _serves(name: str, key: str, value: Any) -> bool:
     return isinstance(value, list | tuple | Mapping) and name.startswith(f"{key}.")
 
 
-def _values(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _iterate_values(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """The values of nested tables by their whole keys."""
     for key, value in table.items():
         if isinstance(value, Mapping) and value:
-            yield from _values(value, f"{prefix}{key}.")
+            yield from _iterate_values(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
 
@@ -90,11 +92,11 @@ def _find_taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinde
         file, texts = waiting.pop()
         found |= {str(name) for name in file.parameters}
         for source in texts:
-            found |= set(keys_in(source.data))
-        entries = list(_entries(file))
+            found |= set(list_keys(source.data))
+        entries = list(_iterate_entries(file))
         for entry in entries:
             for text in (entry.when, entry.expect):
-                found |= _names_in_condition(text)
+                found |= _list_names_in_condition(text)
         for name in _list_used(file, entries):
             if name not in seen:
                 seen.add(name)
@@ -104,10 +106,10 @@ def _find_taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinde
     return found
 
 
-def _names_in_condition(condition: str) -> set[str]:
+def _list_names_in_condition(condition: str) -> set[str]:
     """What a condition takes. Raises _TakesAll."""
     try:
-        names = names_in(parse_expression(condition)) if condition else []
+        names = list_names(parse_expression(condition)) if condition else []
     except ExpressionError:
         raise _TakesAll from None
     found = set()
@@ -120,7 +122,7 @@ def _names_in_condition(condition: str) -> set[str]:
     return found
 
 
-def _entries(file: WorkflowFile) -> Iterator[StepEntry]:
+def _iterate_entries(file: WorkflowFile) -> Iterator[StepEntry]:
     """All entries of a file, also those for emergencies."""
     lists: list[list[StepEntry]] = [file.steps]
     if isinstance(file.on_cancel, list):
@@ -149,7 +151,7 @@ def _read(name: str, finder: FileFinder) -> tuple[WorkflowFile, list[Source]]:
         raise _TakesAll
     try:
         source, report = parse(content, name, last_wins=True), FindingList(name)
-        form, _ = workflow_form(source, report)
+        form, _ = convert_workflow(source, report)
         file = validate(WorkflowFile, form, report)
     except SpecError:
         raise _TakesAll from None

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from labos.core.branches import TooManyWays, Way, is_inert, main_steps, sort_steps, ways
-from labos.core.conditions import decision
+from labos.core.branches import TooManyWays, Way, is_inert, list_ways, main_steps, sort_steps
+from labos.core.conditions import find_decision
 from labos.core.effects import list_carried
 from labos.core.ids import StationName, local
 from labos.core.model import OnError, Plan
@@ -40,8 +40,8 @@ class PlanBranches:
         self.conditional = any(step.when is not None for step in plan.steps)
         self.inputs: list[StationName] = []
         self._warned: set[tuple[int, str]] = set()
-        first = Way(first_way(plan))
-        self.inputs = self._faults(first)[1]
+        first = Way(find_first_way(plan))
+        self.inputs = self._list_faults(first)[1]
         if self.conditional:
             for place in set(self.inputs) & self._find_filled():
                 where, last = local(place), first.steps[-1]
@@ -62,11 +62,11 @@ class PlanBranches:
         if self.errors:
             return
         try:
-            found = ways(self.plan)
+            found = list_ways(self.plan)
         except TooManyWays:
             self._ask_less()
             try:
-                found = ways(self.plan)
+                found = list_ways(self.plan)
             except TooManyWays:
                 what = "The workflow may go too many ways: more of its steps may fail than can be tried out."
                 remedy = "Let fewer steps that move something be skipped or recovered from."
@@ -74,14 +74,14 @@ class PlanBranches:
                 return
         for way in found[1:]:
             if self.conditional or len(way.without | way.rescued) > 1:
-                self._keep(way, self._faults(way)[0])
+                self._keep(way, self._list_faults(way)[0])
 
     def _try_skip(self, index: int, policy: OnError) -> None:
         if self.conditional and index in self.explicit:
             return  # all ways are looked at below
         steps = tuple(step for step in self.main if step != index)
         way = Way(steps, without=frozenset((index,)))
-        faults = self._faults(way)[0]
+        faults = self._list_faults(way)[0]
         if self.conditional and not faults:
             faults = [(index, "What follows depends on results.", "")]
         if not faults:
@@ -93,7 +93,7 @@ class PlanBranches:
         self._replace(index, kept)
         if policy.do == "skip":
             module = local(self.plan.steps[index].module)
-            what = f"It cannot be skipped as {module} says by default: {_lower_first(faults[0][1])}"
+            what = f"It cannot be skipped as {module} says by default: {_start_lower_case(faults[0][1])}"
             self.warnings.append((index, what, "If it fails, the run fails. Say otherwise under `on_error`."))
 
     def _try_recovery(self, index: int) -> None:
@@ -108,7 +108,7 @@ class PlanBranches:
         rest = self.main[at + 1 :] if policy.then == "go_on" else ()
         recovery = sort_steps(self.plan, list_rescue_steps(self.plan, index))
         way = Way((*self.main[:at], *recovery, *rest), rescued=frozenset((index,)))
-        self._keep(way, self._faults(way)[0])
+        self._keep(way, self._list_faults(way)[0])
 
     def _ask_less(self) -> None:
         """Offer people to skip only what makes no difference."""
@@ -122,7 +122,7 @@ class PlanBranches:
         steps[index] = msgspec.structs.replace(steps[index], on_error=policy)
         self.plan = msgspec.structs.replace(self.plan, steps=tuple(steps))
 
-    def _faults(self, way: Way) -> tuple[list[Fault], list[StationName]]:
+    def _list_faults(self, way: Way) -> tuple[list[Fault], list[StationName]]:
         """What is wrong on a way, and the stations at which labware must stand at its start. What is only
         a warning where nothing fails, such as a stack that has to be filled meanwhile, is no fault."""
         faults: list[Fault] = []
@@ -165,7 +165,7 @@ class PlanBranches:
     def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
         """Remember faults with the way on which they were found."""
         for index, message, remedy in faults[:3]:
-            told = (index, f"{self._describe_way(way)}: {_lower_first(message)}", remedy)
+            told = (index, f"{self._describe_way(way)}: {_start_lower_case(message)}", remedy)
             if told not in self.errors:
                 self.errors.append(told)
 
@@ -173,7 +173,7 @@ class PlanBranches:
         steps = self.plan.steps
         parts = [f"{steps[index].key!r} fails and is skipped" for index in sorted(way.without)]
         parts += [f"{steps[index].key!r} fails and is recovered from" for index in sorted(way.rescued)]
-        texts = {decision(step.when): step.when.text for step in steps if step.when is not None}
+        texts = {find_decision(step.when): step.when.text for step in steps if step.when is not None}
         for what, value in way.said:
             text = texts.get((what, True)) or texts[what, False]
             holds = value == ((what, True) in texts)
@@ -181,19 +181,19 @@ class PlanBranches:
         return f"If {' and '.join(parts)}"
 
 
-def first_way(plan: Plan) -> tuple[int, ...]:
+def find_first_way(plan: Plan) -> tuple[int, ...]:
     """The steps of a way on which nothing fails; of steps that exclude each other, those written first."""
     said: dict[str, bool] = {}
     steps: list[int] = []
     for index in sort_steps(plan, main_steps(plan)):
         condition = plan.steps[index].when
         if condition is not None:
-            what, positive = decision(condition)
+            what, positive = find_decision(condition)
             if said.setdefault(what, positive) != positive:
                 continue
         steps.append(index)
     return tuple(steps)
 
 
-def _lower_first(message: str) -> str:
+def _start_lower_case(message: str) -> str:
     return message[:1].lower() + message[1:]

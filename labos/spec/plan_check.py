@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from labos.core.branches import main_steps, ways
+from labos.core.branches import list_ways, main_steps
 from labos.core.ids import ModuleName, StationName
-from labos.core.leaving import steps_out
+from labos.core.leaving import list_steps_out
 from labos.core.model import Description, LabwareSpec, ModuleSpec, Plan
 from labos.spec.bench import BenchFile
 from labos.spec.cancel_paths import CancelPaths
 from labos.spec.dryrun import DryRun
 from labos.spec.paper import UNKNOWN, Tell
-from labos.spec.plan_branches import PlanBranches, first_way
+from labos.spec.plan_branches import PlanBranches, find_first_way
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
@@ -42,7 +42,7 @@ class InitialBench:
             assert self.counts is not None
             self.counts[place] = self.counts.get(place, 0) + item.count
 
-    def sheet(self, error: Tell, warning: Tell) -> DryRun:
+    def make_dry_run(self, error: Tell, warning: Tell) -> DryRun:
         """A dry run that has yet to begin."""
         counts = None if self.counts is None else dict(self.counts)
         known = (self.stations, self.modules, self.described, self.labware)
@@ -61,17 +61,19 @@ class PlanCheck:
         self._error = self._tell(certain=steps.is_chain())
         self._warning = self._tell(certain=False)
 
-    def dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
+    def do_dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
         """Returns the plan as well, in which only those steps may be skipped that can be."""
-        plan, dry = self._all_ways(plan)
-        if steps_out(plan) and not self.remarks.report.errors:
+        plan, dry = self._do_all_ways(plan)
+        if list_steps_out(plan) and not self.remarks.report.errors:
             self._try_ways_out(plan)
         return plan, dry
 
-    def _all_ways(self, plan: Plan) -> tuple[Plan, DryRun]:
+    def _do_all_ways(self, plan: Plan) -> tuple[Plan, DryRun]:
         forks = any(step.on_error is not None or step.when is not None for step in plan.steps)
         main = set(main_steps(plan))
-        order = first_way(plan) if forks else [index for index in self.steps.order() if index in main]
+        order = (
+            find_first_way(plan) if forks else [index for index in self.steps.sort_steps() if index in main]
+        )
         dry = self._run(plan, order, self._error, self._warning)
         if not forks or self.remarks.report.errors:
             return plan, dry
@@ -89,17 +91,17 @@ class PlanCheck:
         """Cancel the run on paper behind each of its steps."""
         out = CancelPaths(plan, self._error, self._warning)
         out.check()
-        for way in ways(plan):
-            dry = self.bench.sheet(_ignore, _ignore)
+        for way in list_ways(plan):
+            dry = self.bench.make_dry_run(_ignore, _ignore)
             dry.run([(index, plan.steps[index]) for index in way.steps], partial(out.try_out, dry))
 
     def _run(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
-        dry = self.bench.sheet(error, warning)
+        dry = self.bench.make_dry_run(error, warning)
         dry.run([(index, plan.steps[index]) for index in order])
         return dry
 
     def _tell(self, *, certain: bool) -> Tell:
-        say = self.remarks.error if certain else self.remarks.warning
+        say = self.remarks.error if certain else self.remarks.add_warning
 
         def tell(index: int, message: str, remedy: str) -> None:
             say(f"Step {self.steps.keys[index]!r}: {message}", ("steps", index), remedy)

@@ -35,27 +35,27 @@ from labos.core.model import (
     Retry,
     Workcell,
 )
-from labos.core.wells import doses_of
+from labos.core.wells import list_doses
 from labos.errors import SpecError
 from labos.spec.about import find_description
-from labos.spec.amounts import amount_of, arguments_of
+from labos.spec.amounts import compute_amount, list_arguments
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import BenchFile
 from labos.spec.conditions import StepConditions
-from labos.spec.defaults import timeout_of
+from labos.spec.defaults import find_timeout
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
 from labos.spec.findings import FindingList, near
-from labos.spec.holds import holds_of
+from labos.spec.holds import make_holds
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.plan_check import InitialBench, PlanCheck
-from labos.spec.references import fill, result_of
+from labos.spec.references import fill, find_result
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Place
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
-from labos.spec.tables import counter_of
+from labos.spec.tables import find_counter
 
 
 class StepPlanner:
@@ -94,7 +94,7 @@ class StepPlanner:
     def plan(self) -> Plan:
         """The plan; complete only if the report holds no errors afterwards."""
         self._check_modules()
-        steps = tuple(self._step(index, entry) for index, entry in enumerate(self.steps.entries))
+        steps = tuple(self._make_step(index, entry) for index, entry in enumerate(self.steps.entries))
         steps = tuple(self._take_from_stacks(index, step, steps) for index, step in enumerate(steps))
         return Plan(
             workflow=self.file.name,
@@ -102,7 +102,7 @@ class StepPlanner:
             steps=steps,
             feeds=tuple(sorted(self.feeds)),
             files=self.pinned,
-            holds=self._holds(steps),
+            holds=self._make_holds(steps),
         )
 
     def _take_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
@@ -111,7 +111,9 @@ class StepPlanner:
         if step.part != MAIN:
             return step
         put_there = {
-            what.target for before in self.steps.before(index) for what in list_carried(steps[before].effects)
+            what.target
+            for before in self.steps.list_before(index)
+            for what in list_carried(steps[before].effects)
         }
         effects = tuple(
             Take(effect.source, effect.target)
@@ -124,17 +126,17 @@ class StepPlanner:
     def _is_stack(self, station: StationName) -> bool:
         return station in self.stations and self.stations[station].kind == "stack"
 
-    def _holds(self, steps: tuple[PlanStep, ...]) -> tuple[Hold, ...]:
+    def _make_holds(self, steps: tuple[PlanStep, ...]) -> tuple[Hold, ...]:
         claims = {station.name: station.claim for station in self.workcell.stations if station.claim}
-        return holds_of(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
+        return make_holds(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
 
-    def dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
+    def do_dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
         """Run the plan on paper. Returns the plan as well, in which only those steps may be skipped that can
         be."""
         modules = {module.name: module for module in self.modules.values()}
         labware = {kind.name: kind for kind in self.workcell.labware}
         bench = InitialBench(self.stations, modules, self.described, self.bench, labware)
-        return PlanCheck(bench, self.steps, self.remarks).dry_run(plan)
+        return PlanCheck(bench, self.steps, self.remarks).do_dry_run(plan)
 
     def _check_modules(self) -> None:
         """Every module that the workflow lists is in the workcell; every used one is listed."""
@@ -143,7 +145,7 @@ class StepPlanner:
             return
         for index, name in enumerate(listed):
             if name not in self.modules:
-                self.remarks.warning(
+                self.remarks.add_warning(
                     f"The workcell {self.workcell.name!r} has no module {name!r}.",
                     ("modules", index),
                     near(name, self.modules, "module"),
@@ -151,20 +153,20 @@ class StepPlanner:
 
     # -- a step ------------------------------------------------------------------------------
 
-    def _step(self, index: int, entry: StepEntry) -> PlanStep:
+    def _make_step(self, index: int, entry: StepEntry) -> PlanStep:
         path: Path_ = ("steps", index)
         settled = self._fill_step(index, entry, path)
         if settled is None:
             return PlanStep(self.steps.keys[index], ModuleName(""), entry.action)
         entry = settled
-        module = self._module(entry, path)
+        module = self._find_module(entry, path)
         blank = PlanStep(self.steps.keys[index], module.name if module else ModuleName(""), entry.action)
         if module is None:
             return blank
-        action = self._action(module, entry, path)
+        action = self._find_action(module, entry, path)
         if action is None:
             return blank
-        args = self._arguments(index, entry, module, action, path)
+        args = self._make_arguments(index, entry, module, action, path)
         if args is None:
             return blank
         action = self._set_duration(action, args, entry, path)
@@ -173,28 +175,28 @@ class StepPlanner:
             module=module.name,
             action=action.name,
             args=args,
-            after=self._after(index),
-            effects=self._effects(module, action, args, entry, path),
+            after=self._find_after(index),
+            effects=self._make_effects(module, action, args, entry, path),
             duration_s=action.duration_s,
             safe_to_repeat=action.safe_to_repeat,
             exclusive=action.exclusive,
             windows=self.steps.windows[index],
             recovers=action.recovers,
             retry=self._retry(index, entry),
-            timeout_s=timeout_of(entry, action, self.remarks, path),
+            timeout_s=find_timeout(entry, action, self.remarks, path),
             by_person=action.by_person,
             on_error=self._on_error(index, entry, module),
             part=self.layout.leaves[index].part,
-            when=self.conditions.when(index),
+            when=self.conditions.find_condition(index),
             expect=self.conditions.expect(index),
             dangerous=action.dangerous if module.second_person else "",
             hazard=action.dangerous,
         )
 
-    def _after(self, index: int) -> tuple[int, ...]:
+    def _find_after(self, index: int) -> tuple[int, ...]:
         """What a step waits for. Of a way out some steps may be left out, so each waits for all before it."""
         if self.layout.leaves[index].part == ON_CANCEL:
-            return tuple(sorted(self.steps.before(index)))
+            return tuple(sorted(self.steps.list_before(index)))
         return self.steps.after[index]
 
     def _set_duration(
@@ -211,7 +213,7 @@ class StepPlanner:
         return msgspec.structs.replace(action, duration_s=duration_s)
 
     def _count_seconds(self, text: str, values: Mapping[str, Any]) -> float:
-        return amount_of(text, values, self._content).amount
+        return compute_amount(text, values, self._find_content).amount
 
     def _retry(self, index: int, entry: StepEntry) -> Retry | None:
         if not isinstance(entry.retry, RetryEntry):
@@ -241,7 +243,7 @@ class StepPlanner:
                 self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, key), error.remedy)
         return entry.model_copy(update=found) if len(found) == 2 else None
 
-    def _module(self, entry: StepEntry, path: Path_) -> ModuleSpec | None:
+    def _find_module(self, entry: StepEntry, path: Path_) -> ModuleSpec | None:
         name = entry.module.removeprefix(f"{self.workcell.name}/")
         module = self.modules.get(name)
         if module is None and name in self.left_out:
@@ -263,7 +265,7 @@ class StepPlanner:
             return None
         return module
 
-    def _action(self, module: ModuleSpec, entry: StepEntry, path: Path_) -> ActionSpec | None:
+    def _find_action(self, module: ModuleSpec, entry: StepEntry, path: Path_) -> ActionSpec | None:
         description = self.described[module.name]
         action = description.action(entry.action)
         if action is None:
@@ -277,7 +279,7 @@ class StepPlanner:
 
     # -- arguments ---------------------------------------------------------------------------
 
-    def _arguments(
+    def _make_arguments(
         self, index: int, entry: StepEntry, module: ModuleSpec, action: ActionSpec, path: Path_
     ) -> dict[str, Any] | None:
         """The arguments as the node gets them; None if they have faults."""
@@ -287,7 +289,7 @@ class StepPlanner:
         for name, value in entry.args.items():
             at = (*path, "args", name)
             try:
-                written[name] = self._value(index, value, at)
+                written[name] = self._make_value(index, value, at)
             except SpecError as error:
                 self.remarks.error(
                     f"Step {entry.name!r}, argument {name!r}: {error.message}", at, error.remedy
@@ -303,7 +305,7 @@ class StepPlanner:
 
         def tell(name: str, message: str, remedy: str) -> None:
             if name not in broken:
-                if close := _nearly(taught, written.get(name)):
+                if close := _find_nearly_same(taught, written.get(name)):
                     message = f"{message.rstrip('.')}; {close}."
                 at = (*path, "args", name) if name else (*path, "args")
                 unknown = bool(name) and name not in known
@@ -320,7 +322,7 @@ class StepPlanner:
             if arg.type == "station":
                 args[arg.name] = self._place(value, module, entry, at)
             elif arg.type == "file":
-                args[arg.name] = self.finder.full_name(value)
+                args[arg.name] = self.finder.find_full_name(value)
                 self._pin(args[arg.name], entry, at)
         if self.remarks.report.errors == faults:
             self._choose_grips(module, action, args)
@@ -341,10 +343,10 @@ class StepPlanner:
                 if len(grips) == 1 and (not arg.choices or grips[0] in arg.choices):
                     args[arg.name] = grips[0]
 
-    def _value(self, index: int, value: Any, path: Path_) -> Any:
-        reference = result_of(value)
+    def _make_value(self, index: int, value: Any, path: Path_) -> Any:
+        reference = find_result(value)
         if reference is not None:
-            return self._result(index, reference, path)
+            return self._make_result(index, reference, path)
         leaf = self.layout.leaves[index]
         filled = fill(value, leaf.scope, leaf.needed)
         if _holds_result(filled):
@@ -354,12 +356,12 @@ class StepPlanner:
             )
         return filled
 
-    def _result(self, index: int, reference: tuple[str, list[str]], path: Path_) -> Any:
+    def _make_result(self, index: int, reference: tuple[str, list[str]], path: Path_) -> Any:
         name, fields = reference
         step = self.steps.find(name, path)
         if step is None:
             return {"$result": [index, *fields]}
-        if step not in self.steps.before(index):
+        if step not in self.steps.list_before(index):
             raise SpecError(
                 f"The step {name!r} is not done before this one.",
                 remedy="Refer to an earlier step, or add it under `after:`.",
@@ -389,17 +391,17 @@ class StepPlanner:
             return
         message = f"Step {entry.name!r}: the file {name!r} {found.problem}."
         if self.simulate:
-            self.remarks.warning(message, path, "It is needed on the real bench.")
+            self.remarks.add_warning(message, path, "It is needed on the real bench.")
         else:
             self.remarks.error(message, path, "Put it beside the workflow, or send it along with the run.")
 
-    def _content(self, name: str) -> bytes | None:
+    def _find_content(self, name: str) -> bytes | None:
         """The pinned content of a file; None if it was not found, which was told before."""
         return self.contents.get(self.pinned.get(name, ""))
 
     # -- effects -----------------------------------------------------------------------------
 
-    def _effects(
+    def _make_effects(
         self, module: ModuleSpec, action: ActionSpec, args: dict[str, Any], entry: StepEntry, path: Path_
     ) -> tuple[AnyEffect, ...]:
         values = {
@@ -415,7 +417,7 @@ class StepPlanner:
                 if f"{{{name}}}" in str(getattr(effect, field))
             }
             if isinstance(effect, Consumes) and isinstance(effect.amount, str):
-                used |= later & arguments_of(effect.amount)
+                used |= later & list_arguments(effect.amount)
             if isinstance(effect, Consumes) and effect.resource in module.units.keys() - module.levels.keys():
                 continue  # a liquid of unknown volume
             if used and not isinstance(effect, Transfers | Draws):
@@ -466,11 +468,11 @@ class StepPlanner:
         path: Path_,
     ) -> Consumes:
         """With the number that an amount stands for. One that had to be assumed is told. Raises SpecError."""
-        counter = counter_of(module.driver, effect.resource, self.descriptions)
-        found = amount_of(written, values, self._content, counter)
+        counter = find_counter(module.driver, effect.resource, self.descriptions)
+        found = compute_amount(written, values, self._find_content, counter)
         if found.doubt:
-            name = next((str(values.get(arg, "")) for arg in arguments_of(written)), "")
-            self.remarks.warning(
+            name = next((str(values.get(arg, "")) for arg in list_arguments(written)), "")
+            self.remarks.add_warning(
                 f"Step {entry.name!r} is assumed to use up {found.amount:g} {effect.resource}: "
                 f"this cannot be counted from {name or 'its file'} ({found.doubt}).",
                 (*path, "args"),
@@ -483,7 +485,7 @@ class StepPlanner:
     ) -> None:
         """Volumes that fit no wells, as far as they are known before the run."""
         try:
-            doses_of(effect)
+            list_doses(effect)
         except ValueError as error:
             argument = str(written.volumes_ul).strip("{}")
             self.remarks.error(
@@ -523,7 +525,7 @@ def _holds_result(value: Any) -> bool:
         return any(_holds_result(item) for item in value)
     if isinstance(value, dict):
         return "$result" in value or any(_holds_result(item) for item in value.values())
-    return result_of(value) is not None
+    return find_result(value) is not None
 
 
 def _find_taught(module: ModuleSpec) -> dict[str, Any]:
@@ -544,7 +546,7 @@ def _with_places(taught: Mapping[str, Any], action: ActionSpec, written: dict[st
     return found
 
 
-def _nearly(taught: Mapping[str, Any], angles: Any) -> str:
+def _find_nearly_same(taught: Mapping[str, Any], angles: Any) -> str:
     """Which place has these joint angles but for one; empty if none has."""
     for place, pose in taught.items() if isinstance(angles, list) else ():
         if isinstance(pose, list) and len(pose) == len(angles):

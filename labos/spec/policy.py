@@ -68,12 +68,12 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     report.raise_if_failed()
     above = Budget(file.above.runs, file.above.lab_time, dict(file.above.consumables))
     policy = make_from(
-        Policy, file, trusted=tuple(dict.fromkeys(file.trusted)), above=above, bookings=_limits(booked)
+        Policy, file, trusted=tuple(dict.fromkeys(file.trusted)), above=above, bookings=_make_limits(booked)
     )
     return CompiledPolicy(source.digest, policy)
 
 
-def _limits(said: BookingsEntry) -> BookingLimits:
+def _make_limits(said: BookingsEntry) -> BookingLimits:
     usual = BookingLimits()
     total = max(usual.total_hours, said.hours or 0.0) if said.total_hours is None else said.total_hours
     return BookingLimits(said.hours, total, said.days_ahead)

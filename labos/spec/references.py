@@ -38,7 +38,7 @@ def fill(value: Any, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> 
     return value
 
 
-def keys_in(value: Any) -> list[str]:
+def list_keys(value: Any) -> list[str]:
     """The payload's keys that a value refers to, each once."""
     found: list[str] = []
     if isinstance(value, str):
@@ -46,39 +46,39 @@ def keys_in(value: Any) -> list[str]:
         found = [whole[1] or whole[2]] if whole else _INSIDE.findall(value)
     elif isinstance(value, list | dict):
         for item in value.values() if isinstance(value, dict) else value:
-            found += keys_in(item)
+            found += list_keys(item)
     return list(dict.fromkeys(found))
 
 
-def texts_in(value: Any) -> Iterator[str]:
+def iterate_texts(value: Any) -> Iterator[str]:
     """All texts in a value, at any depth."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping | list):
         for item in value.values() if isinstance(value, Mapping) else value:
-            yield from texts_in(item)
+            yield from iterate_texts(item)
 
 
 def look_up(key: str, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:
     """The payload's value for a key, which may lead into nested tables. Raises SpecError."""
     found, value = _descend(key, payload)
     if not found:
-        raise SpecError(f"The payload holds no {key!r}.", remedy=_how_to_give(key, payload, needed))
+        raise SpecError(f"The payload holds no {key!r}.", remedy=_explain_how_to_give(key, payload, needed))
     return value
 
 
-def _how_to_give(key: str, payload: Mapping[str, Any], needed: Sequence[str]) -> str:
+def _explain_how_to_give(key: str, payload: Mapping[str, Any], needed: Sequence[str]) -> str:
     """What the workflow needs and how it is given; first of all the likely slip of the pen."""
-    meant = near(key, _keys(payload))
+    meant = near(key, _list_table_keys(payload))
     slip = f"{meant} " if meant.startswith("Did you mean") else ""
-    missing = [name for name in needed if not holds(name, payload)] or [key]
+    missing = [name for name in needed if not has_key(name, payload)] or [key]
     every = ", ".join(repr(name) for name in missing)
     options = " ".join(f"--payload {name}=VALUE" for name in missing[:_SHOWN])
     more = " …" if len(missing) > _SHOWN else ""
     return f"{slip}Give the payload {every}: {options}{more}, or all in a file: --payload values.yaml."
 
 
-def holds(key: str, payload: Mapping[str, Any]) -> bool:
+def has_key(key: str, payload: Mapping[str, Any]) -> bool:
     """Whether the payload has a value for a key."""
     return _descend(key, payload)[0]
 
@@ -96,12 +96,12 @@ def _descend(key: str, table: Mapping[str, Any]) -> tuple[bool, Any]:
     return False, None
 
 
-def _keys(table: Mapping[str, Any], prefix: str = "") -> list[str]:
+def _list_table_keys(table: Mapping[str, Any], prefix: str = "") -> list[str]:
     keys: list[str] = []
     for key, value in table.items():
         keys.append(f"{prefix}{key}")
         if isinstance(value, Mapping):
-            keys += _keys(value, f"{prefix}{key}.")
+            keys += _list_table_keys(value, f"{prefix}{key}.")
     return keys
 
 
@@ -116,7 +116,7 @@ def _as_text(key: str, value: Any) -> str:
     )
 
 
-def result_of(value: Any) -> tuple[str, list[str]] | None:
+def find_result(value: Any) -> tuple[str, list[str]] | None:
     """(step, fields) if the value refers to a step's result."""
     if not isinstance(value, str) or len(value) > LONGEST:
         return None

@@ -14,11 +14,11 @@ class Remarks:
         self.source, self.report = source, report
 
     def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
-        place, field = self.source.place(path, key=key), self.source.field(path)
+        place, field = self.source.place(path, key=key), self.source.name_field(path)
         self.report.error(message, place, field=field, remedy=remedy)
 
-    def warning(
+    def add_warning(
         self, message: str, path: Path_, remedy: str, *, key: bool = False, assumed: Assumed = ""
     ) -> None:
-        place, field = self.source.place(path, key=key), self.source.field(path)
-        self.report.warning(message, place, field=field, remedy=remedy, assumed=assumed)
+        place, field = self.source.place(path, key=key), self.source.name_field(path)
+        self.report.add_warning(message, place, field=field, remedy=remedy, assumed=assumed)

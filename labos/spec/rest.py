@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
-from labos.spec.flaws import flaw_of
+from labos.spec.flaws import describe_flaw
 from labos.spec.parts import Part
 
 
@@ -89,7 +89,7 @@ def request_of(told: dict[str, Any]) -> Request:
     return Request.model_validate({"json_" if key == "json" else key: value for key, value in told.items()})
 
 
-def flaw_in(told: Any) -> str:
+def find_flaw(told: Any) -> str:
     """What is wrong with a mapping, in words; empty if nothing is."""
     try:
         mapping = RestMapping.model_validate(told)
@@ -97,7 +97,7 @@ def flaw_in(told: Any) -> str:
             if written is not None:
                 request_of(written)
     except ValidationError as errors:
-        return flaw_of(errors)
+        return describe_flaw(errors)
     if mapping.action is None and not mapping.actions:
         return "neither `action` nor `actions` says how an action is started"
     return ""

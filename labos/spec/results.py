@@ -52,7 +52,7 @@ def check_results(plan: Plan, described: Mapping[ModuleName, Description], remar
             source, *fields = reference
             returned = actions[source].result if source in actions else ""
             arg = next((arg for arg in actions[index].args if arg.name == name), None)
-            wrong = _flaw(returned, fields, arg.type if arg is not None else "")
+            wrong = _find_flaw(returned, fields, arg.type if arg is not None else "")
             if wrong:
                 giver = plan.steps[source]
                 remarks.error(
@@ -63,7 +63,7 @@ def check_results(plan: Plan, described: Mapping[ModuleName, Description], remar
                 )
 
 
-def _flaw(returned: str, fields: list[Any], wanted: str) -> str:
+def _find_flaw(returned: str, fields: list[Any], wanted: str) -> str:
     if fields:
         return "has no fields" if returned in WHOLE else ""
     if returned in WORDS and wanted in FITS and returned not in FITS[wanted]:

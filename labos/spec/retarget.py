@@ -9,16 +9,16 @@ from typing import Any
 
 import msgspec
 
-from labos.core.arguments import names_of
+from labos.core.arguments import list_names
 from labos.core.ids import local
 from labos.core.model import Description, Workcell
 from labos.errors import BadInput
 from labos.spec.about import find_description
 from labos.spec.findings import near
 from labos.spec.models import StepEntry, WorkflowFile
-from labos.spec.references import keys_in, texts_in
+from labos.spec.references import iterate_texts, list_keys
 from labos.spec.stations import Stations
-from labos.spec.uses import entries_of
+from labos.spec.uses import iterate_entries
 
 SAME_DRIVER, SAME_NAME, BOTH_CARRY, ACTION, ARGUMENT, STATION = 40.0, 20.0, 10.0, 4.0, 0.5, 2.0
 """How much speaks for a module that has the other's driver, name or hand; each of the actions, arguments
@@ -76,14 +76,14 @@ def propose(
         _refuse_strangers(other, after, new.name)
     places = Stations(new.name, new.stations)
     matches, misfits = list[ModuleMatch](), list[str]()
-    for name, need in _needs(file, before).items():
+    for name, need in _list_needs(file, before).items():
         if name in given:
             chosen, why = given[name], "as you said"
         else:
             chosen, why = _choose(before[name], need, after, places)
         matches.append(ModuleMatch(name, chosen, why))
         if chosen:
-            misfits += _misfits(name, after[chosen], need, places)
+            misfits += _list_misfits(name, after[chosen], need, places)
         else:
             actions = ", ".join(sorted(need.actions)) or "no action, but stations"
             misfits.append(f"No module of {new.name} stands in for {name} ({actions}).")
@@ -106,21 +106,21 @@ def _refuse_strangers(name: str, modules: Mapping[str, _Module], workcell: str) 
         )
 
 
-def _needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str, _Need]:
+def _list_needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str, _Need]:
     """By module, in the order in which the workflow names them."""
     found: dict[str, _Need] = {}
-    for _, entry in entries_of(file):
-        if entry.module in modules and not keys_in(entry.module):
+    for _, entry in iterate_entries(file):
+        if entry.module in modules and not list_keys(entry.module):
             need = found.setdefault(entry.module, _Need())
             need.actions.setdefault(entry.action, set()).update(entry.args)
-        for owner, station in _places(entry, modules):
+        for owner, station in _iterate_places(entry, modules):
             found.setdefault(owner, _Need()).stations.add(station)
     return found
 
 
-def _places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterator[tuple[str, str]]:
+def _iterate_places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterator[tuple[str, str]]:
     values: list[Any] = [entry.args, entry.payload]
-    for text in texts_in([value for value in values if value]):
+    for text in iterate_texts([value for value in values if value]):
         owner, dot, station = text.partition(".")
         if dot and owner in modules and re.fullmatch(r"[\w.]+", station):
             yield owner, station
@@ -131,11 +131,11 @@ def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: S
     best, chosen, why = 0.0, "", "nothing here does that"
     for name, module in sorted(modules.items()):
         actions = {action: module.about.action(action) for action in need.actions}
-        held = [station for station in need.stations if places.matches(f"{name}.{station}")]
+        held = [station for station in need.stations if places.list_matches(f"{name}.{station}")]
         if None in actions.values() or not (actions or held):
             continue
         taken = sum(
-            bool(spec and arg in names_of(spec))
+            bool(spec and arg in list_names(spec))
             for action, spec in actions.items()
             for arg in need.actions[action]
         )
@@ -152,7 +152,7 @@ def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: S
     return chosen, why
 
 
-def _misfits(name: str, module: _Module, need: _Need, places: Stations) -> Iterator[str]:
+def _list_misfits(name: str, module: _Module, need: _Need, places: Stations) -> Iterator[str]:
     """What the workflow asks of a module that this one does not have."""
     new = module.name
     for action, args in sorted(need.actions.items()):
@@ -160,11 +160,11 @@ def _misfits(name: str, module: _Module, need: _Need, places: Stations) -> Itera
         if spec is None:
             yield f"{new} has no action {action!r}, which {name} has."
             continue
-        known = names_of(spec)
+        known = list_names(spec)
         for arg in sorted(args - known.keys()):
             yield f"{new}.{action} takes no argument {arg!r}, which {name}.{action} takes."
     for station in sorted(need.stations):
-        if not places.matches(f"{new}.{station}"):
+        if not places.list_matches(f"{new}.{station}"):
             yield f"{new} has no station {station!r}: make it an alias of one in the workcell file."
 
 

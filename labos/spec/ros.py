@@ -71,7 +71,7 @@ WEI_AT_REST = ["READY", "IDLE", "OK", "COMPLETED", "LOCKED", "PAUSED", "CANCELLE
 """What WEI's ROS nodes say when they carry nothing out; others, as ``UNKNOWN``, do not say that."""
 
 
-def wei_mapping(address: str) -> dict[str, Any]:
+def make_wei_mapping(address: str) -> dict[str, Any]:
     """What WEI's ROS nodes have below their names (``wei_services``, as its own client calls them)."""
     service = {"status": "action_response", "done": [0], "error": "action_msg", "result": "action_msg"}
     fields = {"action_handle": "{action}", "vars": "{vars}"}
@@ -84,6 +84,6 @@ def wei_mapping(address: str) -> dict[str, Any]:
     }
 
 
-def camera_mapping(address: str) -> dict[str, Any]:
+def make_camera_mapping(address: str) -> dict[str, Any]:
     """WEI's ROS cameras publish pictures, and have no services."""
     return {"action": {"frame": f"{address}/video_frames"}}

@@ -15,7 +15,7 @@ import msgspec
 
 from labos.errors import SpecError
 from labos.spec.findings import FindingList
-from labos.spec.source import NOWHERE, Place, Source, parse, plain
+from labos.spec.source import NOWHERE, Place, Source, make_plain, parse
 
 if TYPE_CHECKING:
     from labos.spec.campaign import CampaignFile, LatinHypercube
@@ -62,7 +62,7 @@ def expand(
         report.error(what, at, field="rows", remedy=f"Write one of {', '.join(KINDS.values())}.")
         return []
     if file.rows.table:
-        return _from_table(file, source, files, report)
+        return _read_table(file, source, files, report)
     values: Iterator[dict[str, Any]]
     match given[0]:
         case "list":
@@ -84,7 +84,7 @@ def expand(
             values = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
         case _:
             assert file.rows.latin_hypercube is not None
-            values = latin_hypercube(file.rows.latin_hypercube)
+            values = draw_latin_hypercube(file.rows.latin_hypercube)
     found = list(islice(values, MOST_ROWS + 1))
     if len(found) > MOST_ROWS:
         report.error(f"There are more than {MOST_ROWS} rows.", at, field="rows", remedy="Split the campaign.")
@@ -98,7 +98,7 @@ def expand(
     return lines
 
 
-def latin_hypercube(design: LatinHypercube) -> Iterator[dict[str, Any]]:
+def draw_latin_hypercube(design: LatinHypercube) -> Iterator[dict[str, Any]]:
     """Rows that meet each of as many slices of each span as there are rows exactly once (McKay, Beckman and
     Conover 1979). Order and place within a slice are taken from SHA-256 of seed, key and number: the same
     everywhere and with every version."""
@@ -124,7 +124,7 @@ def _draw(seed: int, key: str, what: str, number: int) -> float:
     return int.from_bytes(drawn[:7], "big") / 2**56
 
 
-def _from_table(
+def _read_table(
     file: CampaignFile, source: Source, files: Mapping[str, bytes], report: FindingList
 ) -> list[TableLine]:
     name = file.rows.table
@@ -140,11 +140,11 @@ def _from_table(
         report.error("The table is not text.", Place(1, 1), file=name, remedy="Save it in UTF-8.")
         return []
     if name.lower().endswith((".yaml", ".yml", ".json")):
-        return _from_list(file, name, text, report)
-    return _from_csv(file, name, text, report)
+        return _read_list(file, name, text, report)
+    return _read_csv(file, name, text, report)
 
 
-def _from_list(file: CampaignFile, name: str, text: str, report: FindingList) -> list[TableLine]:
+def _read_list(file: CampaignFile, name: str, text: str, report: FindingList) -> list[TableLine]:
     """Rows of a YAML or JSON file: a list of tables."""
     if name.lower().endswith(".json"):
         try:
@@ -156,13 +156,13 @@ def _from_list(file: CampaignFile, name: str, text: str, report: FindingList) ->
         places = [NOWHERE] * len(rows) if isinstance(rows, list) else []
     else:
         try:
-            rows_source = parse(_below_key(text), name)
+            rows_source = parse(_put_below_key(text), name)
         except SpecError as error:
             place = Place(max(error.line - 1, 1), error.column)
             report.error(error.message, place, file=name, remedy=error.remedy)
             return []
         found = rows_source.data.get("rows")
-        rows = plain(found)
+        rows = make_plain(found)
         places = [Place(place.line - 1, place.column) for place in getattr(found, "values_at", [])]
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         report.error("The file is no list of tables.", Place(1, 1), file=name, remedy="Write `- key: value`.")
@@ -175,14 +175,14 @@ def _from_list(file: CampaignFile, name: str, text: str, report: FindingList) ->
     return lines
 
 
-def _below_key(text: str) -> str:
+def _put_below_key(text: str) -> str:
     """A list in YAML as the value of a key, one line further down, as ``parse`` reads tables only."""
     if text.lstrip().startswith("["):
         return "rows:\n " + text.replace("\n", "\n ")
     return f"rows:\n{text}"
 
 
-def _from_csv(file: CampaignFile, name: str, text: str, report: FindingList) -> list[TableLine]:
+def _read_csv(file: CampaignFile, name: str, text: str, report: FindingList) -> list[TableLine]:
     """Rows of a CSV file by comma, semicolon or tab. Columns in a message are counted in fields."""
     first = text.partition("\n")[0]
     separator = max(",;\t", key=first.count)
@@ -207,7 +207,7 @@ def _from_csv(file: CampaignFile, name: str, text: str, report: FindingList) -> 
                 remedy = "Give each row as many fields as there are columns."
                 report.error(what, Place(line, min(len(cells), len(header)) + 1), file=name, remedy=remedy)
                 continue
-            own = {key: _value(cell) for key, cell in zip(header, cells, strict=True) if cell.strip()}
+            own = {key: _read_value(cell) for key, cell in zip(header, cells, strict=True) if cell.strip()}
             payload = _merge(file.payload, own, report, name, Place(line, 1), len(lines))
             if payload is not None:
                 lines.append(TableLine(payload, name, Place(line, 1), columns))
@@ -229,7 +229,7 @@ def _check_header(header: list[str], name: str, line: int, report: FindingList) 
             )
 
 
-def _value(cell: str) -> Any:
+def _read_value(cell: str) -> Any:
     """A field as YAML means it: a number, true or false, a list or table in brackets, else text."""
     text = cell.strip()
     if text.lower() in ("true", "false"):

@@ -430,7 +430,7 @@ ONE_OR_MANY = {"StepEntry": ("wait", "within")}
 """Fields that take one table or a list of them."""
 
 
-def schema_of(kind: str) -> dict[str, Any]:
+def make_schema(kind: str) -> dict[str, Any]:
     """The JSON Schema of a kind of file. Raises NotFound."""
     if kind not in FILES:
         known = get_args(SchemaKind)

@@ -13,13 +13,13 @@ SHORTEST = 2
 
 def match_driver(model: str, descriptions: Mapping[str, Description]) -> str | None:
     """The driver that serves a model; the first of several."""
-    return next(iter(drivers_of(model, descriptions)), None)
+    return next(iter(list_drivers(model, descriptions)), None)
 
 
-def drivers_of(model: str, descriptions: Mapping[str, Description]) -> list[str]:
+def list_drivers(model: str, descriptions: Mapping[str, Description]) -> list[str]:
     """The drivers that serve a model: exactly, or if none does, without regard to capitals, spaces and
     signs (``UR-5e`` is ``ur5e``)."""
-    for same in (str, str.lower, _bare):
+    for same in (str, str.lower, _strip_separators):
         found = [
             driver
             for driver, description in descriptions.items()
@@ -34,11 +34,11 @@ def suggest_driver(text: str, descriptions: Mapping[str, Description]) -> str | 
     """The one driver that the words of a model or of a module's name speak of: ``Opentrons OT-2`` and
     ``ot2_pcr_alpha`` of ``ot2``, ``Inheco single plate incubator shaker`` of ``inheco``. None if they speak
     of none, or of several."""
-    words = _words(text)
+    words = _split_words(text)
     found: dict[str, int] = {}
     for driver, description in descriptions.items():
         for known in (driver, *description.models):
-            if (length := _longest_common(words, _words(known))) >= SHORTEST:
+            if (length := _measure_longest_common(words, _split_words(known))) >= SHORTEST:
                 found[driver] = max(found.get(driver, 0), length)
     if not found:
         return None
@@ -50,27 +50,27 @@ def suggest_driver(text: str, descriptions: Mapping[str, Description]) -> str | 
 
 def _is_of(description: Description, words: list[str]) -> bool:
     """Whether the driver itself is named among the words."""
-    return _bare(description.driver) in words
+    return _strip_separators(description.driver) in words
 
 
-def _longest_common(words: list[str], known: list[str]) -> int:
+def _measure_longest_common(words: list[str], known: list[str]) -> int:
     """Letters of the longest run of whole words of a text that is a run of whole words of a known name."""
-    ours, theirs = _runs(words), _runs(known)
+    ours, theirs = _list_runs_of_words(words), _list_runs_of_words(known)
     return max((len(run) for run in ours & theirs if not run.isdigit()), default=0)
 
 
-def _runs(words: list[str]) -> set[str]:
+def _list_runs_of_words(words: list[str]) -> set[str]:
     return {"".join(words[a:b]) for a in range(len(words)) for b in range(a + 1, len(words) + 1)}
 
 
-def _words(text: str) -> list[str]:
+def _split_words(text: str) -> list[str]:
     return re.findall(r"[a-z0-9]+", text.lower())
 
 
-def _bare(text: str) -> str:
-    return "".join(_words(text))
+def _strip_separators(text: str) -> str:
+    return "".join(_split_words(text))
 
 
-def spellings(descriptions: Mapping[str, Description]) -> Iterable[str]:
+def list_models(descriptions: Mapping[str, Description]) -> Iterable[str]:
     """Every model that some driver serves."""
     return [model for description in descriptions.values() for model in description.models]

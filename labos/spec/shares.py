@@ -77,17 +77,22 @@ def parse_shares(text: str, name: str = "") -> CompiledShares:
             report.error(what, place, field="users", remedy="Name everybody once.")
     report.raise_if_failed()
     groups = [
-        Group(name, entry.weight, {u: _member(m) for u, m in entry.members.items()}, _quota(entry.quota))
+        Group(
+            name,
+            entry.weight,
+            {u: _make_member(m) for u, m in entry.members.items()},
+            _make_quota(entry.quota),
+        )
         for name, entry in file.groups.items()
     ]
     return CompiledShares(
-        source.digest, tuple(groups), {user: _member(entry) for user, entry in file.users.items()}
+        source.digest, tuple(groups), {user: _make_member(entry) for user, entry in file.users.items()}
     )
 
 
-def _member(entry: MemberEntry) -> Member:
-    return Member(entry.weight, _quota(entry.quota))
+def _make_member(entry: MemberEntry) -> Member:
+    return Member(entry.weight, _make_quota(entry.quota))
 
 
-def _quota(entry: QuotaEntry) -> Quota:
+def _make_quota(entry: QuotaEntry) -> Quota:
     return Quota(entry.running, entry.queued, entry.lab_hours, dict(entry.consumables), entry.priority)

@@ -13,7 +13,7 @@ from typing import Protocol
 import msgspec
 
 from labos.core.labware import Sample
-from labos.core.wells import row_name, well_index, well_name
+from labos.core.wells import normalise_well, parse_well, row_name
 from labos.spec.findings import FindingList, near
 from labos.spec.source import Place
 
@@ -42,7 +42,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 def read_sheet(text: str, report: FindingList) -> list[SheetLine]:
     """The rows of a sheet; faults go to the report."""
-    lines = [(number, line) for number, line in enumerate(_lines(text), 1) if line.strip()]
+    lines = [(number, line) for number, line in enumerate(_split_lines(text), 1) if line.strip()]
     if not lines:
         report.error("The sheet is empty.", Place(1, 1), remedy=f"Begin it with: {','.join(COLUMNS)}")
         return []
@@ -55,7 +55,7 @@ def read_sheet(text: str, report: FindingList) -> list[SheetLine]:
         return []
     number, first = lines[0]
     separator = max(",;\t", key=first.count)
-    header = [Cell(c.text.lower(), c.at) for c in _cells(first, number, separator, report)]
+    header = [Cell(c.text.lower(), c.at) for c in _split_cells(first, number, separator, report)]
     if not _check_header(header, report):
         return []
     names = [cell.text for cell in header]
@@ -64,7 +64,7 @@ def read_sheet(text: str, report: FindingList) -> list[SheetLine]:
     for number, line in lines[1:]:
         if report.errors >= MOST_FAULTS:
             break
-        cells = _cells(line, number, separator, report)
+        cells = _split_cells(line, number, separator, report)
         if len(cells) != len(names):
             report.error(
                 f"This row has {len(cells)} columns, the first one {len(names)}.",
@@ -72,7 +72,7 @@ def read_sheet(text: str, report: FindingList) -> list[SheetLine]:
                 remedy="Put text that contains the separator in double quotes.",
             )
             continue
-        row = _row(dict(zip(names, cells, strict=True)), separator, report)
+        row = _read_row(dict(zip(names, cells, strict=True)), separator, report)
         if row is None:
             continue
         before = seen.setdefault((row.plate, row.sample.well), number)
@@ -109,7 +109,7 @@ def check_wells(rows: list[SheetLine], labware: str, wells: Grid | None, report:
         if wells is None:
             report.error(f"A {labware} has no wells.", row.at, field="well", remedy="Name another plate.")
             return
-        across, down = well_index(row.sample.well)[::-1]
+        across, down = parse_well(row.sample.well)[::-1]
         if down >= wells.rows or across >= wells.columns:
             last = f"{row_name(wells.rows - 1)}{wells.columns}"
             message = f"There is no well {row.sample.well} on a {labware}."
@@ -123,11 +123,11 @@ def check_wells(rows: list[SheetLine], labware: str, wells: Grid | None, report:
             )
 
 
-def _lines(text: str) -> list[str]:
+def _split_lines(text: str) -> list[str]:
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _cells(line: str, number: int, separator: str, report: FindingList) -> list[Cell]:
+def _split_cells(line: str, number: int, separator: str, report: FindingList) -> list[Cell]:
     """The cells of a line with their places. A quoted cell may hold the separator."""
     cells: list[Cell] = []
     at = 0
@@ -136,7 +136,7 @@ def _cells(line: str, number: int, separator: str, report: FindingList) -> list[
         while line[begin : begin + 1] == " ":
             begin += 1
         if line[begin : begin + 1] == '"':
-            text, at = _quote(line, begin, number, report)
+            text, at = _read_quoted(line, begin, number, report)
             rest = line.find(separator, at)
             end = len(line) if rest < 0 else rest
             text += line[at:end].strip()
@@ -153,7 +153,7 @@ def _cells(line: str, number: int, separator: str, report: FindingList) -> list[
         at = end + 1
 
 
-def _quote(line: str, begin: int, number: int, report: FindingList) -> tuple[str, int]:
+def _read_quoted(line: str, begin: int, number: int, report: FindingList) -> tuple[str, int]:
     """The text between quotes, and where it ends; two quotes stand for one."""
     parts: list[str] = []
     at = begin + 1
@@ -188,12 +188,12 @@ def _check_header(header: list[Cell], report: FindingList) -> bool:
     return report.errors == errors
 
 
-def _row(cells: dict[str, Cell], separator: str, report: FindingList) -> SheetLine | None:
+def _read_row(cells: dict[str, Cell], separator: str, report: FindingList) -> SheetLine | None:
     well, sample = cells["well"], cells["sample"]
     errors = report.errors
     name = ""
     try:
-        name = well_name(well.text)
+        name = normalise_well(well.text)
     except ValueError as error:
         report.error(f"{error}.".capitalize(), well.at, field="well", remedy="Write A1, B12 …")
     if not sample.text:
@@ -203,14 +203,14 @@ def _row(cells: dict[str, Cell], separator: str, report: FindingList) -> SheetLi
     elif len(sample.text) > LONGEST_NAME:
         remedy = f"Use at most {LONGEST_NAME} characters."
         report.error("The name of the sample is too long.", sample.at, field="sample", remedy=remedy)
-    volume = _volume(cells.get("volume"), cells.get("unit"), separator, report)
+    volume = _read_volume(cells.get("volume"), cells.get("unit"), separator, report)
     plate = cells.get("plate", Cell("", well.at))
     if report.errors > errors:
         return None
     return SheetLine(plate.text, Sample(name, sample.text, volume), well.at, plate.at)
 
 
-def _volume(volume: Cell | None, unit: Cell | None, separator: str, report: FindingList) -> float | None:
+def _read_volume(volume: Cell | None, unit: Cell | None, separator: str, report: FindingList) -> float | None:
     if volume is None or not volume.text:
         return None
     factor = MICROLITRES.get(unit.text.lower() or "ul", 0.0) if unit is not None else 1.0

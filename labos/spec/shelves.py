@@ -6,7 +6,7 @@ from labos.spec.models import PoseEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
 
 
-def shelf_by_shelf(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:
+def expand_shelves(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:
     """The file with a location for each shelf in place of those that speak of a whole hotel."""
     locations: dict[str, dict[str, PoseEntry]] = {}
     for owner, places in file.locations.items():
@@ -24,5 +24,5 @@ def shelf_by_shelf(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:
                 message = f"The first shelf has {len(written.first)} values, the step {len(written.step)}."
                 remarks.error(message, (*path, "step"), "Give as many: 0 for a value that stays.")
             else:
-                known |= {f"{place}.{number}": written.at(number) for number in range(1, shelves + 1)}
+                known |= {f"{place}.{number}": written.find_pose(number) for number in range(1, shelves + 1)}
     return file.model_copy(update={"locations": locations})

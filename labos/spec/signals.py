@@ -46,7 +46,7 @@ class Condition(Part):
     maximum: float | None = None
 
     @model_validator(mode="after")
-    def _says_something(self) -> Condition:
+    def _check_says_something(self) -> Condition:
         if self.is_ is None and self.near is None and self.minimum is None and self.maximum is None:
             raise ValueError(f"{self.pv} needs `is`, `near`, `minimum` or `maximum`")
         return self
@@ -66,7 +66,7 @@ class Actuation(Part):
     timeout: Seconds | None = Field(default=None, gt=0)
 
     @model_validator(mode="after")
-    def _names_what_stands_beside_files(self) -> Actuation:
+    def _check_names_beside_files(self) -> Actuation:
         if self.files and isinstance(self.result, str) and self.result:
             raise ValueError("beside `files`, `result` needs a name for each process variable")
         return self
@@ -106,7 +106,7 @@ class SignalMapping(Part):
     numbers: list[str] = []
 
     @model_validator(mode="after")
-    def _calls_on_objects_of_opcua(self) -> SignalMapping:
+    def _check_opcua_calls(self) -> SignalMapping:
         puts = [*self.reset, *self.stop]
         puts += [put for action in self.actions.values() for put in (action.start, *action.set)]
         if self.protocol != "ua" and (wrong := [put.pv for put in puts if put.object]):

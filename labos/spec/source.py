@@ -83,11 +83,11 @@ class Source:
         self.doubles: tuple[SpecError, ...] = ()
         """Keys that stand twice in one table, where the last one was let win."""
 
-    def field(self, path: Path_) -> str:
+    def name_field(self, path: Path_) -> str:
         """The path as a message names it: ``steps[2].args.time``."""
         if path and path[0] in self.written_as:
             path = (self.written_as[str(path[0])], *path[1:])
-        return field_name(path)
+        return name_field(path)
 
     def place(self, path: Path_, *, key: bool = False) -> Place:
         """Where the value at the path stands (its key, if ``key``); what is missing stands where
@@ -110,11 +110,16 @@ class Source:
         """A SpecError at the place of a path."""
         at = self.place(path, key=key)
         return SpecError(
-            message, file=self.file, line=at.line, column=at.column, field=self.field(path), remedy=remedy
+            message,
+            file=self.file,
+            line=at.line,
+            column=at.column,
+            field=self.name_field(path),
+            remedy=remedy,
         )
 
 
-def field_name(path: Path_) -> str:
+def name_field(path: Path_) -> str:
     """``steps[2].args.time``."""
     text = ""
     for part in path:
@@ -122,12 +127,12 @@ def field_name(path: Path_) -> str:
     return text
 
 
-def plain(value: Any) -> Any:
+def make_plain(value: Any) -> Any:
     """The same data in ordinary containers."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: make_plain(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [plain(item) for item in value]
+        return [make_plain(item) for item in value]
     return value
 
 
@@ -169,7 +174,7 @@ def parse(
     except yaml.MarkedYAMLError as error:
         at = _mark(error.problem_mark or error.context_mark)
         raise SpecError(
-            f"This is not YAML: {_plainly(error.problem or error.context or '')}.",
+            f"This is not YAML: {_explain_plainly(error.problem or error.context or '')}.",
             file=file,
             line=at.line,
             column=at.column,
@@ -203,7 +208,7 @@ def parse(
     return source
 
 
-def _plainly(problem: str) -> str:
+def _explain_plainly(problem: str) -> str:
     """Plain words for the parser's messages that would mean nothing to the author of the file."""
     if problem == "expected <block end>, but found '?'":
         return "a key stands here whose indentation fits nothing above it"
@@ -232,15 +237,15 @@ class _Loader(yaml.SafeLoader):
         self._depth += 1
         self._count += 1
         if self._depth > MAX_DEPTH:
-            raise self._too(f"it is nested more than {MAX_DEPTH} levels deep")
+            raise self._make_too_much_error(f"it is nested more than {MAX_DEPTH} levels deep")
         if self._count > MAX_VALUES:
-            raise self._too(f"it holds more than {MAX_VALUES} values")
+            raise self._make_too_much_error(f"it holds more than {MAX_VALUES} values")
         try:
             return super().compose_node(parent, index)
         finally:
             self._depth -= 1
 
-    def _too(self, problem: str) -> _TooMuch:
+    def _make_too_much_error(self, problem: str) -> _TooMuch:
         event = self.peek_event()  # type: ignore[no-untyped-call]
         return _TooMuch(None, None, problem, event.start_mark)
 
@@ -282,46 +287,46 @@ class _Builder:
         self.count += 1
         at = _mark(node.start_mark)
         if self.count > MAX_VALUES:
-            raise self._error("The file expands to too many values.", at, "Use fewer aliases (`*name`).")
+            raise self._make_error("The file expands to too many values.", at, "Use fewer aliases (`*name`).")
         if id(node) in self.open:
-            raise self._error("An alias contains itself.", at, "Write the values out.")
+            raise self._make_error("An alias contains itself.", at, "Write the values out.")
         if len(self.open) >= MAX_DEPTH:
-            raise self._error(
+            raise self._make_error(
                 f"The file is nested more than {MAX_DEPTH} levels deep.", at, "Use fewer aliases."
             )
         self.open.add(id(node))
         try:
             if isinstance(node, yaml.MappingNode):
-                return self._table(node, at)
+                return self._build_table(node, at)
             if isinstance(node, yaml.SequenceNode):
-                return self._row(node, at)
-            return self._scalar(node, at)
+                return self._build_row(node, at)
+            return self._build_scalar(node, at)
         finally:
             self.open.discard(id(node))
 
-    def _error(self, message: str, at: Place, remedy: str, field: str = "") -> SpecError:
+    def _make_error(self, message: str, at: Place, remedy: str, field: str = "") -> SpecError:
         return SpecError(message, file=self.file, line=at.line, column=at.column, field=field, remedy=remedy)
 
-    def _table(self, node: yaml.MappingNode, at: Place) -> SourceMapping:
+    def _build_table(self, node: yaml.MappingNode, at: Place) -> SourceMapping:
         if node.tag != "tag:yaml.org,2002:map":
-            raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
+            raise self._make_error(f"The tag {node.tag} is not supported.", at, "Remove it.")
         table = SourceMapping(at)
         merged: list[SourceMapping] = []
         for key_node, value_node in node.value:
             key_at = _mark(key_node.start_mark)
             if not isinstance(key_node, yaml.ScalarNode):
-                raise self._error("A key must be a single word or text.", key_at, "Write `key: value`.")
+                raise self._make_error("A key must be a single word or text.", key_at, "Write `key: value`.")
             if key_node.tag == _MERGE:
                 value = self.build(value_node)
                 merged += value if isinstance(value, SourceList) else [value]
                 if not all(isinstance(part, SourceMapping) for part in merged):
-                    raise self._error("`<<` merges tables only.", key_at, "Point it at a table.")
+                    raise self._make_error("`<<` merges tables only.", key_at, "Point it at a table.")
                 continue
             key = key_node.value
             if key in table:
                 first = table.keys_at[key]
                 what = f"The key {key!r} stands here twice; the first is in line {first.line}."
-                self.doubles.append(self._error(what, key_at, "Remove or rename one of them.", key))
+                self.doubles.append(self._make_error(what, key_at, "Remove or rename one of them.", key))
             table.put(key, self.build(value_node), key_at, _mark(value_node.start_mark))
         for part in merged:
             for key in part:
@@ -329,15 +334,15 @@ class _Builder:
                     table.take(part, key)
         return table
 
-    def _row(self, node: yaml.SequenceNode, at: Place) -> SourceList:
+    def _build_row(self, node: yaml.SequenceNode, at: Place) -> SourceList:
         if node.tag != "tag:yaml.org,2002:seq":
-            raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
+            raise self._make_error(f"The tag {node.tag} is not supported.", at, "Remove it.")
         row = SourceList(at)
         for item in node.value:
             row.put(self.build(item), _mark(item.start_mark))
         return row
 
-    def _scalar(self, node: yaml.Node, at: Place) -> Any:
+    def _build_scalar(self, node: yaml.Node, at: Place) -> Any:
         text = str(node.value)
         match node.tag.removeprefix("tag:yaml.org,2002:"):
             case "null":
@@ -345,14 +350,16 @@ class _Builder:
             case "bool":
                 return text.lower() in ("yes", "true", "on")
             case "int" | "float" as kind:
-                return self._number(text, kind, at)
+                return self._build_number(text, kind, at)
             case "str" | "merge":
                 if any("\ud800" <= char <= "\udfff" for char in text):
-                    raise self._error("The text holds half a character.", at, "Remove the \\ud8xx escape.")
+                    raise self._make_error(
+                        "The text holds half a character.", at, "Remove the \\ud8xx escape."
+                    )
                 return text
-        raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
+        raise self._make_error(f"The tag {node.tag} is not supported.", at, "Remove it.")
 
-    def _number(self, text: str, kind: str, at: Place) -> int | float:
+    def _build_number(self, text: str, kind: str, at: Place) -> int | float:
         try:
             if kind == "int":
                 base = {"0x": 16, "0o": 8}.get(text[:2].lower(), 10)
@@ -362,9 +369,9 @@ class _Builder:
                 return whole
             number = float(text.replace(".inf", "inf").replace(".nan", "nan"))
         except ValueError:
-            raise self._error(
+            raise self._make_error(
                 f"{text[:40]} is not a number that can be kept.", at, "Put it in quotes."
             ) from None
         if not math.isfinite(number):
-            raise self._error(f"{text} is not a finite number.", at, "Write a number or leave it out.")
+            raise self._make_error(f"{text} is not a finite number.", at, "Write a number or leave it out.")
         return number

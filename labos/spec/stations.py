@@ -10,7 +10,7 @@ from labos.errors import SpecError
 from labos.spec.findings import near
 
 
-def plain_place(text: str) -> str:
+def strip_place(text: str) -> str:
     """A place without the words that files of WEI write between module and station."""
     for middle in (".positions.", ".locations."):
         text = text.replace(middle, ".", 1)
@@ -69,7 +69,7 @@ class Stations:
                     remedy="Name a station of this workcell.",
                 )
             written = rest
-        found = self.matches(written, module)
+        found = self.list_matches(written, module)
         if len(found) == 1:
             return found[0]
         if found:
@@ -77,13 +77,13 @@ class Stations:
             raise SpecError(f"The station {text!r} may be any of {names}.", remedy="Write its full name.")
         raise SpecError(
             f"There is no station {text!r} in workcell {self.workcell!r}.",
-            remedy=near(plain_place(written), self._exact, "station"),
+            remedy=near(strip_place(written), self._exact, "station"),
         )
 
-    def matches(self, written: str, module: str = "") -> list[StationName]:
+    def list_matches(self, written: str, module: str = "") -> list[StationName]:
         """The stations that a place written without its workcell may mean, sorted: the nearest meaning only;
         none if there is none."""
-        written = plain_place(written.strip())
+        written = strip_place(written.strip())
         names = [written]
         if module and "." not in written:
             names.insert(0, f"{module}.{written}")
@@ -99,7 +99,7 @@ class Stations:
         """The stations of a module; of a hotel not the single shelves."""
         return [s for s in self.by_name.values() if s.module == module and not s.hotel]
 
-    def shelves(self, hotel: StationName) -> list[StationName]:
+    def list_shelves(self, hotel: StationName) -> list[StationName]:
         """The shelves of a hotel, lowest first; none if it has none or is none."""
         return [station.name for station in self.by_name.values() if station.hotel == hotel]
 

@@ -31,7 +31,7 @@ class Steps:
 
     def find(self, name: str, path: Path_, box: Box | None = None) -> int | None:
         """The index of the step that a reference means, written in a box; faults are reported at the path."""
-        found = self.layout.find_named(name, box or self.layout.box_at(path), path, self.remarks)
+        found = self.layout.find_named(name, box or self.layout.find_box_at(path), path, self.remarks)
         if isinstance(found, LayoutNode):
             inside = [key for key in self.keys if key.startswith((f"{found.key}/", f"{found.key}["))]
             what = found.why_empty or "it stands for several steps"
@@ -40,7 +40,7 @@ class Steps:
             return None
         return found.index if found is not None else None
 
-    def before(self, index: int) -> set[int]:
+    def list_before(self, index: int) -> set[int]:
         """All steps that are done before this one can start."""
         seen: set[int] = set()
         open_ = list(self.after[index])
@@ -51,7 +51,7 @@ class Steps:
                 open_ += self.after[step]
         return seen
 
-    def order(self) -> list[int]:
+    def sort_steps(self) -> list[int]:
         """Step indices in an order in which they can run; empty if some wait in a circle."""
         waiting = [len(after) for after in self.after]
         followers: list[list[int]] = [[] for _ in self.after]
@@ -82,8 +82,8 @@ class Steps:
         outer: list[list[Window]] = []
         for index, entry in enumerate(self.entries):
             path: Path_ = ("steps", index)
-            after = self.layout.before(self.layout.leaves[index], self.remarks)
-            windows, others = self._windows(entry, path)
+            after = self.layout.find_before(self.layout.leaves[index], self.remarks)
+            windows, others = self._make_windows(entry, path)
             outer.append(others)
             if index in after or index in windows:
                 self.error(f"The step {entry.name!r} waits for itself.", path, "Name another step.")
@@ -91,8 +91,8 @@ class Steps:
                 windows.pop(index, None)
             self.after.append(tuple(sorted(after)))
             anchors.append(windows)
-        if self.entries and not self.order():
-            stuck = next(i for i in range(len(self.entries)) if i in self.before(i))
+        if self.entries and not self.sort_steps():
+            stuck = next(i for i in range(len(self.entries)) if i in self.list_before(i))
             self.error(
                 f"The step {self.entries[stuck].name!r} waits for itself, by way of other steps.",
                 ("steps", stuck, "after"),
@@ -100,9 +100,9 @@ class Steps:
             )
             self.after = [(i - 1,) if i else () for i in range(len(self.entries))]
         for index, windows in enumerate(anchors):
-            missing = [anchor for anchor in windows if anchor not in self.before(index)]
+            missing = [anchor for anchor in windows if anchor not in self.list_before(index)]
             for anchor in missing:
-                if index in self.before(anchor):
+                if index in self.list_before(anchor):
                     self.error(
                         f"{self.entries[index].name!r} is done before {self.entries[anchor].name!r}.",
                         ("steps", index),
@@ -112,7 +112,7 @@ class Steps:
                     self.after[index] = tuple(sorted({*self.after[index], anchor}))
             self.windows.append((*(windows[anchor] for anchor in sorted(windows)), *outer[index]))
 
-    def _windows(self, entry: StepEntry, path: Path_) -> tuple[dict[int, Window], list[Window]]:
+    def _make_windows(self, entry: StepEntry, path: Path_) -> tuple[dict[int, Window], list[Window]]:
         """A step's windows by the step of this run that they are anchored at, and those that are
         anchored at a step of another run."""
         windows: dict[int, Window] = {}
@@ -121,7 +121,7 @@ class Steps:
         parts += [("within", n, p) for n, p in enumerate(entry.within)]
         for key, number, part in parts:
             at = (*path, key, number)
-            of = self._other_run(part.of, (*at, "of"))
+            of = self._find_other_run(part.of, (*at, "of"))
             if of is None:
                 continue
             if of:
@@ -134,7 +134,7 @@ class Steps:
                 windows[anchor] = self._merge(windows.get(anchor, Window(anchor)), part, at)
         return windows, list(outer.values())
 
-    def _other_run(self, text: str, path: Path_) -> str | None:
+    def _find_other_run(self, text: str, path: Path_) -> str | None:
         """The run or workflow that ``of`` names, which may stand in the payload; empty for the
         same run, None after a fault."""
         try:

@@ -19,7 +19,7 @@ from labos.core.model import Description
 from labos.errors import BadInput, SpecError
 from labos.spec.findings import FindingList
 from labos.spec.remarks import Remarks
-from labos.spec.source import MAX_BYTES, Path_, Source, SourceList, SourceMapping, parse, plain, read
+from labos.spec.source import MAX_BYTES, Path_, Source, SourceList, SourceMapping, make_plain, parse, read
 from labos.spec.validation import validate
 
 
@@ -59,19 +59,19 @@ class Descriptions(dict[str, Description]):
         self.broken = dict(broken or {})
 
 
-def table_of(driver: str, descriptions: Mapping[str, Description]) -> DriverTable | None:
+def find_table(driver: str, descriptions: Mapping[str, Description]) -> DriverTable | None:
     """The table that a driver needs, if it needs one."""
     return descriptions.tables.get(driver) if isinstance(descriptions, Descriptions) else None
 
 
-def counter_of(driver: str, resource: str, descriptions: Mapping[str, Description]) -> Counter | None:
+def find_counter(driver: str, resource: str, descriptions: Mapping[str, Description]) -> Counter | None:
     """How a driver counts what its actions use up of a resource, if it can."""
     if not isinstance(descriptions, Descriptions):
         return None
     return descriptions.counters.get(driver, {}).get(resource)
 
 
-def why_broken(driver: str, descriptions: Mapping[str, Description]) -> str:
+def explain_broken(driver: str, descriptions: Mapping[str, Description]) -> str:
     """Why an installed driver cannot be used; empty if nothing is known against it."""
     return descriptions.broken.get(driver, "") if isinstance(descriptions, Descriptions) else ""
 
@@ -87,7 +87,7 @@ def check_table(kind: DriverTable, source: Source, report: FindingList) -> Any:
     return told if report.errors == before else None
 
 
-def source_of(written: Any, beside: Source, sent: Mapping[str, bytes] | None = None) -> Source:
+def read_source(written: Any, beside: Source, sent: Mapping[str, bytes] | None = None) -> Source:
     """Where a table is written: in the workcell file itself, or in a file that this one names. If files were
     ``sent`` along with it, it is one of these, and no disk is read. Raises SpecError."""
     if isinstance(written, SourceMapping):
@@ -110,7 +110,7 @@ def source_of(written: Any, beside: Source, sent: Mapping[str, bytes] | None = N
     return read((beside.folder or Path()) / written)
 
 
-def table_files(source: Source, descriptions: Mapping[str, Description]) -> dict[str, bytes]:
+def read_table_files(source: Source, descriptions: Mapping[str, Description]) -> dict[str, bytes]:
     """The contents of the files in which a workcell file says that its tables stand, by the names that it
     has for them: what has to be sent along with its text. What cannot be read is left out, and missed by
     whoever compiles it."""
@@ -137,7 +137,7 @@ def read_table(kind: DriverTable, written: Any) -> Any:
     if isinstance(written, str):
         source = read(written)
     elif isinstance(written, Mapping):
-        source = Source(f"`{kind.key}:`", _placeless(written), digest(b""))
+        source = Source(f"`{kind.key}:`", _strip_places(written), digest(b""))
     else:
         raise BadInput(
             f"`{kind.key}:` is neither a table nor the name of a file.",
@@ -149,22 +149,22 @@ def read_table(kind: DriverTable, written: Any) -> Any:
     return told
 
 
-def _placeless(value: Any) -> Any:
+def _strip_places(value: Any) -> Any:
     """Plain data in containers that know of no place."""
     if isinstance(value, Mapping):
         table = SourceMapping()
         for key, item in value.items():
-            table.put(str(key), _placeless(item))
+            table.put(str(key), _strip_places(item))
         return table
     if isinstance(value, list | tuple):
         row = SourceList()
         for item in value:
-            row.put(_placeless(item))
+            row.put(_strip_places(item))
         return row
     return value
 
 
-def as_told(source: Source) -> dict[str, Any]:
+def make_plain_table(source: Source) -> dict[str, Any]:
     """A table in plain containers, as it is kept with the lab."""
-    told: dict[str, Any] = plain(source.data)
+    told: dict[str, Any] = make_plain(source.data)
     return told

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from labos.core.arguments import names_of
+from labos.core.arguments import list_names
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Description, TransferWay
 from labos.core.structs import make_from
@@ -16,7 +16,7 @@ from labos.spec.source import Path_
 from labos.spec.stations import Stations
 
 
-def transfer_ways(
+def list_transfer_ways(
     file: WorkcellFile,
     drivers: Mapping[str, Description],
     stations: Stations,
@@ -27,7 +27,7 @@ def transfer_ways(
     """The ways of a file. ``drivers`` are the active modules' descriptions, by module. What another lab's
     file says of what this workcell does not have is left out, with a warning."""
     reader = _Reader(file, drivers, stations, remarks, foreign)
-    found = (reader.way(entry, ("transfers", index)) for index, entry in enumerate(file.transfers))
+    found = (reader.read_way(entry, ("transfers", index)) for index, entry in enumerate(file.transfers))
     return tuple(way for way in found if way is not None)
 
 
@@ -41,49 +41,49 @@ class _Reader:
         foreign: bool,
     ) -> None:
         self.file, self.drivers, self.stations = file, drivers, stations
-        self.tell = remarks.warning if foreign else remarks.error
+        self.tell = remarks.add_warning if foreign else remarks.error
         self.has_fault = False
 
-    def way(self, entry: TransferEntry, path: Path_) -> TransferWay | None:
+    def read_way(self, entry: TransferEntry, path: Path_) -> TransferWay | None:
         self.has_fault = False
         self._check_action(entry, path)
         way = make_from(
             TransferWay,
             entry,
             module=ModuleName(f"{self.file.name}/{entry.module}"),
-            from_stations=self._places(entry.from_, (*path, "from")),
-            to_stations=self._places(entry.to, (*path, "to")),
+            from_stations=self._read_places(entry.from_, (*path, "from")),
+            to_stations=self._read_places(entry.to, (*path, "to")),
         )
         return None if self.has_fault else way
 
     def _check_action(self, entry: TransferEntry, path: Path_) -> None:
         if entry.module not in self.drivers:
             message = f"No active module is called {entry.module!r}: nothing is transferred by it."
-            self._fault(message, (*path, "module"), near(entry.module, self.drivers, "module"))
+            self._add_fault(message, (*path, "module"), near(entry.module, self.drivers, "module"))
             return
         known = self.drivers[entry.module]
         action = known.action(entry.action)
         if action is None:
             remedy = near(entry.action, (each.name for each in known.actions), "action")
             message = f"{entry.module} has no action {entry.action!r}: nothing is transferred by it."
-            self._fault(message, (*path, "action"), remedy)
+            self._add_fault(message, (*path, "action"), remedy)
             return
-        names = names_of(action)
+        names = list_names(action)
         for written in (entry.source, entry.target, *entry.args):
             if written not in names:
                 remedy = near(written, (arg.name for arg in action.args), "argument")
                 message = f"The action {entry.action!r} of {entry.module} has no argument {written!r}."
-                self._fault(message, path, remedy)
+                self._add_fault(message, path, remedy)
 
-    def _places(self, written: list[str], path: Path_) -> tuple[StationName, ...]:
+    def _read_places(self, written: list[str], path: Path_) -> tuple[StationName, ...]:
         found: list[StationName] = []
         for index, place in enumerate(written):
             try:
                 found.append(self.stations.find(place))
             except SpecError as error:
-                self._fault(error.message, (*path, index), error.remedy)
+                self._add_fault(error.message, (*path, index), error.remedy)
         return tuple(found)
 
-    def _fault(self, message: str, path: Path_, remedy: str) -> None:
+    def _add_fault(self, message: str, path: Path_, remedy: str) -> None:
         self.has_fault = True
         self.tell(message, path, remedy)

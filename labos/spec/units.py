@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labos.errors import SpecError
-from labos.spec.durations import quantity
+from labos.spec.durations import match_quantity
 
 FAMILIES: dict[str, dict[str, float]] = {
     "volume": {"nl": 1e-3, "ul": 1.0, "ml": 1e3, "l": 1e6},
@@ -23,13 +23,13 @@ def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
     """An amount in the unit ``wanted`` (empty: pieces). Text bears its own unit; a number is in
     ``unit``, or in the wanted one if that is empty. Raises SpecError."""
     if isinstance(value, str):
-        found = quantity(value)
+        found = match_quantity(value)
         if found is None:
-            raise SpecError(f"{value!r} is no amount of {what}.", remedy=f"Write {_example(wanted)}.")
+            raise SpecError(f"{value!r} is no amount of {what}.", remedy=f"Write {_make_example(wanted)}.")
         value, unit = float(found[1]), found[2] or unit
     if value < 0:
         raise SpecError(f"There cannot be {value:g} of {what}.", remedy="Write 0 or more.")
-    given, counted = _plain(unit), _plain(wanted)
+    given, counted = _simplify_unit(unit), _simplify_unit(wanted)
     if not given or given == counted:
         return value
     family = next((known for known in FAMILIES.values() if counted in known), {counted: 1.0})
@@ -43,7 +43,7 @@ def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
     return value * factor if factor >= 1 else value / (family[counted] / family[given])
 
 
-def _plain(unit: str) -> str:
+def _simplify_unit(unit: str) -> str:
     """A unit as it is looked up: capitals and the two signs for micro do not count."""
     return unit.strip().lower().replace("µ", "u").replace("μ", "u")
 
@@ -56,5 +56,5 @@ def _list_units(names: Sequence[str]) -> str:
     return ", ".join(_SHOWN.get(name, name) for name in names) or "pieces"
 
 
-def _example(unit: str) -> str:
+def _make_example(unit: str) -> str:
     return f"20 {unit}, say" if unit else "a number"

@@ -9,18 +9,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from labos.core.expressions import ExpressionError, evaluate, names_in, parse_expression
+from labos.core.expressions import ExpressionError, evaluate, list_names, parse_expression
 from labos.core.model import MAIN, ON_CANCEL, AnyPart
 from labos.errors import SpecError
 from labos.spec.carriers import TRANSFER, Carriers
 from labos.spec.defaults import Defaults
-from labos.spec.dialects import workflow_form
+from labos.spec.dialects import convert_workflow
 from labos.spec.files import FileFinder
 from labos.spec.findings import FindingList, make_finding
 from labos.spec.layout import Box, Layout, LayoutNode, Leaf, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.payloads import find_unused
-from labos.spec.references import fill, holds, keys_in
+from labos.spec.references import fill, has_key, list_keys
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
 from labos.spec.validation import validate
@@ -43,7 +43,7 @@ class UnrolledFile:
 
     def __init__(self, file: WorkflowFile, source: Source, names: tuple[str, ...], *, foreign: bool) -> None:
         self.file, self.source, self.names, self.foreign = file, source, names, foreign
-        self.needed = keys_in([entry.args for entry in file.steps])
+        self.needed = list_keys([entry.args for entry in file.steps])
 
 
 class Unroller:
@@ -87,7 +87,7 @@ class Unroller:
         self, written: str | list[StepEntry], frame: UnrolledFile, payload: Mapping[str, Any]
     ) -> None:
         """The steps that bring labware out when a run is cancelled."""
-        box = self._box_aside("on_cancel/")
+        box = self._add_box_aside("on_cancel/")
         self._part = ON_CANCEL
         if isinstance(written, str):
             self._use_file(written, box, frame, ("on_cancel",), payload)
@@ -101,11 +101,11 @@ class Unroller:
         entry = leaf.entry
         self._part = leaf.index
         if isinstance(entry.retry, RetryEntry) and entry.retry.reset:
-            box = self._box_aside(f"{leaf.key}/")
+            box = self._add_box_aside(f"{leaf.key}/")
             reset = StepEntry(name="reset", module=entry.module, action="reset")
             self._fill_box(box, frame, leaf.scope, (*path, "retry", "reset"), [reset])
         if isinstance(entry.on_error, RunSteps):
-            box = self._box_aside(f"{leaf.key}/on_error/")
+            box = self._add_box_aside(f"{leaf.key}/on_error/")
             at = (*path, "on_error", "run")
             if isinstance(entry.on_error.run, str):
                 self._use_file(entry.on_error.run, box, frame, at, leaf.scope)
@@ -113,7 +113,7 @@ class Unroller:
                 self._fill_box(box, frame, leaf.scope, at, entry.on_error.run)
         self._part = MAIN
 
-    def _box_aside(self, prefix: str) -> Box:
+    def _add_box_aside(self, prefix: str) -> Box:
         box = Box(prefix)
         self.layout.aside.append(box)
         return box
@@ -125,7 +125,7 @@ class Unroller:
         known = self._read(name, frame, at) if name not in frame.names else None
         if known is None:
             if name in frame.names:
-                self._error(frame, f"The file uses itself: {name}.", at, "Name another file.")
+                self._add_error(frame, f"The file uses itself: {name}.", at, "Name another file.")
             return
         file, source, foreign = known
         inner = UnrolledFile(file, source, (*frame.names, name), foreign=foreign)
@@ -160,7 +160,7 @@ class Unroller:
         entry = node.entry
         if not self._is_sound(entry, frame, path):
             return
-        elements = self._elements(entry, frame, path, scope)
+        elements = self._list_elements(entry, frame, path, scope)
         for number, element in enumerate(elements):
             self._entries += 1
             if self._full or self._is_full(frame, path):
@@ -176,7 +176,7 @@ class Unroller:
             if entry.use:
                 self._use(node, f"{key}/", frame, path, inner)
             elif _is_transfer(entry):
-                self._transfer(node, key, frame, path, inner)
+                self._unroll_transfer(node, key, frame, path, inner)
             else:
                 self._place(node, key, frame, path, inner)
             self._conditions = outer
@@ -186,13 +186,13 @@ class Unroller:
             return False
         self._full = True
         remedy = "Make runs of their own of it."
-        self._error(frame, f"The workflow unrolls to more than {MOST_STEPS} steps.", path, remedy)
+        self._add_error(frame, f"The workflow unrolls to more than {MOST_STEPS} steps.", path, remedy)
         return True
 
-    def _error(self, frame: UnrolledFile, message: str, path: Path_, remedy: str) -> None:
+    def _add_error(self, frame: UnrolledFile, message: str, path: Path_, remedy: str) -> None:
         source = frame.source
         self.report.error(
-            message, source.place(path), field=source.field(path), remedy=remedy, file=source.file
+            message, source.place(path), field=source.name_field(path), remedy=remedy, file=source.file
         )
 
     def _is_sound(self, entry: StepEntry, frame: UnrolledFile, path: Path_) -> bool:
@@ -201,26 +201,26 @@ class Unroller:
             wrong = sorted(entry.model_fields_set - OF_A_USE)
             for key in wrong:
                 what = f"The key {key!r} belongs to a step, and this entry uses a file."
-                self._error(frame, what, (*path, key), "Write it in the steps of that file.")
+                self._add_error(frame, what, (*path, key), "Write it in the steps of that file.")
             return not wrong
         wrong = sorted(entry.model_fields_set - OF_A_RESCUE) if self._part != MAIN else []
         for key in wrong:
             under = "on_cancel" if self._part == ON_CANCEL else "on_error"
             what = f"A step under `{under}` cannot have {key!r}."
-            self._error(frame, what, (*path, key), "Leave it out, or do this in steps of the workflow.")
+            self._add_error(frame, what, (*path, key), "Leave it out, or do this in steps of the workflow.")
         if wrong:
             return False
         needed = ("action",) if _is_transfer(entry) else ("module", "action")
         missing = [key for key in needed if key not in entry.model_fields_set]
         for key in missing:
-            self._error(frame, f"The key {key!r} is missing.", (*path, key), f"Add `{key}:`.")
+            self._add_error(frame, f"The key {key!r} is missing.", (*path, key), f"Add `{key}:`.")
         if "payload" in entry.model_fields_set:
             what = "Only an entry that uses a file has a payload of its own."
-            self._error(frame, what, (*path, "payload"), "Write the values under `args:`.")
+            self._add_error(frame, what, (*path, "payload"), "Write the values under `args:`.")
             return False
         return not missing
 
-    def _elements(
+    def _list_elements(
         self, entry: StepEntry, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
     ) -> list[Any]:
         if entry.for_each is None:
@@ -229,11 +229,11 @@ class Unroller:
         try:
             found = fill(entry.for_each.in_, scope, frame.needed)
         except SpecError as error:
-            self._error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
+            self._add_error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
             return []
         if not isinstance(found, list | tuple):
             what = f"Step {entry.name!r}: `for_each` goes through a list, and this is none."
-            self._error(frame, what, at, "Name a list of the payload: `in: payload.plates`.")
+            self._add_error(frame, what, at, "Name a list of the payload: `in: payload.plates`.")
             return []
         return list(found)
 
@@ -247,26 +247,26 @@ class Unroller:
         at = (*path, "when")
         try:
             expression = parse_expression(entry.when)
-            roots = {name[0] for name in names_in(expression)}
+            roots = {name[0] for name in list_names(expression)}
             if "result" in roots or ("steps" in roots and self._part != MAIN):
                 what = f"Step {entry.name!r}: `when` reads the payload and earlier results only."
-                self._error(frame, what, at, "Name values of the payload: `payload.count > 0`.")
+                self._add_error(frame, what, at, "Name values of the payload: `payload.count > 0`.")
                 return False
             if "steps" in roots:
                 return True  # it is decided while the run goes on
             decided = evaluate(expression, {"payload": scope})
         except ExpressionError as error:
-            self._error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
+            self._add_error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
             return False
         if not isinstance(decided, bool):
             what = f"Step {entry.name!r}: `when` is neither true nor false."
-            self._error(frame, what, at, "Compare the value: `payload.count > 0`.")
+            self._add_error(frame, what, at, "Compare the value: `payload.count > 0`.")
             return False
         if not decided:
             node.why_empty = "it is left out by its `when`"
         return decided
 
-    def _transfer(
+    def _unroll_transfer(
         self, node: LayoutNode, key: str, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
     ) -> None:
         """Lay out the steps that carry labware from one station to another, with any arm."""
@@ -280,7 +280,7 @@ class Unroller:
                 )
             way = self.carriers.find_way(ends["source"], ends["target"])
         except SpecError as error:
-            self._error(frame, f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
+            self._add_error(frame, f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
             return
         for number, hop in enumerate(way, 1):
             name = key if len(way) == 1 else f"{key}[{number}]"
@@ -305,7 +305,7 @@ class Unroller:
     ) -> None:
         """Lay out a step, as it is ``written`` or as its node's entry says."""
         if key in self.layout.by_key:
-            self._error(frame, f"Two steps would be called {key!r}.", path, "Rename one of them.")
+            self._add_error(frame, f"Two steps would be called {key!r}.", path, "Rename one of them.")
             return
         # What resets a module before a retry is LabOS' own step: it takes no defaults.
         entry = written or node.entry
@@ -330,7 +330,7 @@ class Unroller:
                 if name in frame.names
                 else f"Files use each other too deeply: {chain}."
             )
-            self._error(frame, what, at, "Take it out of one of them.")
+            self._add_error(frame, what, at, "Take it out of one of them.")
             return
         known = self._read(name, frame, at)
         if known is None:
@@ -341,12 +341,14 @@ class Unroller:
             if "payload" in node.entry.model_fields_set:
                 inner = {key: fill(value, scope, frame.needed) for key, value in node.entry.payload.items()}
         except SpecError as error:
-            self._error(frame, f"Step {node.entry.name!r}: {error.message}", (*path, "payload"), error.remedy)
+            self._add_error(
+                frame, f"Step {node.entry.name!r}: {error.message}", (*path, "payload"), error.remedy
+            )
             return
         if "payload" in node.entry.model_fields_set and not foreign and not node.rounds:
             for key, remedy in find_unused(inner, file, [source], self.finder):
                 where = (*path, "payload", key.partition(".")[0])
-                self._error(frame, f"Nothing in {name} takes {key!r} from its payload.", where, remedy)
+                self._add_error(frame, f"Nothing in {name} takes {key!r} from its payload.", where, remedy)
         box = Box(prefix, node, len(node.rounds))
         node.rounds.append(box)
         self._fill_box(
@@ -361,13 +363,13 @@ class Unroller:
         found = self.finder.find(name)
         if found.content is None:
             remedy = "Put it beside the workflow, or send it along with the run."
-            self._error(frame, f"The file {name!r} {found.problem}.", at, remedy)
+            self._add_error(frame, f"The file {name!r} {found.problem}.", at, remedy)
             return None
         path = str(Path(frame.source.file).parent / name) if not frame.names else name
         report = FindingList(path)
         try:
             source = parse_yaml(found.content, path, last_wins=True)
-            form, dialect = workflow_form(source, report)
+            form, dialect = convert_workflow(source, report)
             file = validate(WorkflowFile, form, report)
             for key in ("hold", "windows", "on_cancel") if file is not None else ():
                 if getattr(file, key):
@@ -394,13 +396,13 @@ def _is_transfer(entry: StepEntry) -> bool:
 
 def _is_later(when: str) -> bool:
     """Whether a condition reads results of steps."""
-    return bool(when) and any(name[0] == "steps" for name in names_in(parse_expression(when)))
+    return bool(when) and any(name[0] == "steps" for name in list_names(parse_expression(when)))
 
 
 def with_defaults(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:
     """A payload with the defaults of a file's declared parameters."""
     values = dict(payload)
     for name, parameter in file.parameters.items():
-        if not parameter.required and not holds(name, values):
+        if not parameter.required and not has_key(name, values):
             values[name] = parameter.default
     return values

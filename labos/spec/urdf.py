@@ -35,11 +35,13 @@ EFFORT, SPEED = "1000", "1"
 Corner = tuple[float, float, float]
 
 
-def urdf_of(file: DescriptionFile, name: str = "") -> str:
+def write_urdf(file: DescriptionFile, name: str = "") -> str:
     """The URDF; its meshes (``meshes``) are to lie in the same folder."""
     robot = ElementTree.Element("robot", name=name or file.driver)
     robot.append(
-        ElementTree.Comment(f" Made from the description of {_comment(file.instrument)}; do not edit. ")
+        ElementTree.Comment(
+            f" Made from the description of {_escape_comment(file.instrument)}; do not edit. "
+        )
     )
     used = {shape.colour for part in file.parts.values() for shape in part.shapes}
     for colour in sorted(used):
@@ -50,28 +52,28 @@ def urdf_of(file: DescriptionFile, name: str = "") -> str:
         link = ElementTree.SubElement(robot, "link", name=part_name)
         for role in ("visual", "collision"):
             for shape in part.shapes:
-                _shape(ElementTree.SubElement(link, role), shape)
-        joint = _joint(robot, part_name, part.on, part.at_mm, part.turn_deg, part.moves)
+                _add_shape(ElementTree.SubElement(link, role), shape)
+        joint = _add_joint(robot, part_name, part.on, part.at_mm, part.turn_deg, part.moves)
         if part.moves is not None:
-            _motion(joint, part.moves)
+            _add_motion(joint, part.moves)
     for place_name, place in places(file).items():
-        ElementTree.SubElement(robot, "link", name=station_link(place_name))
-        _joint(robot, station_link(place_name), place.on, place.at_mm, place.turn_deg, None)
+        ElementTree.SubElement(robot, "link", name=name_station_link(place_name))
+        _add_joint(robot, name_station_link(place_name), place.on, place.at_mm, place.turn_deg, None)
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def station_link(name: str) -> str:
+def name_station_link(name: str) -> str:
     """The name of the link that stands for a station."""
     return f"station_{name}"
 
 
-def meshes() -> dict[str, bytes]:
+def make_meshes() -> dict[str, bytes]:
     """The two meshes as binary STL, by file name."""
-    return {"box.stl": _stl(_box()), "cylinder.stl": _stl(_cylinder())}
+    return {"box.stl": _encode_stl(_make_box()), "cylinder.stl": _encode_stl(_make_cylinder())}
 
 
-def _joint(
+def _add_joint(
     robot: ElementTree.Element,
     name: str,
     parent: str,
@@ -83,59 +85,63 @@ def _joint(
     joint = ElementTree.SubElement(robot, "joint", name=f"{name}_joint", type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=name)
-    _origin(joint, at_mm, turn_deg)
+    _add_origin(joint, at_mm, turn_deg)
     return joint
 
 
-def _motion(joint: ElementTree.Element, moves: MovesEntry) -> None:
-    ElementTree.SubElement(joint, "axis", xyz=_numbers(moves.axis))
-    low, high = (_metres(v) if moves.slide_mm is not None else radians(v) for v in moves.limits)
+def _add_motion(joint: ElementTree.Element, moves: MovesEntry) -> None:
+    ElementTree.SubElement(joint, "axis", xyz=_show_numbers(moves.axis))
+    low, high = (_convert_to_metres(v) if moves.slide_mm is not None else radians(v) for v in moves.limits)
     ElementTree.SubElement(
-        joint, "limit", lower=_number(low), upper=_number(high), effort=EFFORT, velocity=SPEED
+        joint, "limit", lower=_show_number(low), upper=_show_number(high), effort=EFFORT, velocity=SPEED
     )
     if moves.like is not None:
-        ElementTree.SubElement(joint, "mimic", joint=f"{moves.like}_joint", multiplier=_number(moves.times))
+        ElementTree.SubElement(
+            joint, "mimic", joint=f"{moves.like}_joint", multiplier=_show_number(moves.times)
+        )
 
 
-def _shape(role: ElementTree.Element, shape: ShapeEntry) -> None:
-    _origin(role, shape.at_mm, shape.turn_deg)
+def _add_shape(role: ElementTree.Element, shape: ShapeEntry) -> None:
+    _add_origin(role, shape.at_mm, shape.turn_deg)
     if shape.box_mm is not None:
         mesh, size = "box.stl", list(shape.box_mm)
     else:
         across, high = shape.cylinder_mm or (0.0, 0.0)
         mesh, size = "cylinder.stl", [across, across, high]
     geometry = ElementTree.SubElement(role, "geometry")
-    ElementTree.SubElement(geometry, "mesh", filename=mesh, scale=_numbers([_metres(v) for v in size]))
+    ElementTree.SubElement(
+        geometry, "mesh", filename=mesh, scale=_show_numbers([_convert_to_metres(v) for v in size])
+    )
     if role.tag == "visual":
         ElementTree.SubElement(role, "material", name=shape.colour)
 
 
-def _origin(element: ElementTree.Element, at_mm: Sequence[float], turn_deg: Sequence[float]) -> None:
+def _add_origin(element: ElementTree.Element, at_mm: Sequence[float], turn_deg: Sequence[float]) -> None:
     ElementTree.SubElement(
         element,
         "origin",
-        xyz=_numbers([_metres(value) for value in at_mm]),
-        rpy=_numbers([radians(value) for value in turn_deg]),
+        xyz=_show_numbers([_convert_to_metres(value) for value in at_mm]),
+        rpy=_show_numbers([radians(value) for value in turn_deg]),
     )
 
 
-def _metres(mm: float) -> float:
+def _convert_to_metres(mm: float) -> float:
     return mm / 1000
 
 
-def _numbers(values: Sequence[float]) -> str:
-    return " ".join(_number(value) for value in values)
+def _show_numbers(values: Sequence[float]) -> str:
+    return " ".join(_show_number(value) for value in values)
 
 
-def _number(value: float) -> str:
+def _show_number(value: float) -> str:
     return f"{round(value, 12) + 0.0:.12g}"
 
 
-def _comment(text: str) -> str:
+def _escape_comment(text: str) -> str:
     return text.replace("--", "- -")
 
 
-def _box() -> list[tuple[Corner, Corner, Corner]]:
+def _make_box() -> list[tuple[Corner, Corner, Corner]]:
     found = []
     for axis in range(3):
         for side in (-0.5, 0.5):
@@ -150,11 +156,11 @@ def _turn_corner(axis: int, along: float, a: float, b: float) -> Corner:
     return at[0], at[1], at[2]
 
 
-def _cylinder() -> list[tuple[Corner, Corner, Corner]]:
-    return list(_slices())
+def _make_cylinder() -> list[tuple[Corner, Corner, Corner]]:
+    return list(_iterate_slices())
 
 
-def _slices() -> Iterator[tuple[Corner, Corner, Corner]]:
+def _iterate_slices() -> Iterator[tuple[Corner, Corner, Corner]]:
     for number in range(SIDES):
         (ax, ay), (bx, by) = (
             (cos(2 * pi * corner / SIDES) / 2, sin(2 * pi * corner / SIDES) / 2)
@@ -166,7 +172,7 @@ def _slices() -> Iterator[tuple[Corner, Corner, Corner]]:
         yield (ax, ay, -0.5), (bx, by, 0.5), (ax, ay, 0.5)
 
 
-def _stl(triangles: Sequence[tuple[Corner, Corner, Corner]]) -> bytes:
+def _encode_stl(triangles: Sequence[tuple[Corner, Corner, Corner]]) -> bytes:
     """Binary STL; the normals are 0, so that readers take them from the order of the corners."""
     body = b"".join(
         struct.pack("<12fH", 0, 0, 0, *(value for corner in triangle for value in corner), 0)

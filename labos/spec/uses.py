@@ -12,10 +12,10 @@ import msgspec
 
 from labos.errors import SpecError
 from labos.spec.choices import expand_lists, is_left_open
-from labos.spec.dialects import kind_of, workcell_form, workflow_form
+from labos.spec.dialects import convert_workcell, convert_workflow, detect_kind
 from labos.spec.findings import FindingList
 from labos.spec.models import RunSteps, StepEntry, WorkcellFile, WorkflowFile
-from labos.spec.references import keys_in, result_of
+from labos.spec.references import find_result, list_keys
 from labos.spec.source import Source
 from labos.spec.validation import validate
 
@@ -46,7 +46,7 @@ class Use(msgspec.Struct, frozen=True):
 def read_uses(sources: Iterable[Source]) -> list[Use]:
     """What the workflows among these files ask of modules that they name. Files that cannot be read are left
     out: the reader of the file says why."""
-    return [use for source in sources for use in _uses_of(source)]
+    return [use for source in sources for use in _iterate_uses(source)]
 
 
 def read_carriers(form: Source, file: WorkcellFile) -> list[Use]:
@@ -64,7 +64,7 @@ def read_carriers(form: Source, file: WorkcellFile) -> list[Use]:
     return found
 
 
-def workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
+def sort_workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
     """The workflows among these files that use each of the workcells among them, by the workcell's file:
     those that name it; and those that name none of these, where it has their modules. Of several, the
     nearest."""
@@ -72,19 +72,21 @@ def workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
     flows: list[tuple[Source, WorkflowFile]] = []
     for source in sources:
         try:
-            kind = kind_of(source)[0]
+            kind = detect_kind(source)[0]
             if kind == "workcell":
-                cells[source.file] = _modules_of(source)
-            elif kind == "workflow" and (file := workflow_in(source)[1]) is not None:
+                cells[source.file] = _list_modules(source)
+            elif kind == "workflow" and (file := read_workflow(source)[1]) is not None:
                 flows.append((source, file))
         except SpecError:
             continue
     found: dict[str, list[Source]] = {}
     for source, file in flows:
         named = [
-            cell for cell in cells if file.workcell and _last(file.workcell) in (_last(cell), _stem(cell))
+            cell
+            for cell in cells
+            if file.workcell and _find_last_part(file.workcell) in (_find_last_part(cell), _find_stem(cell))
         ]
-        used = {e.module for one in expand_lists(file) for _, e in entries_of(one) if e.module}
+        used = {e.module for one in expand_lists(file) for _, e in iterate_entries(one) if e.module}
         most = max((len(used & cells[cell]) for cell in named or cells), default=0)
         fitting = [cell for cell in named or cells if most and len(used & cells[cell]) == most]
         nearest = max((_count_shared(cell, source.file) for cell in fitting), default=0)
@@ -94,9 +96,9 @@ def workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
     return found
 
 
-def _modules_of(source: Source) -> set[str]:
+def _list_modules(source: Source) -> set[str]:
     """The active modules of a workcell. Raises SpecError."""
-    form, _ = workcell_form(source, FindingList(source.file))
+    form, _ = convert_workcell(source, FindingList(source.file))
     return {
         str(module.get("name"))
         for module in form.data.get("modules", ())
@@ -104,11 +106,11 @@ def _modules_of(source: Source) -> set[str]:
     }
 
 
-def _last(path: str) -> str:
+def _find_last_part(path: str) -> str:
     return PurePath(path).name
 
 
-def _stem(path: str) -> str:
+def _find_stem(path: str) -> str:
     return PurePath(path).stem
 
 
@@ -118,33 +120,33 @@ def _count_shared(one: str, other: str) -> int:
     return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
 
 
-def workflow_in(source: Source) -> tuple[Source, WorkflowFile | None]:
+def read_workflow(source: Source) -> tuple[Source, WorkflowFile | None]:
     """A workflow in LabOS' form. Raises SpecError."""
     report = FindingList(source.file)
-    form, _ = workflow_form(source, report)
+    form, _ = convert_workflow(source, report)
     return form, validate(WorkflowFile, form, report)
 
 
-def _uses_of(source: Source) -> Iterator[Use]:
+def _iterate_uses(source: Source) -> Iterator[Use]:
     try:
-        if kind_of(source)[0] != "workflow":
+        if detect_kind(source)[0] != "workflow":
             return
-        form, file = workflow_in(source)
+        form, file = read_workflow(source)
     except SpecError:
         return
     if file is None:
         return
     result_uses: dict[str, list[ResultUse]] = {}
-    for _, entry in entries_of(file):
+    for _, entry in iterate_entries(file):
         for arg, value in entry.args.items():
-            if (reference := result_of(value)) is not None:
+            if (reference := find_result(value)) is not None:
                 step, fields = reference
                 result_use = ResultUse(entry.module, entry.action, arg, tuple(fields))
                 result_uses.setdefault(_NUMBER.sub("", step), []).append(result_use)
     told: list[Use] = []
     for one in expand_lists(file):
-        for path, entry in entries_of(one):
-            if entry.module and not keys_in([entry.module, entry.action]):
+        for path, entry in iterate_entries(one):
+            if entry.module and not list_keys([entry.module, entry.action]):
                 where = f"{PurePath(source.file).name}, line {form.place(path).line}"
                 read = tuple(result_uses.get(entry.name, ()))
                 use = Use(entry.module, entry.action, entry.args, where, read)
@@ -153,7 +155,7 @@ def _uses_of(source: Source) -> Iterator[Use]:
                     yield use
 
 
-def entries_of(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
+def iterate_entries(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
     """All steps that stand in a file, with their paths."""
     on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
     waiting = [(("steps", i), entry) for i, entry in enumerate(file.steps)]

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from labos.spec.findings import MOST, FindingList, SpecErrors, near
 from labos.spec.mismatch import describe_mismatch
-from labos.spec.source import Source, plain
+from labos.spec.source import Source, make_plain
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -20,7 +20,7 @@ M = TypeVar("M", bound=BaseModel)
 def validate(model: type[M], source: Source, report: FindingList) -> M | None:
     """The file as a model; None, with errors in the report, if it does not fit."""
     try:
-        return model.model_validate(plain(source.data))
+        return model.model_validate(make_plain(source.data))
     except ValidationError as errors:
         found = errors.errors(include_url=False)[:MOST]
         for error in found:
@@ -50,12 +50,12 @@ def _is_misspelt(error: Any, others: Sequence[Any]) -> bool:
 
 def _translate(model: type[BaseModel], source: Source, report: FindingList, error: Any) -> None:
     path = _keep_existing(source, error["loc"], error["type"])
-    field = source.field(path)
+    field = source.name_field(path)
     place = source.place(path)
     context: dict[str, Any] = error.get("ctx") or {}
     match error["type"]:
         case "extra_forbidden":
-            known = _keys_at(model, path[:-1])
+            known = _list_keys_at(model, path[:-1])
             report.error(
                 f"The key {path[-1]!r} is not known here.",
                 source.place(path, key=True),
@@ -87,7 +87,7 @@ def _translate(model: type[BaseModel], source: Source, report: FindingList, erro
             )
         case _:
             report.error(
-                f"The value {_short(error['input'])} does not fit: it {describe_mismatch(error)}.",
+                f"The value {_shorten_value(error['input'])} does not fit: it {describe_mismatch(error)}.",
                 place,
                 field=field,
                 remedy="Change the value.",
@@ -111,7 +111,7 @@ def _keep_existing(source: Source, loc: Sequence[int | str], kind: str) -> tuple
     return tuple(path)
 
 
-def _keys_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+def _list_keys_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
     """The keys that a model knows at a path."""
     here: Any = model
     for part in path:
@@ -119,20 +119,20 @@ def _keys_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
             here = here.model_fields[part].annotation if part in here.model_fields else None
         else:
             here = next((arg for arg in typing.get_args(here)[-1:]), None)
-        here = _model_in(here)
+        here = _find_model(here)
     return list(here.model_fields) if isinstance(here, type) and issubclass(here, BaseModel) else []
 
 
-def _model_in(hint: Any) -> Any:
+def _find_model(hint: Any) -> Any:
     if typing.get_origin(hint) is typing.Annotated:
-        return _model_in(typing.get_args(hint)[0])
+        return _find_model(typing.get_args(hint)[0])
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        options = [_model_in(option) for option in typing.get_args(hint) if option is not type(None)]
+        options = [_find_model(option) for option in typing.get_args(hint) if option is not type(None)]
         models = [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]
         return models[0] if models else options[0]
     return hint
 
 
-def _short(value: Any) -> str:
+def _shorten_value(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "…"

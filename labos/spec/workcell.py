@@ -14,41 +14,55 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import LABWARE_TYPE, Description, ModuleSpec, Workcell
 from labos.errors import SpecError
 from labos.spec import rest
-from labos.spec.about import GENERIC, BadEffect, about_of, description_of, extend
-from labos.spec.bench import DEFAULT_LID, BenchFile, default_stock, read_stock
+from labos.spec.about import GENERIC, BadEffect, description_of, extend, make_about
+from labos.spec.bench import DEFAULT_LID, BenchFile, make_default_stock, read_stock
 from labos.spec.compile_stations import compile_stations
-from labos.spec.defaults import retry_of, setup_of
-from labos.spec.dialects import workcell_form
+from labos.spec.defaults import make_setup, retry_of
+from labos.spec.dialects import convert_workcell
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
 from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding, near
-from labos.spec.flaws import flaw_in
-from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_configured, list_missing_keys, why_not_reached
-from labos.spec.labware import load_packaged_labware, own_labware, spec_of
+from labos.spec.flaws import find_first_flaw
+from labos.spec.interfaces import (
+    NATIVE,
+    PLANNED,
+    REACHED,
+    explain_unreachable,
+    is_configured,
+    list_missing_keys,
+)
+from labos.spec.labware import load_packaged_labware, make_spec, read_own_labware
 from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
-from labos.spec.serving import drivers_of, match_driver, spellings, suggest_driver
-from labos.spec.shelves import shelf_by_shelf
+from labos.spec.serving import list_drivers, list_models, match_driver, suggest_driver
+from labos.spec.shelves import expand_shelves
 from labos.spec.signals import SignalMapping
 from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
-from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of, why_broken
+from labos.spec.tables import (
+    DriverTable,
+    check_table,
+    explain_broken,
+    find_table,
+    make_plain_table,
+    read_source,
+)
 from labos.spec.together import read_together
-from labos.spec.transfers import transfer_ways
+from labos.spec.transfers import list_transfer_ways
 from labos.spec.units import in_unit
 from labos.spec.uses import Use, read_carriers
 from labos.spec.validation import expect_valid
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
-    "rest_node": ("rest", rest.flaw_in),
-    "epics_node": ("epics", partial(flaw_in, SignalMapping)),
-    "opcua_node": ("opcua", partial(flaw_in, SignalMapping)),
-    "ros_node": ("ros", partial(flaw_in, RosMapping)),
-    "wei_ros_node": ("ros", partial(flaw_in, RosMapping)),
-    "wei_ros_camera": ("ros", partial(flaw_in, RosMapping)),
-    "sila_node": ("sila", partial(flaw_in, SilaMapping)),
-    "madsci_sila_node": ("sila", partial(flaw_in, SilaMapping)),
+    "rest_node": ("rest", rest.find_flaw),
+    "epics_node": ("epics", partial(find_first_flaw, SignalMapping)),
+    "opcua_node": ("opcua", partial(find_first_flaw, SignalMapping)),
+    "ros_node": ("ros", partial(find_first_flaw, RosMapping)),
+    "wei_ros_node": ("ros", partial(find_first_flaw, RosMapping)),
+    "wei_ros_camera": ("ros", partial(find_first_flaw, RosMapping)),
+    "sila_node": ("sila", partial(find_first_flaw, SilaMapping)),
+    "madsci_sila_node": ("sila", partial(find_first_flaw, SilaMapping)),
 }
 """The interfaces that are told by a table below ``config``: its key, and what is wrong with it."""
 
@@ -100,11 +114,11 @@ def compile_workcell(
     are given: then no disk is read. What another lab's file does not say is drafted from the ``uses`` that
     workflows make of it, if they are given. Raises SpecError or SpecErrors."""
     report = FindingList(source.file)
-    form, dialect = workcell_form(source, report)
+    form, dialect = convert_workcell(source, report)
     file = expect_valid(WorkcellFile, form, report)
     remarks, foreign = Remarks(form, report), dialect != "labos"
-    file = shelf_by_shelf(file, remarks)
-    own = own_labware(file.labware, remarks, sent)
+    file = expand_shelves(file, remarks)
+    own = read_own_labware(file.labware, remarks, sent)
     drafted = ""
     if foreign and uses is not None:
         uses = [*uses, *read_carriers(form, file)]
@@ -114,18 +128,18 @@ def compile_workcell(
     stations = compile_stations(file, modules.drivers, remarks, foreign=foreign, own=own.types)
     workcell = Workcell(
         name=file.name,
-        digest=modules.digest(source, [*own.digests, *([drafted] if drafted else [])]),
+        digest=modules.make_digest(source, [*own.digests, *([drafted] if drafted else [])]),
         modules=tuple(modules.build(name, stations) for name in modules.drivers),
         stations=tuple(stations.by_name.values()),
-        labware=tuple(spec_of(*kind) for kind in sorted({**load_packaged_labware(), **own.types}.items())),
-        transfers=transfer_ways(file, modules.drivers, stations, remarks, foreign=foreign),
+        labware=tuple(make_spec(*kind) for kind in sorted({**load_packaged_labware(), **own.types}.items())),
+        transfers=list_transfer_ways(file, modules.drivers, stations, remarks, foreign=foreign),
     )
     declared = file.stock
     if declared is not None:
         bench = read_stock(declared, stations, remarks)
     else:
         lid = DEFAULT_LID if foreign and takes_lids_off(uses or (), modules.drivers) else ""
-        bench = default_stock(workcell, lid, 1 if foreign and uses else 0)
+        bench = make_default_stock(workcell, lid, 1 if foreign and uses else 0)
     report.raise_if_failed()
     return CompiledWorkcell(workcell, bench, report.sort_findings(), file)
 
@@ -194,7 +208,7 @@ class _Modules:
             remedy = f"Leave out `{other}:`." if entry.driver else "Write it all below `about:`."
             self.remarks.error(message, (*path, "about"), remedy, key=True)
             return None
-        found = self._by_driver(entry, path) if entry.about is None else None
+        found = self._find_description(entry, path) if entry.about is None else None
         try:
             if entry.about is not None:
                 reached = entry.interface if entry.interface not in NATIVE else GENERIC
@@ -207,10 +221,10 @@ class _Modules:
             self.remarks.error(f"In {error.action!r} {error}.", at, error.remedy)
             return None
 
-    def _by_driver(self, entry: ModuleEntry, path: Path_) -> Description | None:
+    def _find_description(self, entry: ModuleEntry, path: Path_) -> Description | None:
         """What its driver says, which may follow from a table."""
-        driver = self._driver(entry, path)
-        kind = table_of(driver, self.descriptions) if driver else None
+        driver = self._find_driver(entry, path)
+        kind = find_table(driver, self.descriptions) if driver else None
         if kind is not None:
             return self._describe_by_table(kind, entry, path)
         return self.descriptions[driver] if driver else None
@@ -227,7 +241,7 @@ class _Modules:
             return None
         form = self.remarks.source
         try:
-            source = source_of(form.data["modules"][path[-1]]["config"][kind.key], form, self.sent)
+            source = read_source(form.data["modules"][path[-1]]["config"][kind.key], form, self.sent)
         except SpecError as error:
             if error.line or error.file:
                 self.remarks.report.keep(make_finding(error))
@@ -242,7 +256,7 @@ class _Modules:
         self._tables[entry.name] = source
         return kind.describe(told)
 
-    def digest(self, source: Source, labware: Sequence[str]) -> str:
+    def make_digest(self, source: Source, labware: Sequence[str]) -> str:
         """That of the file, of the tables that stand in files of their own, and of ``labware`` files."""
         others = [table.digest for table in self._tables.values() if table.digest != source.digest]
         others += labware
@@ -252,11 +266,11 @@ class _Modules:
         """An interface that nobody has heard of is a slip. One without an adapter is no error here: the
         module can be simulated; its node says so on a real bench."""
         at = (*path, "interface")
-        why = why_not_reached(entry.interface)
+        why = explain_unreachable(entry.interface)
         if why and entry.interface not in PLANNED and not self.foreign:
             self.remarks.error(why, at, near(entry.interface, (*REACHED, *PLANNED, "native"), "interface"))
         for key in list_missing_keys(entry.interface, entry.config):
-            tell = self.remarks.warning if self.foreign else self.remarks.error
+            tell = self.remarks.add_warning if self.foreign else self.remarks.error
             tell(f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`.")
         if entry.interface in MAPPINGS:
             key, find_flaw = MAPPINGS[entry.interface]
@@ -264,9 +278,9 @@ class _Modules:
             if written is not None and (wrong := find_flaw(written)):
                 self.remarks.error(f"In `{key}:`, {wrong}.", (*path, "config", key), "See docs/adapters.md.")
 
-    def _driver(self, entry: ModuleEntry, path: Path_) -> str | None:
+    def _find_driver(self, entry: ModuleEntry, path: Path_) -> str | None:
         wanted = entry.driver or entry.model
-        if wanted and (why := why_broken(wanted, self.descriptions)):
+        if wanted and (why := explain_broken(wanted, self.descriptions)):
             key = "driver" if entry.driver else "model"
             self.remarks.error(f"The driver {wanted!r} cannot be used.", (*path, key), why)
             return None
@@ -280,22 +294,22 @@ class _Modules:
         if driver is None and self.foreign:
             driver = self._suggest(entry, path)
         if driver:
-            serving = drivers_of(entry.model, self.descriptions) if entry.model else []
+            serving = list_drivers(entry.model, self.descriptions) if entry.model else []
             if len(serving) > 1:
-                tell = self.remarks.warning if self.foreign else self.remarks.error
+                tell = self.remarks.add_warning if self.foreign else self.remarks.error
                 message = f"The model {entry.model!r} is served by several drivers: {', '.join(serving)}."
                 tell(message, (*path, "model"), f"Say which one: `driver: {driver}`.")
             return driver
         remedy = "Add `model:` or `driver:`."
         if entry.model:
-            remedy = near(entry.model, spellings(self.descriptions), "model")
+            remedy = near(entry.model, list_models(self.descriptions), "model")
         at = (*path, "model") if entry.model else path
         what = f"the model {entry.model!r}" if entry.model else "no model"
         if self.foreign:
             message = f"No driver serves the module {entry.name!r} ({what}); it is left out."
             if entry.interface in REACHED:
                 remedy = f"Or write what `labos node about {entry.interface} ADDRESS` prints below `about:`."
-            self.remarks.warning(message, at, remedy, assumed="module")
+            self.remarks.add_warning(message, at, remedy, assumed="module")
         else:
             self.remarks.error(f"No driver serves the module {entry.name!r} ({what}).", at, remedy)
         return None
@@ -309,7 +323,7 @@ class _Modules:
         for key, text in (("model", entry.model), ("name", entry.name)):
             driver = suggest_driver(text, self.descriptions) if text else None
             if driver:
-                self.remarks.warning(
+                self.remarks.add_warning(
                     f"The module {entry.name!r} is taken for the driver {driver} by its {key} {text!r}.",
                     (*path, key),
                     f"Say so: `driver: {driver}`. Or describe it below `about:`.",
@@ -342,11 +356,11 @@ class _Modules:
             name=ModuleName(f"{self.file.name}/{name}"),
             driver=description.driver,
             model=entry.model or next(iter(description.models), ""),
-            config=self._config(name, entry, description, stations),
+            config=self._make_config(name, entry, description, stations),
             variables={**description.variables, **entry.variables},
             rest=description.rest if entry.rest is None else entry.rest,
             regrip=self._regrip(name, entry, path, stations),
-            levels={**description.levels, **self._capacities(entry, description, path)},
+            levels={**description.levels, **self._list_capacities(entry, description, path)},
             zone=f"{self.file.name}/{entry.zone}" if entry.zone else "",
             units=description.units,
             expired=self.file.expired,
@@ -354,11 +368,11 @@ class _Modules:
             retry=retry_of(entry),
             timeout_s=entry.timeout,
             second_person=entry.second_person,
-            setup=setup_of(entry),
+            setup=make_setup(entry),
             together=read_together(entry, description, stations, path, self.remarks),
         )
 
-    def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:
+    def _list_capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:
         """What the file says of consumables, in the units in which the driver counts them."""
         found: dict[str, float] = {}
         for name, written in entry.resources.items():
@@ -376,7 +390,7 @@ class _Modules:
             message = f"The module has no {what} {key!r}."
             self.remarks.error(message, (*path, key), near(key, known, what), key=True)
 
-    def _config(
+    def _make_config(
         self, name: str, entry: ModuleEntry, description: Description, stations: Stations
     ) -> dict[str, Any]:
         """What the module's node is told: ``config`` as written, ``poses`` of a manipulator by
@@ -389,9 +403,9 @@ class _Modules:
                 _station_of(place, name, stations): way for place, way in ways.items()
             }
         table = self._tables.get(name)
-        kind = table_of(description.driver, self.descriptions)
+        kind = find_table(description.driver, self.descriptions)
         if table is not None and kind is not None:
-            config[kind.key] = as_told(table)
+            config[kind.key] = make_plain_table(table)
         waste = [local(place.name) for place in stations.by_name.values() if place.kind == "waste"]
         if description.manipulator and waste:
             config.setdefault("waste", waste)
@@ -399,20 +413,20 @@ class _Modules:
             local(place.name)
             for place in stations.by_name.values()
             if place.watched and local(place.observer) == name and place.module != place.observer
-            if not stations.shelves(place.name)
+            if not stations.list_shelves(place.name)
         ]
         if watched:
             told_of = config.get("observes")
             written = map(str, told_of) if isinstance(told_of, list | tuple) else ()
             config["observes"] = list(dict.fromkeys([*written, *watched]))
-        poses, poses_of = self._poses(name, description, stations)
+        poses, poses_of = self._list_poses(name, description, stations)
         told: dict[str, Any] = {"config": config, "poses": poses}
         if poses_of:
             told["poses_of"] = poses_of
         if is_configured(entry.interface, entry.config):
             told["interface"] = entry.interface
         if table is not None:
-            told["offers"] = about_of(description)
+            told["offers"] = make_about(description)
         if entry.about is not None:
             told["about"] = entry.about.model_dump(exclude_defaults=True)
         if entry.extends is not None:
@@ -421,7 +435,7 @@ class _Modules:
             told["coordinates"] = entry.coordinates
         return told
 
-    def _poses(
+    def _list_poses(
         self, name: str, description: Description, stations: Stations
     ) -> tuple[dict[str, list[float]], dict[str, dict[str, list[float]]]]:
         """The module's taught locations, under the stations' own names; and those of labware types."""

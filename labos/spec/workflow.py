@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.core.ids import StationName
 from labos.core.model import Description, Plan, Workcell
 from labos.errors import SpecError
@@ -16,7 +16,7 @@ from labos.spec.bench import DEFAULT_LABWARE, DEFAULT_LID, BenchFile
 from labos.spec.carriers import Carriers
 from labos.spec.choices import bind_modules
 from labos.spec.defaults import Defaults
-from labos.spec.dialects import workflow_form
+from labos.spec.dialects import convert_workflow
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
 from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding
@@ -97,7 +97,7 @@ def compile_workflow(
     """
     source = source if isinstance(source, Source) else read_workflow(source)
     report = FindingList(source.file)
-    form, dialect = workflow_form(source, report)
+    form, dialect = convert_workflow(source, report)
     file = expect_valid(WorkflowFile, form, report)
     finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
     bound = bind_modules(file, workcell, Remarks(form, report))
@@ -165,7 +165,7 @@ def _compile(
     """Compile a workflow in which each step has one module. Raises SpecErrors."""
     payload, workcell, finder, form = given.payload, given.workcell, given.finder, given.form
     unroller = Unroller(report, finder, Defaults(workcell), Carriers(workcell, given.descriptions))
-    layout = unroller.unroll(file, form, _payload(file, payload), foreign=given.foreign)
+    layout = unroller.unroll(file, form, _make_payload(file, payload), foreign=given.foreign)
     report.raise_if_failed()
     remarks = UnrolledRemarks(form, report, layout)
     planner = StepPlanner(
@@ -184,7 +184,7 @@ def _compile(
     plan = planner.plan()
     report.raise_if_failed()
     check_results(plan, planner.described, planner.remarks)
-    plan, dry = planner.dry_run(plan)
+    plan, dry = planner.do_dry_run(plan)
     report.raise_if_failed()
     refuse_unused(payload, file, (given.source, form), finder, report)
     report.raise_if_failed()
@@ -196,7 +196,7 @@ def _compile(
     return Compiled(
         plan,
         tuple(dry.inputs),
-        dry.outputs(),
+        dry.list_outputs(),
         report.sort_findings(),
         planner.contents,
         tuple(brought),
@@ -232,10 +232,10 @@ def _make_starting_labware(dry: DryRun, place: StationName, piece: Piece) -> Sta
     return StartingLabware(place, f"{kind}+{DEFAULT_LID}" if is_lidded else kind, variables)
 
 
-def _payload(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:
+def _make_payload(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:
     """The payload with the defaults of declared parameters."""
     try:
-        canonical(dict(payload))
+        encode_canonical(dict(payload))
     except (TypeError, ValueError, RecursionError) as error:
         raise SpecError(
             f"The payload cannot be recorded: {error}",

@@ -12,15 +12,27 @@ from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
 from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
 from labos.store._home import HomeFiles, KnownEnd, forget_end
-from labos.store._lease import database_bytes, database_file, lease_holder, show_url, silent_holder
-from labos.store._migrate import DatabaseStatus, database_status, is_replica, migrate, migrations_folder
+from labos.store._lease import (
+    find_database_file,
+    find_lease_holder,
+    find_silent_holder,
+    measure_database,
+    show_url,
+)
+from labos.store._migrate import (
+    DatabaseStatus,
+    find_migrations_folder,
+    is_replica,
+    migrate,
+    read_database_status,
+)
 from labos.store._objects import Blobs, ObjectBlobs, open_blobs
 from labos.store._open import open_store, scrub_words
 from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
 from labos.store._segment import check_chain, encode_record, read_segment, write_segment
-from labos.store._url import display_name, parse_url, sqlite_path
-from labos.store._verify import Damage, Progress, first_damage
+from labos.store._url import display_name, find_sqlite_path, parse_url
+from labos.store._verify import Damage, Progress, find_first_damage
 from labos.store._words import StoredWords
 from labos.store._words_copy import read_words_copy
 
@@ -49,21 +61,22 @@ __all__ = [
     "check_chain",
     "copy_accounts",
     "create_file",
-    "database_bytes",
-    "database_file",
-    "database_status",
     "display_name",
     "encode_record",
-    "first_damage",
+    "find_database_file",
+    "find_first_damage",
+    "find_lease_holder",
+    "find_migrations_folder",
+    "find_silent_holder",
+    "find_sqlite_path",
     "forget_end",
     "grant_writer",
     "is_replica",
     "key_of",
     "leap_epoch",
-    "lease_holder",
     "make_folder",
+    "measure_database",
     "migrate",
-    "migrations_folder",
     "move_old_segments",
     "open_accounts",
     "open_blobs",
@@ -73,6 +86,7 @@ __all__ = [
     "raise_epoch",
     "read_accounts_copy",
     "read_backup",
+    "read_database_status",
     "read_erasures",
     "read_segment",
     "read_words_copy",
@@ -81,8 +95,6 @@ __all__ = [
     "restore_log",
     "scrub_words",
     "show_url",
-    "silent_holder",
-    "sqlite_path",
     "tighten",
     "verify_backup",
     "verify_detached",

@@ -18,7 +18,7 @@ from labos.store._tables import account_password as password_table
 from labos.store._tables import account_person as person_table
 from labos.store._tables import account_session as session_table
 from labos.store._tables import account_token as token_table
-from labos.store._url import parse_url, sqlite_path
+from labos.store._url import find_sqlite_path, parse_url
 
 _OF_A_USER = (person_table, password_table, token_table, session_table, identity_table)
 _log = structlog.get_logger(__name__)
@@ -169,16 +169,16 @@ def open_accounts(url: str) -> SqlAccounts:
     one file of its parts when the last connection goes."""
     parsed = parse_url(url)
     if parsed.get_backend_name() != "sqlite":
-        from labos.store._postgres import small_engine
+        from labos.store._postgres import make_small_engine
 
-        engine = small_engine(parsed)
+        engine = make_small_engine(parsed)
         return SqlAccounts(parsed, engine, engine)
     from labos.store._sqlite import make_reading_engine, make_writing_engine
 
-    writing = make_writing_engine(sqlite_path(parsed))
+    writing = make_writing_engine(find_sqlite_path(parsed))
 
     @event.listens_for(writing, "connect")
     def overwrite(connection: Any, record: object) -> None:
         connection.execute("PRAGMA secure_delete = ON")
 
-    return SqlAccounts(parsed, make_reading_engine(sqlite_path(parsed)), writing)
+    return SqlAccounts(parsed, make_reading_engine(find_sqlite_path(parsed)), writing)

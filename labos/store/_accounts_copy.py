@@ -44,7 +44,7 @@ def copy_accounts(
     """Write the accounts as they are now into a backup's folder, in place of those before."""
     with accounts.read() as connection:
         tables = {
-            table.name: [_plain(row._asdict()) for row in connection.execute(select(table))]
+            table.name: [_make_plain_row(row._asdict()) for row in connection.execute(select(table))]
             for table in TABLES
         }
     made = add_seal(AccountsCopy(FORMAT, lab, now_ns, tables), key)
@@ -91,7 +91,7 @@ def put_accounts_back(accounts: SqlAccounts, copied: AccountsCopy) -> None:
                 connection.execute(insert(table), rows)
 
 
-def _plain(row: dict[str, Any]) -> dict[str, Any]:
+def _make_plain_row(row: dict[str, Any]) -> dict[str, Any]:
     return {name: bytes(v).hex() if isinstance(v, bytes | memoryview) else v for name, v in row.items()}
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from labos.errors import LogDamaged, StoreUnavailable
 from labos.private import make_folder, replace_file, sync_folder
 from labos.store._backup import Segment, read_backup, report_damage
-from labos.store._segment import file_digest
+from labos.store._segment import digest_file
 
 
 def move_old_segments(folder: Path, to: Path, before_ns: int) -> list[Segment]:
@@ -38,12 +38,12 @@ def move_old_segments(folder: Path, to: Path, before_ns: int) -> list[Segment]:
 
 
 def _move(segment: Segment, source: Path, target: Path) -> None:
-    if file_digest(source) != segment.sha256:
+    if digest_file(source) != segment.sha256:
         raise report_damage(segment, "has other bytes than when it was sealed")
     make_folder(target.parent)
-    if not target.is_file() or file_digest(target) != segment.sha256:
+    if not target.is_file() or digest_file(target) != segment.sha256:
         replace_file(target, source.read_bytes())
-    if file_digest(target) != segment.sha256:
+    if digest_file(target) != segment.sha256:
         raise LogDamaged(
             f"{target} has other bytes than were written there.",
             position=segment.first,

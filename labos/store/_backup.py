@@ -20,13 +20,13 @@ from labos.core.envelope import GENESIS, Record
 from labos.core.fold import evolve
 from labos.core.registry import decode
 from labos.core.seals import add_seal, check_seal
-from labos.core.state import LabState, fold_fingerprint, from_picture, state_hash
+from labos.core.state import LabState, fold_fingerprint, from_picture, hash_state
 from labos.errors import BadInput, LogDamaged, NotFound, Refused
 from labos.private import make_folder, remove_leftovers, replace_file, tighten
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._objects import Blobs
-from labos.store._segment import check_chain, file_digest, read_segment, write_segment
+from labos.store._segment import check_chain, digest_file, read_segment, write_segment
 from labos.store._words_copy import WordsExpected, copy_words
 
 FORMAT = 1
@@ -121,7 +121,7 @@ def backup(
             before=before.hex(),
             hash=last.hash.hex(),
             recorded_at=last.head.recorded_at,
-            state=state_hash(_fold_records(store, head.position)),
+            state=hash_state(_fold_records(store, head.position)),
             fold=fold_fingerprint(),
             file=name,
             sha256=digest,
@@ -222,7 +222,7 @@ def verify_backup(folder: Path, *, key: bytes = b"", archive: Path | None = None
             ) from None
         end = ends.get(at.position)
         # Another version of LabOS may picture the same state otherwise.
-        if end is not None and end.fold == fold_fingerprint() and end.state != state_hash(state):
+        if end is not None and end.fold == fold_fingerprint() and end.state != hash_state(state):
             raise report_damage(end, "folds to another state than when it was sealed")
     words.end()
     check_files(folder, found.segments, archive)
@@ -249,7 +249,7 @@ def check_manifests(
 def check_files(folder: Path, segments: Sequence[Segment], archive: Path | None = None) -> None:
     """Whether segments are the files that were sealed, to the byte. Raises LogDamaged."""
     for segment in segments:
-        if file_digest(find_segment(folder, segment, archive)) != segment.sha256:
+        if digest_file(find_segment(folder, segment, archive)) != segment.sha256:
             raise report_damage(segment, "is not the file that was sealed")
 
 

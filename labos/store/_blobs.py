@@ -32,17 +32,17 @@ class FolderBlobs:
         """Keep bytes, synced on return, and return their SHA-256. Keeping the same bytes again
         changes nothing, and mends a file that was damaged. Raises StoreUnavailable."""
         name = digest(data)
-        target = self._file(name)
+        target = self._find_file(name)
         try:
             made = make_folder(target.parent)
             # First of all it becomes young: then nobody removes it as unused.
-            if not (_touch(target) and _holds(target, data)):
+            if not (_touch(target) and _holds_data(target, data)):
                 replace_file(target, data)
             # Also for a blob that was there: another process may have renamed it only just now.
             for folder in {target.parent, *(folder.parent for folder in made)}:
                 sync_folder(folder)
         except OSError as error:
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
         return name
 
     def get(self, digest: str) -> bytes:
@@ -60,12 +60,12 @@ class FolderBlobs:
                 remedy="Check that the folder of blobs is the one that this log was written with.",
             ) from None
         except OSError as error:
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
         verify_blob(self.path, digest, data)
         return data
 
     def _read(self, name: str) -> bytes:
-        file, aside = self._file(name), self.path / REMOVING / name
+        file, aside = self._find_file(name), self.path / REMOVING / name
         for path in (file, aside):
             try:
                 return path.read_bytes()
@@ -80,12 +80,12 @@ class FolderBlobs:
                 if DIGEST.fullmatch(path.name):
                     yield path.name
         except OSError as error:
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
 
     def remove_unused(self, name: str, before: float) -> bool:
         """Remove a blob that nothing names, unless it was kept again since ``before`` (UNIX time); whether
         that was done. Raises StoreUnavailable."""
-        source, aside = self._file(name), self.path / REMOVING / name
+        source, aside = self._find_file(name), self.path / REMOVING / name
         try:
             make_folder(aside.parent)
             if source.stat().st_mtime >= before:
@@ -98,20 +98,20 @@ class FolderBlobs:
         except FileNotFoundError:
             return False  # somebody has removed it, or keeps it just now
         except OSError as error:
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
         return True
 
     def put_back_removed(self) -> None:
         """What a removal that was broken off has put aside stands where it was. Raises StoreUnavailable."""
         try:
             for aside in (self.path / REMOVING).glob("*"):
-                target = self._file(aside.name)
+                target = self._find_file(aside.name)
                 if target.exists():
                     aside.unlink()
                 else:
                     aside.rename(target)
         except OSError as error:
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
 
     def tidy(self) -> None:
         """What a lab does when it opens: the folder becomes private, and what writers that died left behind
@@ -119,10 +119,10 @@ class FolderBlobs:
         tighten([self.path], "the folder of blobs")
         remove_leftovers(self.path, "[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/.*")
 
-    def _file(self, name: str) -> Path:
+    def _find_file(self, name: str) -> Path:
         return self.path / name[:2] / name[2:4] / name
 
-    def _unavailable(self, error: OSError) -> StoreUnavailable:
+    def _make_unavailable_error(self, error: OSError) -> StoreUnavailable:
         return StoreUnavailable(
             f"The folder of blobs {self.path} is not available: {error.strerror or error}.",
             remedy="Check its disk and that the user who runs LabOS may write there.",
@@ -148,7 +148,7 @@ def _touch(file: Path) -> bool:
     return True
 
 
-def _holds(file: Path, data: bytes) -> bool:
+def _holds_data(file: Path, data: bytes) -> bool:
     try:
         return file.stat().st_size == len(data) and file.read_bytes() == data
     except FileNotFoundError:

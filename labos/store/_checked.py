@@ -40,13 +40,13 @@ class CheckedRows:
 
     def check(self, rows: Sequence[Row]) -> Iterator[Row]:
         """Raises LogDamaged at the first row that is not what was recorded; those before it are given."""
-        number = self._good(rows)
+        number = self._count_good(rows)
         # By one call for all of them: a step in Python for each would cost as much as its check.
         yield from map(_FOLDED, rows if number == len(rows) else rows[:number])
         if number < len(rows):
-            raise report_damage(self._name, rows[number][0], _fault(rows[number], self.hash, self._lab))
+            raise report_damage(self._name, rows[number][0], _find_fault(rows[number], self.hash, self._lab))
 
-    def _good(self, rows: Sequence[Row]) -> int:
+    def _count_good(self, rows: Sequence[Row]) -> int:
         """How many rows, from the first one on, are what was recorded."""
         previous, lab, decode, sha256 = self.hash, self._lab, decode_folded, _sha256
         number = 0
@@ -67,12 +67,12 @@ class CheckedRows:
                 previous = stored
                 number += 1
         except (TypeError, ValueError, msgspec.MsgspecError):
-            pass  # ``_fault`` says which field it is
+            pass  # ``_find_fault`` says which field it is
         self.hash = previous
         return number
 
 
-def _fault(row: Row, previous: bytes, lab: str) -> str:
+def _find_fault(row: Row, previous: bytes, lab: str) -> str:
     """What is wrong with a row, in words that name the field."""
     position, kind, schema, recorded_at, payload, envelope, stored = row
     # SQLite lets a column hold a value of any type.

@@ -68,11 +68,11 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
         words.take(record)
     words.end()
     check_files(folder, segments)
-    checked, missing = _blobs(folder, found)
+    checked, missing = _count_blobs(folder, found)
     return Detached(found.lab, segments, after, before, bool(key), absent, checked, missing)
 
 
-def _blobs(folder: Path, found: Backup) -> tuple[int, int]:
+def _count_blobs(folder: Path, found: Backup) -> tuple[int, int]:
     """How many blobs are there and good, and how many are not there. Raises LogDamaged."""
     blobs = FolderBlobs(folder / "blobs")
     here = set(found.blobs).intersection(blobs.names())

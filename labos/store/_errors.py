@@ -9,7 +9,7 @@ from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from labos.errors import InvariantBroken, LabosError, StoreUnavailable
-from labos.store._url import display_name, sqlite_path
+from labos.store._url import display_name, find_sqlite_path
 
 _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     (
@@ -52,13 +52,13 @@ LEAST_FREE = 64 * 1024
 _OTHERWISE = "Check that the database runs and can be reached."
 
 
-def foreign_error(url: URL, error: BaseException) -> LabosError | None:
+def translate_error(url: URL, error: BaseException) -> LabosError | None:
     """What a database's error means for LabOS; None if it is a surprise of our own making."""
-    names = _dbapi_names(error)
+    names = _list_dbapi_names(error)
     if names & {"IntegrityError", "DataError"}:
         return InvariantBroken(
             f"The {display_name(url)} refused a batch that contradicts the log "
-            f"({_sentence(url, error)}); nothing of it was written.",
+            f"({_describe_error(url, error)}); nothing of it was written.",
             remedy="Verify the log; if it is sound, this is an error in LabOS.",
         )
     if isinstance(error, ModuleNotFoundError) and "psycopg" in str(error):
@@ -67,14 +67,14 @@ def foreign_error(url: URL, error: BaseException) -> LabosError | None:
             remedy='Run: pip install "labos-sdl[postgres]"',
         )
     if isinstance(error, (SQLAlchemyError, OSError)) or "Error" in names:
-        reason = _sentence(url, error)
+        reason = _describe_error(url, error)
         return StoreUnavailable(
-            f"The {display_name(url)} is not available: {reason}.", remedy=remedy_for(reason)
+            f"The {display_name(url)} is not available: {reason}.", remedy=find_remedy(reason)
         )
     return None
 
 
-def remedy_for(reason: str) -> str:
+def find_remedy(reason: str) -> str:
     """What to do about a driver's message."""
     lowered = reason.lower()
     for words, remedy in _REMEDIES:
@@ -83,7 +83,7 @@ def remedy_for(reason: str) -> str:
     return _OTHERWISE
 
 
-def _dbapi_names(error: BaseException) -> set[str]:
+def _list_dbapi_names(error: BaseException) -> set[str]:
     """The DB-API 2.0 names of an error of sqlite3 or psycopg, wrapped by SQLAlchemy or not."""
     origin = error.orig if isinstance(error, DBAPIError) else error
     return {c.__name__ for c in type(origin).__mro__ if c.__module__.partition(".")[0] in _DRIVERS}
@@ -92,7 +92,7 @@ def _dbapi_names(error: BaseException) -> set[str]:
 _DRIVERS = ("sqlite3", "psycopg")
 
 
-def _sentence(url: URL, error: BaseException) -> str:
+def _describe_error(url: URL, error: BaseException) -> str:
     """The driver's own words: one line, without SQL and without the password."""
     origin = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
     lines = [line.strip() for line in str(origin).splitlines() if line.strip()]
@@ -104,7 +104,7 @@ def _sentence(url: URL, error: BaseException) -> str:
 
 def _is_full(url: URL) -> bool:
     try:
-        return shutil.disk_usage(sqlite_path(url).parent).free < LEAST_FREE
+        return shutil.disk_usage(find_sqlite_path(url).parent).free < LEAST_FREE
     except OSError:
         return False
 
@@ -125,6 +125,6 @@ class TranslatedErrors:
     ) -> None:
         if error is None or isinstance(error, LabosError):
             return
-        translated = foreign_error(self._url, error)
+        translated = translate_error(self._url, error)
         if translated is not None:
             raise translated from error

@@ -64,7 +64,7 @@ class SqlEventStore(LogReader):
             else:
                 with self._transaction() as connection:
                     row = connection.execute(_HEAD.with_for_update()).one()
-        return _head(row)
+        return _make_head(row)
 
     @property
     def known_position(self) -> int:
@@ -343,7 +343,7 @@ class SqlEventStore(LogReader):
             )
 
 
-def _head(row: Any) -> Head:
+def _make_head(row: Any) -> Head:
     return Head(LabId(row.lab), row.position, row.hash, row.epoch, row.recorded_at)
 
 

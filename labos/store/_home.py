@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.core.seals import add_seal, check_seal
 from labos.ports import Head
 from labos.private import create_file, make_folder, sync_folder, tighten
@@ -113,7 +113,7 @@ class HomeFiles:
         key = self.key()
         if not key:
             return ""
-        what = canonical(["labos snapshot", lab, position, hash_.hex(), fingerprint, len(data)])
+        what = encode_canonical(["labos snapshot", lab, position, hash_.hex(), fingerprint, len(data)])
         mac = hmac.new(key, what, hashlib.sha256)
         mac.update(data)
         return f"{SEAL}{mac.hexdigest()}"

@@ -9,21 +9,21 @@ from sqlalchemy import select, text
 from labos.errors import StoreError
 from labos.store._backend import find_holder
 from labos.store._errors import TranslatedErrors
-from labos.store._open import backend_for
+from labos.store._open import choose_backend
 from labos.store._tables import head
-from labos.store._url import parse_url, sqlite_path
+from labos.store._url import find_sqlite_path, parse_url
 
 
-def lease_holder(url: str) -> str:
+def find_lease_holder(url: str) -> str:
     """Who is the kernel on this database now; empty if nobody is, or if there is no telling.
 
     A kernel that was killed holds nothing, although the lease that it wrote down has not run out:
     its lock went with it. Raises BadInput for a URL that cannot be used.
     """
     parsed = parse_url(url)
-    if parsed.get_backend_name() == "sqlite" and not sqlite_path(parsed).is_file():
+    if parsed.get_backend_name() == "sqlite" and not find_sqlite_path(parsed).is_file():
         return ""
-    backend = backend_for(parsed)
+    backend = choose_backend(parsed)
     try:
         with TranslatedErrors(parsed), backend.reading.connect() as connection:
             lease = select(head.c.lease_owner, head.c.epoch).where(head.c.lease_until > backend.now_ms)
@@ -37,11 +37,11 @@ def lease_holder(url: str) -> str:
         backend.close()
 
 
-def silent_holder(url: str) -> str:
+def find_silent_holder(url: str) -> str:
     """The last kernel on this database, if it neither gave the lab back nor lives; else empty.
     Raises BadInput for a URL that cannot be used, StoreUnavailable."""
     parsed = parse_url(url)
-    backend = backend_for(parsed)
+    backend = choose_backend(parsed)
     try:
         with TranslatedErrors(parsed):
             found = find_holder(backend)
@@ -50,14 +50,14 @@ def silent_holder(url: str) -> str:
         backend.close()
 
 
-def database_bytes(url: str) -> int:
+def measure_database(url: str) -> int:
     """How much room the database takes, its write-ahead log included. Raises StoreUnavailable."""
-    file = database_file(url)
+    file = find_database_file(url)
     if file is not None:
         files = (file, file.with_name(file.name + "-wal"))
         return sum(part.stat().st_size for part in files if part.is_file())
     parsed = parse_url(url)
-    backend = backend_for(parsed)
+    backend = choose_backend(parsed)
     try:
         with TranslatedErrors(parsed), backend.reading.connect() as connection:
             return int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
@@ -65,10 +65,10 @@ def database_bytes(url: str) -> int:
         backend.close()
 
 
-def database_file(url: str) -> Path | None:
+def find_database_file(url: str) -> Path | None:
     """The file of a SQLite database; None for one on a server. Raises BadInput."""
     parsed = parse_url(url)
-    return sqlite_path(parsed) if parsed.get_backend_name() == "sqlite" else None
+    return find_sqlite_path(parsed) if parsed.get_backend_name() == "sqlite" else None
 
 
 def show_url(url: str) -> str:

@@ -18,7 +18,7 @@ from labos.errors import LogTooNew, StoreUnavailable
 from labos.private import make_folder
 from labos.store._errors import TranslatedErrors
 from labos.store._tables import VERSION_TABLE
-from labos.store._url import display_name, parse_url, sqlite_path
+from labos.store._url import display_name, find_sqlite_path, parse_url
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -48,9 +48,9 @@ def is_replica(url: str) -> bool:
     parsed = parse_url(url)
     if parsed.get_backend_name() == "sqlite":
         return False
-    from labos.store._postgres import small_engine
+    from labos.store._postgres import make_small_engine
 
-    engine = small_engine(parsed)
+    engine = make_small_engine(parsed)
     try:
         with TranslatedErrors(parsed), engine.connect() as connection:
             return bool(connection.execute(text("SELECT pg_is_in_recovery()")).scalar())
@@ -58,7 +58,7 @@ def is_replica(url: str) -> bool:
         engine.dispose()
 
 
-def migrations_folder() -> Path:
+def find_migrations_folder() -> Path:
     """The migrations in the installed package, else those of the checkout."""
     here = Path(__file__).resolve()
     for folder in (here.parents[1] / "_migrations", here.parents[2] / "migrations"):
@@ -75,7 +75,7 @@ def alembic_config() -> Config:
     from alembic.config import Config
 
     config = Config()
-    config.set_main_option("script_location", str(migrations_folder()).replace("%", "%%"))
+    config.set_main_option("script_location", str(find_migrations_folder()).replace("%", "%%"))
     config.set_main_option("path_separator", "os")
     return config
 
@@ -89,7 +89,7 @@ def migrate(url: str) -> str:
     parsed = parse_url(url)
     with TranslatedErrors(parsed):
         if parsed.get_backend_name() == "sqlite":
-            make_folder(sqlite_path(parsed).parent)
+            make_folder(find_sqlite_path(parsed).parent)
         status = _status(parsed)
         if status.state != "current":
             refuse_newer(status)
@@ -97,7 +97,7 @@ def migrate(url: str) -> str:
     return REVISION
 
 
-def database_status(url: str) -> DatabaseStatus:
+def read_database_status(url: str) -> DatabaseStatus:
     """What a database holds; nothing is created or changed. Raises StoreUnavailable."""
     parsed = parse_url(url)
     with TranslatedErrors(parsed):
@@ -117,19 +117,19 @@ def refuse_newer(status: DatabaseStatus) -> None:
 @contextmanager
 def migration_connection(url: str) -> Iterator[Connection]:
     """A connection in one exclusive transaction, for migrations."""
-    with _exclusive(parse_url(url)) as connection:
+    with _open_exclusive(parse_url(url)) as connection:
         yield connection
 
 
 def _status(url: URL) -> DatabaseStatus:
     name = display_name(url)
-    if url.get_backend_name() == "sqlite" and not sqlite_path(url).is_file():
+    if url.get_backend_name() == "sqlite" and not find_sqlite_path(url).is_file():
         return DatabaseStatus(name, "missing", "")
-    from labos.store._open import backend_for
+    from labos.store._open import choose_backend
 
-    backend = backend_for(url)
+    backend = choose_backend(url)
     try:
-        revision = _revision(backend.reading, name)
+        revision = _read_revision(backend.reading, name)
     finally:
         backend.close()
     if revision == REVISION:
@@ -141,7 +141,7 @@ def _status(url: URL) -> DatabaseStatus:
     return DatabaseStatus(name, state, revision)
 
 
-def _revision(engine: Engine, name: str) -> str:
+def _read_revision(engine: Engine, name: str) -> str:
     with engine.connect() as connection:
         tables = set(inspect(connection).get_table_names())
         if VERSION_TABLE in tables:
@@ -163,7 +163,7 @@ def _list_revisions() -> set[str]:
     return {script.revision for script in scripts.walk_revisions()}
 
 
-def schema_of_log(connection: Connection) -> str:
+def find_schema_of_log(connection: Connection) -> str:
     """PostgreSQL's schema in which the log stands, quoted; empty if there is none. It is not always the first
     that a role looks into: a role `labos` finds the schema of the views before it."""
     found = connection.execute(
@@ -179,7 +179,7 @@ def _upgrade(url: URL) -> None:
     from alembic import command
 
     config = alembic_config()
-    with _exclusive(url) as connection:
+    with _open_exclusive(url) as connection:
         if connection.dialect.name == "postgresql":
             encoding = connection.execute(text("SHOW server_encoding")).scalar_one()
             if encoding != "UTF8":
@@ -187,7 +187,7 @@ def _upgrade(url: URL) -> None:
                     f"The {display_name(url)} has the encoding {encoding}, which cannot hold every text.",
                     remedy="Create it with ENCODING 'UTF8' TEMPLATE template0.",
                 )
-            if schema := schema_of_log(connection):
+            if schema := find_schema_of_log(connection):
                 connection.execute(
                     text("SELECT set_config('search_path', :schema, true)"), {"schema": schema}
                 )
@@ -196,10 +196,10 @@ def _upgrade(url: URL) -> None:
 
 
 @contextmanager
-def _exclusive(url: URL) -> Iterator[Connection]:
-    from labos.store._open import backend_for
+def _open_exclusive(url: URL) -> Iterator[Connection]:
+    from labos.store._open import choose_backend
 
-    backend = backend_for(url)
+    backend = choose_backend(url)
     try:
         with backend.writing.connect() as connection, connection.begin():
             if connection.dialect.name == "postgresql":

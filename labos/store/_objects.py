@@ -40,9 +40,9 @@ class ObjectBlobs:
         was damaged. Raises StoreUnavailable."""
         name = digest(data)
         try:
-            self._files.pipe_file(self._object(name), data)
+            self._files.pipe_file(self._name_object(name), data)
         except Exception as error:  # each kind of store raises its own
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
         return name
 
     def get(self, digest: str) -> bytes:
@@ -53,11 +53,11 @@ class ObjectBlobs:
                 f"{digest!r} is not the name of a blob.", remedy="Give 64 hexadecimal digits of a SHA-256."
             )
         try:
-            data: bytes = self._files.cat_file(self._object(digest))
+            data: bytes = self._files.cat_file(self._name_object(digest))
         except FileNotFoundError:
             raise NotFound(f"There is no blob {digest} at {self.url}.", remedy=REMEDY) from None
         except Exception as error:
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
         verify_blob(self.url, digest, data)
         return data
 
@@ -68,7 +68,7 @@ class ObjectBlobs:
         except FileNotFoundError:
             return
         except Exception as error:
-            raise self._unavailable(error) from error
+            raise self._make_unavailable_error(error) from error
         for path in sorted(str(each) for each in found):
             name = path.rpartition("/")[2]
             if DIGEST.fullmatch(name):
@@ -77,10 +77,10 @@ class ObjectBlobs:
     def tidy(self) -> None:
         """An object store looks after itself."""
 
-    def _object(self, name: str) -> str:
+    def _name_object(self, name: str) -> str:
         return f"{self._root}/{name[:2]}/{name[2:4]}/{name}"
 
-    def _unavailable(self, error: Exception) -> StoreUnavailable:
+    def _make_unavailable_error(self, error: Exception) -> StoreUnavailable:
         return StoreUnavailable(f"The blobs at {self.url} are not available: {error}.", remedy=REMEDY)
 
 

@@ -13,7 +13,7 @@ from labos.store._backend import Backend
 from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
 from labos.store._sqlite import SqliteBackend
-from labos.store._url import parse_url, sqlite_path
+from labos.store._url import find_sqlite_path, parse_url
 
 
 def open_store(
@@ -30,19 +30,19 @@ def open_store(
     parsed = parse_url(url)
     if create and not read_only:
         _migrate.migrate(url)
-        tighten(_own_files(parsed, home), "the lab's folder, key and database")
+        tighten(_list_own_files(parsed, home), "the lab's folder, key and database")
     else:
-        _expect_current(_migrate.database_status(url))
+        _expect_current(_migrate.read_database_status(url))
     with TranslatedErrors(parsed):
-        return SqlEventStore(parsed, backend_for(parsed), read_only=read_only, home=home)
+        return SqlEventStore(parsed, choose_backend(parsed), read_only=read_only, home=home)
 
 
 def scrub_words(url: str) -> str:
     """Let nothing of words that were erased stand in a database's files any more; returns why something still
     may, empty if it does not. Raises StoreUnavailable."""
     parsed = parse_url(url)
-    _expect_current(_migrate.database_status(url))
-    backend = backend_for(parsed)
+    _expect_current(_migrate.read_database_status(url))
+    backend = choose_backend(parsed)
     try:
         with TranslatedErrors(parsed):
             return backend.scrub()
@@ -50,17 +50,17 @@ def scrub_words(url: str) -> str:
         backend.close()
 
 
-def _own_files(url: URL, home: Path | None) -> list[Path]:
+def _list_own_files(url: URL, home: Path | None) -> list[Path]:
     """What of a lab only its owner may read: the folder, so all that is in it, and the database, which may
     stand elsewhere."""
     files = [home] if home is not None else []
     if url.get_backend_name() == "sqlite":
-        file = sqlite_path(url)
+        file = find_sqlite_path(url)
         files += [file.with_name(file.name + end) for end in ("", "-wal", "-shm", ".kernel.lock")]
     return files
 
 
-def backend_for(url: URL) -> Backend:
+def choose_backend(url: URL) -> Backend:
     """The dialect part for a parsed URL."""
     if url.get_backend_name() == "sqlite":
         return SqliteBackend(url)

@@ -130,13 +130,13 @@ class PostgresBackend:
         # Names the writer's session, so that exactly that one can be ended.
         self._tag = f"labos-{Uuid7Ids().new()}"
         self._lines = Lines()
-        self.writing = _engine(url, f"{self._tag}-w", self._lines, writes=True)
-        self.reading = _engine(url, f"{self._tag}-r", self._lines, writes=False)
+        self.writing = _make_engine(url, f"{self._tag}-w", self._lines, writes=True)
+        self.reading = _make_engine(url, f"{self._tag}-r", self._lines, writes=False)
         self._keeping = create_engine(
             url,
             poolclass=NullPool,
             isolation_level="AUTOCOMMIT",
-            connect_args=_arguments(f"{self._tag}-k"),
+            connect_args=_make_arguments(f"{self._tag}-k"),
         )
         event.listen(self._keeping, "connect", self._lines.add)
         self._keeper: Connection | None = None
@@ -340,7 +340,7 @@ def _try_lock(keeper: Connection, epoch: int) -> bool:
     return bool(found.scalar_one())
 
 
-def _arguments(name: str) -> dict[str, Any]:
+def _make_arguments(name: str) -> dict[str, Any]:
     return {
         "application_name": name,
         "connect_timeout": CONNECT_TIMEOUT_S,
@@ -356,16 +356,16 @@ def _arguments(name: str) -> dict[str, Any]:
     }
 
 
-def small_engine(url: URL) -> Engine:
+def make_small_engine(url: URL) -> Engine:
     """Connections for what is not the log; the kernel's own sessions are not touched by it."""
     return create_engine(
-        url, pool_size=2, max_overflow=4, pool_pre_ping=True, connect_args=_arguments("labos accounts")
+        url, pool_size=2, max_overflow=4, pool_pre_ping=True, connect_args=_make_arguments("labos accounts")
     )
 
 
-def _engine(url: URL, name: str, lines: Lines, *, writes: bool) -> Engine:
+def _make_engine(url: URL, name: str, lines: Lines, *, writes: bool) -> Engine:
     if writes:
-        engine = create_engine(url, poolclass=NullPool, connect_args=_arguments(name))
+        engine = create_engine(url, poolclass=NullPool, connect_args=_make_arguments(name))
         settings = [
             f"SET lock_timeout = '{LOCK_TIMEOUT_S}s'",
             f"SET idle_in_transaction_session_timeout = '{IDLE_TRANSACTION_TIMEOUT_S}s'",
@@ -380,7 +380,7 @@ def _engine(url: URL, name: str, lines: Lines, *, writes: bool) -> Engine:
             pool_size=4,
             max_overflow=60,
             pool_pre_ping=True,
-            connect_args=_arguments(name),
+            connect_args=_make_arguments(name),
         )
         settings = ["SET default_transaction_read_only = on"]
 

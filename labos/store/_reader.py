@@ -19,7 +19,7 @@ from labos.store._backend import Backend, Row
 from labos.store._checked import CheckedRows, report_damage
 from labos.store._errors import TranslatedErrors
 from labos.store._home import SEAL, HomeFiles
-from labos.store._select import positions_of_last, selection
+from labos.store._select import make_selection, select_positions_of_last
 from labos.store._tables import event, head, snapshot
 from labos.store._url import display_name
 from labos.store._words import StoredWords, read_all_words, read_words, read_words_by
@@ -70,7 +70,7 @@ class LogReader:
         """Records in order, from ``after + 1`` to ``upto`` or the end. Raises StoreUnavailable,
         LogDamaged where a position is missing."""
         lab = ""
-        for rows in self._chunks(_READ, after, upto):
+        for rows in self._read_chunks(_READ, after, upto):
             lab = lab or self._lab_id()
             for row in rows:
                 yield Record(Envelope(lab, *row[:11]), *row[11:])
@@ -86,12 +86,12 @@ class LogReader:
         position, and with nothing behind it. Raises StoreUnavailable, LogDamaged with the position.
         """
         upto = end.position if end is not None else upto
-        start, recorded_at = self._chain_at(after)
+        start, recorded_at = self._read_chain_at(after)
         if before and before != start:
             raise report_damage(self.name, after, "its hash is not the one that was known of it")
         checked: CheckedRows | None = None
         position = after
-        for rows in self._chunks(_REPLAY, after, upto):
+        for rows in self._read_chunks(_REPLAY, after, upto):
             self.answered += 1
             checked = checked or CheckedRows(self.name, self._lab_id(), start)
             yield from checked.check(rows)
@@ -116,7 +116,7 @@ class LogReader:
             fault = "the head row bears another time (recorded_at) than this record, the last one"
             raise report_damage(self.name, position, fault)
 
-    def _chain_at(self, position: int) -> tuple[bytes, int]:
+    def _read_chain_at(self, position: int) -> tuple[bytes, int]:
         """The hash that the log bears at a position, and when that was recorded. Raises LogDamaged if it has
         no such record, or if that is of another lab than the head row says."""
         if not position:
@@ -136,7 +136,7 @@ class LogReader:
             )
         return bytes(hash_), at.recorded_at
 
-    def _chunks(self, statement: str, after: int, upto: int | None) -> Iterator[list[Row]]:
+    def _read_chunks(self, statement: str, after: int, upto: int | None) -> Iterator[list[Row]]:
         """Rows in pieces. Raises LogDamaged where a position is missing."""
         while upto is None or after < upto:
             limit = _CHUNK if upto is None else min(_CHUNK, upto - after)
@@ -167,11 +167,11 @@ class LogReader:
         selects records whose stream or payload contains that text; ``since_ns`` is the first
         moment that counts, ``until_ns`` the first that does not.
         """
-        statement = selection(query, self._backend.contains)
+        statement = make_selection(query, self._backend.contains)
         after, lab = query.after, ""
         if query.last is not None:
             with self._door, self._backend.reading.connect() as connection:
-                span = connection.execute(positions_of_last(statement, query.last)).one()
+                span = connection.execute(select_positions_of_last(statement, query.last)).one()
             if span.first is None:
                 return
             after = span.first - 1

@@ -20,9 +20,9 @@ from labos.ports import Head
 from labos.store._backend import WordChanges
 from labos.store._errors import TranslatedErrors
 from labos.store._event_store import rows_of
-from labos.store._lease import lease_holder
-from labos.store._migrate import database_status, migrate
-from labos.store._open import backend_for
+from labos.store._lease import find_lease_holder
+from labos.store._migrate import migrate, read_database_status
+from labos.store._open import choose_backend
 from labos.store._tables import head
 from labos.store._url import display_name, parse_url
 from labos.store._words import StoredWords, make_changes, row_of
@@ -47,7 +47,7 @@ def restore_log(
     parsed = parse_url(url)
     refuse_to_overwrite(url)
     migrate(url)
-    backend = backend_for(parsed)
+    backend = choose_backend(parsed)
     source = iter(records)
     end = Head(LabId(lab), 0, GENESIS, epoch)
     with TranslatedErrors(parsed):
@@ -81,10 +81,10 @@ def restore_log(
 
 def refuse_to_overwrite(url: str) -> None:
     """Raise Refused if a database holds a log already, or a kernel lives on it."""
-    status = database_status(url)
+    status = read_database_status(url)
     if status.state in ("missing", "empty"):
         return
-    owner = lease_holder(url)
+    owner = find_lease_holder(url)
     if owner:
         raise Refused(
             f"A kernel ({owner}) lives on the {status.name}.",
@@ -96,7 +96,7 @@ def refuse_to_overwrite(url: str) -> None:
             remedy="Restore into another database, or move this one away.",
         )
     parsed = parse_url(url)
-    backend = backend_for(parsed)
+    backend = choose_backend(parsed)
     try:
         with TranslatedErrors(parsed), backend.reading.connect() as connection:
             position = connection.execute(select(head.c.position)).scalar_one()
@@ -110,14 +110,14 @@ def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
     """Say that a database was put back from a copy: its next kernel's epoch is above every one that
     its nodes can have seen. Returns the epochs before and after. Raises Refused while a kernel lives,
     StoreUnavailable."""
-    owner = lease_holder(url)
+    owner = find_lease_holder(url)
     parsed = parse_url(url)
     if owner:
         raise Refused(
             f"A kernel ({owner}) lives on the {display_name(parsed)}.",
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
-    backend = backend_for(parsed)
+    backend = choose_backend(parsed)
     with TranslatedErrors(parsed):
         try:
             backend.occupy("labos db restored")

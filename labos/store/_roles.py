@@ -12,8 +12,8 @@ from sqlalchemy import text
 from labos.errors import BadInput, NotFound, Refused
 from labos.store._backend import REWRITE_WORDS, REWRITING
 from labos.store._errors import TranslatedErrors
-from labos.store._migrate import database_status, refuse_newer, schema_of_log
-from labos.store._open import backend_for
+from labos.store._migrate import find_schema_of_log, read_database_status, refuse_newer
+from labos.store._open import choose_backend
 from labos.store._tables import VERSION_TABLE, metadata
 from labos.store._url import display_name, parse_url
 
@@ -53,11 +53,11 @@ def grant_writer(url: str, role: str) -> None:
             "SQLite has no roles: a user who may write the file may write all of it.",
             remedy="Keep the lab's folder private, and checkpoints elsewhere (labos verify --checkpoint).",
         )
-    status = database_status(url)
+    status = read_database_status(url)
     refuse_newer(status)
     if status.state != "current":
         raise Refused(f"The {status.name} is not ready.", remedy="Run first: labos db upgrade")
-    backend = backend_for(parsed)
+    backend = choose_backend(parsed)
     try:
         with TranslatedErrors(parsed), backend.writing.connect() as connection, connection.begin():
             found = connection.execute(_ROLE, {"role": role}).first()
@@ -73,7 +73,7 @@ def grant_writer(url: str, role: str) -> None:
                     remedy="Name a role of its own for the kernel.",
                 )
             quoted = connection.dialect.identifier_preparer.quote_identifier(role)
-            schema = schema_of_log(connection)
+            schema = find_schema_of_log(connection)
             connection.execute(text(f"REVOKE ALL ON {', '.join(_TABLES)} FROM {quoted}, PUBLIC"))
             connection.execute(text(f"GRANT USAGE ON SCHEMA {schema} TO {quoted}"))
             for right in _RIGHTS:

@@ -68,7 +68,7 @@ def write_segment(path: Path, records: Iterable[Record]) -> str:
     except BaseException:
         beside.unlink(missing_ok=True)
         raise
-    return file_digest(path)
+    return digest_file(path)
 
 
 def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) -> None:
@@ -130,7 +130,7 @@ def _report_break(position: int, fault: str) -> LogDamaged:
     )
 
 
-def file_digest(path: Path) -> str:
+def digest_file(path: Path) -> str:
     """The SHA-256 of a file, read in pieces."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -14,7 +14,7 @@ from labos.store._tables import event, words
 Contains = Callable[[Any, str | bytes], ColumnElement[bool]]
 
 
-def selection(query: LogQuery, contains: Contains) -> Select[Any]:
+def make_selection(query: LogQuery, contains: Contains) -> Select[Any]:
     """The rows that a query selects, except for ``after``, ``last`` and their order."""
     c = event.c
     conditions: list[ColumnElement[bool]] = []
@@ -43,7 +43,7 @@ def selection(query: LogQuery, contains: Contains) -> Select[Any]:
     return select(event).where(*conditions)
 
 
-def positions_of_last(statement: Select[Any], n: int) -> Select[Any]:
+def select_positions_of_last(statement: Select[Any], n: int) -> Select[Any]:
     """``first`` and ``last`` position of the last ``n`` rows of a selection."""
     newest = (
         statement.with_only_columns(event.c.position)

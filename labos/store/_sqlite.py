@@ -30,7 +30,7 @@ from labos.lockfile import FileLock
 from labos.ports import Head
 from labos.private import make_database_file
 from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Row, WordChanges, make_head_row
-from labos.store._url import sqlite_path
+from labos.store._url import find_sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
 """How long to wait for a foreign program that writes to the same file."""
@@ -48,7 +48,7 @@ class SqliteBackend:
     )
 
     def __init__(self, url: URL) -> None:
-        self.path = sqlite_path(url)
+        self.path = find_sqlite_path(url)
         self.writing = make_writing_engine(self.path)
         self.reading = make_reading_engine(self.path)
         self._lock = FileLock(self.path.with_name(self.path.name + ".kernel.lock"))

@@ -37,14 +37,14 @@ def parse_url(url: str) -> URL:
 def display_name(url: URL) -> str:
     """The database as messages name it: no password, no options."""
     if url.get_backend_name() == "sqlite":
-        return f"SQLite database {sqlite_path(url)}"
+        return f"SQLite database {find_sqlite_path(url)}"
     host = url.host or url.query.get("host") or "localhost"
     at = f"{url.username}@{host}" if url.username else f"{host}"
     port = f":{url.port}" if url.port else ""
     return f"PostgreSQL database {at}{port}/{url.database}"
 
 
-def sqlite_path(url: URL) -> Path:
+def find_sqlite_path(url: URL) -> Path:
     """The file of a SQLite URL, absolute, so that messages and locks do not depend on the
     working directory."""
     return Path(url.database or "").absolute()

@@ -20,7 +20,9 @@ class Damage(msgspec.Struct, frozen=True):
     reason: str
 
 
-def first_damage(store: EventStore, progress: Progress | None = None, *, every: int = 1000) -> Damage | None:
+def find_first_damage(
+    store: EventStore, progress: Progress | None = None, *, every: int = 1000
+) -> Damage | None:
     """Check every record of the log against the chain, and its end against the head.
 
     ``progress`` is called after each ``every`` records with (positions checked, positions to check).
@@ -34,7 +36,7 @@ def first_damage(store: EventStore, progress: Progress | None = None, *, every: 
         for record in store.read(0, head.position):
             if record.head.position != position + 1:
                 return Damage(position + 1, "the record is missing")
-            reason = _damage(previous, record)
+            reason = _describe_damage(previous, record)
             if not reason and record.head.recorded_at < recorded_at:
                 reason = "it was recorded before the record that it follows"
             if reason:
@@ -58,7 +60,7 @@ def first_damage(store: EventStore, progress: Progress | None = None, *, every: 
     return None
 
 
-def _damage(previous: bytes, record: Record) -> str:
+def _describe_damage(previous: bytes, record: Record) -> str:
     try:
         return find_damage(previous, record)
     except (TypeError, ValueError) as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from labos.core.envelope import Record
-from labos.core.erasure import WordsErased, references_in_words
+from labos.core.erasure import WordsErased, list_references_in_words
 from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.errors import LogDamaged
@@ -81,7 +81,7 @@ class WordsExpected:
                 self._named.pop(reference, None)
                 if self._known.get(reference) is False:
                     raise _report_damage(head.position, f"{WORDS} holds words that were erased there")
-        for reference in references_in_words(head.type, record.payload):
+        for reference in list_references_in_words(head.type, record.payload):
             self._named.setdefault(reference, head.position)
 
     def end(self) -> None:

@@ -13,7 +13,7 @@ from labos.version import VERSION
 
 
 @cache
-def _collectors() -> CollectorRegistry:
+def _make_collectors() -> CollectorRegistry:
     registry = CollectorRegistry()
     ProcessCollector(registry=registry)
     PlatformCollector(registry=registry)
@@ -22,7 +22,7 @@ def _collectors() -> CollectorRegistry:
 
 def describe_process() -> str:
     """The system's metrics of this process, in Prometheus' text format."""
-    return generate_latest(_collectors()).decode()
+    return generate_latest(_make_collectors()).decode()
 
 
 class ProcessReadings(msgspec.Struct, frozen=True):

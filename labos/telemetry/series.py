@@ -211,7 +211,7 @@ class Distribution(LabMetric):
             prefix = self._prefixes[key]
             rows = (
                 _line(name, _join_labels(prefix, f'le="{more["le"]}"') if "le" in more else prefix, value)
-                for name, more, value in self._points(self._heaps[key])
+                for name, more, value in self._list_points(self._heaps[key])
             )
             self._lines[key] = "\n".join(rows)
         self._changed.clear()
@@ -220,16 +220,16 @@ class Distribution(LabMetric):
     def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
         for key, heap in self._heaps.items():
             named = dict(zip(self.labels, key, strict=True))
-            for name, more, value in self._points(heap):
+            for name, more, value in self._list_points(heap):
                 yield name, {**named, **more}, value
 
-    def _points(self, heap: _Observations) -> Iterator[tuple[str, dict[str, str], float]]:
+    def _list_points(self, heap: _Observations) -> Iterator[tuple[str, dict[str, str], float]]:
         counts, total = list(heap.counts), heap.total
         if self.bounds:
             upto = 0
             for bound, count in zip((*self.bounds, math.inf), counts, strict=True):
                 upto += count
-                yield f"{self.name}_bucket", {"le": _number(bound)}, upto
+                yield f"{self.name}_bucket", {"le": _write_number(bound)}, upto
         yield f"{self.name}_count", {}, sum(counts)
         yield f"{self.name}_sum", {}, total
 
@@ -291,14 +291,14 @@ class MetricRegistry:
 
 
 def _line(name: str, labels: str, value: float) -> str:
-    return f"{name}{{{labels}}} {_number(value)}" if labels else f"{name} {_number(value)}"
+    return f"{name}{{{labels}}} {_write_number(value)}" if labels else f"{name} {_write_number(value)}"
 
 
 def _join_labels(labels: str, more: str) -> str:
     return f"{labels},{more}" if labels else more
 
 
-def _number(value: float) -> str:
+def _write_number(value: float) -> str:
     if value == math.inf:
         return "+Inf"
     return repr(float(value)) if math.isfinite(value) else "NaN" if math.isnan(value) else "-Inf"

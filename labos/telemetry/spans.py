@@ -128,7 +128,7 @@ class SpanRecorder:
         for run in (*state.runs.active.values(), *state.runs.queued.values()):
             known = self._runs[run.id] = _OpenRun(run.workflow, _attributes_of(run), run.submitted_at)
             if run.has_started:
-                known.keys = self._keys(run.id)
+                known.keys = self._list_keys(run.id)
         for action in state.actions.open.values():
             attributes = _action_attributes(action.id, action.module, action.name, action.attempt)
             self._actions[action.id] = _OpenAction(
@@ -145,8 +145,8 @@ class SpanRecorder:
     def _on_started(self, event: r.RunStarted, at: int, durable_at: int) -> None:
         run = self._runs.get(event.run)
         if run is not None:
-            run.keys = self._keys(event.run)
-            trace, parent = self._trace(event.run), self._id("run", event.run)
+            run.keys = self._list_keys(event.run)
+            trace, parent = self._make_trace_id(event.run), self._make_id("run", event.run)
             self._tell(trace, ("wait", event.run), parent, "wait for start", run.submitted_at, at)
 
     def _on_run_ended(self, event: r.RunEnd, at: int, durable_at: int) -> None:
@@ -159,7 +159,7 @@ class SpanRecorder:
         error = event.why or outcome if isinstance(event, r.RunFailed | r.RunCancelled) else ""
         attributes = {**run.attributes, "labos.outcome": outcome}
         self._tell(
-            self._trace(event.run),
+            self._make_trace_id(event.run),
             ("run", event.run),
             0,
             f"run {run.workflow}",
@@ -169,7 +169,7 @@ class SpanRecorder:
             error,
         )
 
-    def _keys(self, name: RunId) -> tuple[str, ...]:
+    def _list_keys(self, name: RunId) -> tuple[str, ...]:
         """The keys of a run's steps; none if the run has already ended."""
         runs = self._state().runs
         run = runs.get(name)
@@ -185,7 +185,7 @@ class SpanRecorder:
     def _end_step(self, name: RunId, run: _OpenRun, number: int, step: _OpenStep) -> None:
         key = run.keys[number] if number < len(run.keys) else str(number + 1)
         attributes: dict[str, Attribute] = {"labos.run": name, "labos.step": key}
-        trace, parent = self._trace(name), self._id("run", name)
+        trace, parent = self._make_trace_id(name), self._make_id("run", name)
         end = step.end or step.start
         self._tell(
             trace, ("step", name, number), parent, f"step {key}", step.start, end, attributes, step.error
@@ -217,8 +217,8 @@ class SpanRecorder:
         action.device_ended_at = getattr(event, "ended_ns", 0) or action.device_ended_at
         attributes = {**action.attributes, "labos.outcome": event.TYPE.rpartition(".")[2]}
         attempt = ("attempt", event.action, action.attributes["labos.attempt"])
-        trace = self._trace(action.run or event.action)
-        parent = self._id("step", action.run, action.step) if action.run else 0
+        trace = self._make_trace_id(action.run or event.action)
+        parent = self._make_id("step", action.run, action.step) if action.run else 0
         end = max(at, durable_at)
         self._tell(trace, attempt, parent, action.name, action.requested_at, end, attributes, error)
         self._tell_parts(trace, attempt, action, at, end)
@@ -241,7 +241,7 @@ class SpanRecorder:
         self, trace: int, attempt: tuple[object, ...], action: _OpenAction, at: int, end: int
     ) -> None:
         """Emit the parts of the time of an action. Unknown parts are left out."""
-        parent = self._id(*attempt)
+        parent = self._make_id(*attempt)
 
         def part(name: str, start: int, until: int) -> None:
             if until > start:
@@ -273,17 +273,19 @@ class SpanRecorder:
         attributes: dict[str, Attribute] | None = None,
         error: str = "",
     ) -> None:
-        self._emit(Span(trace, self._id(*key), parent, name, start, max(start, end), attributes or {}, error))
+        self._emit(
+            Span(trace, self._make_id(*key), parent, name, start, max(start, end), attributes or {}, error)
+        )
 
-    def _trace(self, name: str) -> int:
-        return trace_id(self._lab, name)
+    def _make_trace_id(self, name: str) -> int:
+        return make_trace_id(self._lab, name)
 
-    def _id(self, *key: object) -> int:
+    def _make_id(self, *key: object) -> int:
         text = "/".join((self._lab, *map(str, key)))
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8])
 
 
-def trace_id(lab: str, name: str) -> int:
+def make_trace_id(lab: str, name: str) -> int:
     """The trace of a run (or of an action outside of runs) of the lab with this id."""
     return int.from_bytes(hashlib.sha256(f"{lab}/{name}".encode()).digest()[:16])
 

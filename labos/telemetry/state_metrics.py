@@ -140,12 +140,12 @@ class StateMetrics(MetricGroup):
 
     def update(self, state: LabState, scheduler: Scheduler, now: int) -> None:
         """Take the figures from a state at ``now`` (UTC ns)."""
-        self._runs(state, now)
-        self._users(state, now)
-        self._modules(state)
-        self._stations(state)
-        self._people(state, now)
-        self._waits(state, scheduler)
+        self._count_runs(state, now)
+        self._count_users(state, now)
+        self._count_modules(state)
+        self._count_stations(state)
+        self._count_people(state, now)
+        self._count_waits(state, scheduler)
         statuses = Counter(experiment.status for experiment in state.experiments.open.values())
         self.experiments.replace({(s,): float(statuses[s]) for s in ExperimentStatus})
         uncertain = sum(not item.station and not item.on for item in state.bench.labware.values())
@@ -158,7 +158,7 @@ class StateMetrics(MetricGroup):
         begun = len(state.bookings.now)
         self.bookings.replace({("now",): float(begun), ("later",): float(len(state.bookings.open) - begun)})
 
-    def _runs(self, state: LabState, now: int) -> None:
+    def _count_runs(self, state: LabState, now: int) -> None:
         runs: Counter[Labels] = Counter(dict.fromkeys(self._seen_runs, 0))
         mine: Counter[Labels] = Counter(dict.fromkeys(self._seen_users, 0))
         queue = dict.fromkeys(state.lab.workcells, 0)
@@ -185,15 +185,15 @@ class StateMetrics(MetricGroup):
             ages.setdefault((state.runs.plans[run.plan].plan.workcell,), (now - run.submitted_at) / 1e9)
         self.queue_age_s.replace(ages)
 
-    def _users(self, state: LabState, now: int) -> None:
+    def _count_users(self, state: LabState, now: int) -> None:
         used: dict[Labels, float] = {}
         for user, usage in state.shares.usage.items():
             key = (self._user(user),)
-            used[key] = used.get(key, 0.0) + usage.level(now)
+            used[key] = used.get(key, 0.0) + usage.compute_level(now)
         total = sum(used.values())
         self.user_share.replace({key: level / total for key, level in used.items()} if total else {})
 
-    def _modules(self, state: LabState) -> None:
+    def _count_modules(self, state: LabState) -> None:
         states: dict[Labels, float] = {}
         levels: dict[Labels, float] = {}
         capacities: dict[Labels, float] = {}
@@ -213,7 +213,7 @@ class StateMetrics(MetricGroup):
         self.capacity.replace(capacities)
         self.calibration_ends_s.replace(ends)
 
-    def _stations(self, state: LabState) -> None:
+    def _count_stations(self, state: LabState) -> None:
         room: dict[Labels, float] = {}
         taken: dict[Labels, float] = {}
         for name, station in state.bench.stations.items():
@@ -227,7 +227,7 @@ class StateMetrics(MetricGroup):
         self.stations.replace(room)
         self.occupied.replace(taken)
 
-    def _people(self, state: LabState, now: int) -> None:
+    def _count_people(self, state: LabState, now: int) -> None:
         count = dict.fromkeys(state.lab.workcells, 0)
         oldest = dict.fromkeys(state.lab.workcells, now)
         for question in state.interventions.open.values():
@@ -240,11 +240,11 @@ class StateMetrics(MetricGroup):
         self.approvals.replace({(kind,): float(waiting[kind]) for kind in APPROVALS})
         self.access.replace({(cell,): float(cell in state.lab.access) for cell in state.lab.workcells})
 
-    def _waits(self, state: LabState, scheduler: Scheduler) -> None:
+    def _count_waits(self, state: LabState, scheduler: Scheduler) -> None:
         found: Counter[Labels] = Counter(dict.fromkeys(self._seen_waits, 0))
-        for who, wait in scheduler.sleepers.every():
+        for who, wait in scheduler.sleepers.list_all():
             run = state.runs.get(who)
-            cell = state.runs.plan_of(run).workcell if run is not None else scheduler.room.cell_of(who)
+            cell = state.runs.plan_of(run).workcell if run is not None else scheduler.room.find_cell(who)
             found[(cell, wait.code)] += 1
         for key in found:
             if len(self._seen_waits) < WAITS_SEEN:

@@ -18,10 +18,10 @@ from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.modules import ModuleStatus
 from labos.core.runs import RunState
-from labos.core.state import LabState, state_hash
+from labos.core.state import LabState, hash_state
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.store import write_segment
 from labos.testing.faults import FaultRates, Faults
 from labos.testing.loop import Stalled
@@ -42,7 +42,9 @@ def _stands_at(station: StationName, state: LabState) -> bool:
 class _Trusting(Safety):
     """Planning that starts everything that the rules allow."""
 
-    def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
+    def list_trapped(
+        self, state: LabState, run: RunState, step: int, *, only_asking: bool = False
+    ) -> list[str]:
         return []
 
 
@@ -166,7 +168,7 @@ class SimulatedLab(People):
                 await asyncio.sleep(1.0)
         await self._await_written()
         assert self.kernel is not None
-        self.remembered = state_hash(self.kernel.state)
+        self.remembered = hash_state(self.kernel.state)
         return self.fold_log()
 
     def _is_over(self, state: LabState) -> bool:
@@ -206,7 +208,7 @@ class SimulatedLab(People):
 
     def differences(self, state: LabState) -> list[str]:
         """The differences between the bench and the log; empty if they agree on every plate."""
-        return differences(self.world, state, self.store.records)
+        return list_differences(self.world, state, self.store.records)
 
     def report(self) -> str:
         """What a lab that does not end is waiting for."""
@@ -215,7 +217,7 @@ class SimulatedLab(People):
         waits = []
         if kernel is not None:
             for run in [*state.runs.active.values(), *list(state.runs.queued.values())[:3]]:
-                for step, wait in kernel.scheduler.waits(state, run, kernel.clock.now_ns()):
+                for step, wait in kernel.scheduler.list_waits(state, run, kernel.clock.now_ns()):
                     waits.append(f"{run.id}#{step} {wait.code} {wait.names}")
         modules = {
             local(n): m.status for n, m in state.modules.by_name.items() if m.status != ModuleStatus.IDLE
@@ -235,4 +237,4 @@ class SimulatedLab(People):
 
     def fingerprint(self) -> str:
         """A hash of the result; the same seed gives the same hash."""
-        return state_hash(self.fold_log())
+        return hash_state(self.fold_log())

@@ -154,7 +154,7 @@ class People(Processes):
         self._seen = kernel.durable
         state, now = kernel.state, kernel.clock.now_ns()
         runs = [*state.runs.active.values(), *state.runs.queued.values()]
-        whys = [wait.reason for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        whys = [wait.reason for run in runs for _, wait in kernel.scheduler.list_waits(state, run, now)]
         for why in dict.fromkeys(why for why in whys if isinstance(why, reasons.UsedUp)):
             module, resource = why.module, why.resource
             self._reach_in(kernel)
@@ -170,7 +170,7 @@ class People(Processes):
         """Remove labware that blocks runs and does not belong to a run any more."""
         state, now = kernel.state, kernel.clock.now_ns()
         runs = [*state.runs.active.values(), *list(state.runs.queued.values())[:1]]
-        whys = [wait.reason for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        whys = [wait.reason for run in runs for _, wait in kernel.scheduler.list_waits(state, run, now)]
         places = {StationName(why.place): True for why in whys if isinstance(why, reasons.Occupied)}
         for module in [ModuleName(why.module) for why in whys if isinstance(why, reasons.Held)]:
             places |= dict.fromkeys(state.bench.by_module.get(module, ()), True)

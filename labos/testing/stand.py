@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 
-from labos.bootstrap import own_class
+from labos.bootstrap import find_own_class
 from labos.core.decide import Command
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import StartExperiment
@@ -33,7 +33,7 @@ class Stand(msgspec.Struct, frozen=True):
         if not about and not extends:
             return self.nodes[module.driver]
         setup = SetupReply(driver=module.driver, simulated=True, about=about, extends=extends)
-        return own_class(module.name, setup, self.nodes.get(module.driver))
+        return find_own_class(module.name, setup, self.nodes.get(module.driver))
 
 
 class Job(msgspec.Struct, frozen=True):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.bootstrap import load_driver, module_beside
+from labos.bootstrap import import_module_beside, load_driver
 from labos.errors import BadInput, LabosError
 from labos.node.node import Node
 from labos.node.torture import Torture
@@ -64,7 +64,7 @@ def find_declaration(node: type[Node]) -> Torture:
     """The driver's ``TORTURE``: in its module, or in the module ``torture`` beside it."""
     own = getattr(sys.modules[node.__module__], "TORTURE", None)
     if own is None:
-        own = getattr(module_beside(node, "torture"), "TORTURE", None)
+        own = getattr(import_module_beside(node, "torture"), "TORTURE", None)
     if own is None:
         return Torture()
     if not isinstance(own, Torture):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from labos.spec.library import specs_folder
+from labos.spec.library import find_specs_folder
 from tests.support.ioc import Ioc
 
 
@@ -16,7 +16,7 @@ class Beamline(Ioc):
         self._world, self._faults, self._seed = world, faults, seed
 
     def command(self) -> list[Path | str]:
-        return [self.python, specs_folder() / "apps" / "pendant_drop" / "beamline_ioc.py"]
+        return [self.python, find_specs_folder() / "apps" / "pendant_drop" / "beamline_ioc.py"]
 
     def environment(self) -> dict[str, str]:
         told = {"WORLD": str(self._world), "FAULTS": ",".join(self._faults), "SEED": str(self._seed)}

@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from labos.spec.library import specs_folder
+from labos.spec.library import find_specs_folder
 
-DOCS = specs_folder().parent / "docs"
+DOCS = find_specs_folder().parent / "docs"
 DATA, PICTURE, PAGE = (
     DOCS / "color-picker-study.json",
     DOCS / "pictures" / "color-picker-study.png",
@@ -73,7 +73,7 @@ def cases(seeds: Iterable[int] = SEEDS) -> list[Case]:
 
 def carry_out(case: Case, samples: int = SAMPLES) -> Told:
     """One experiment in a lab of its own."""
-    sys.path.append(str(specs_folder() / "apps" / "color_picker"))
+    sys.path.append(str(find_specs_folder() / "apps" / "color_picker"))
     from color_picker import FLOWS, Search, Wanted, parkings_of
 
     from tests.apps.virtual_lab import VirtualExperiment, VirtualLab

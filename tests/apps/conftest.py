@@ -13,10 +13,10 @@ import pytest
 from labos.bootstrap import LabThread, descriptions
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell, parse_workcell
-from labos.spec.library import specs_folder
+from labos.spec.library import find_specs_folder
 
 for app in ("polymers", "pendant_drop", "color_picker", "pcr"):
-    sys.path.append(str(specs_folder() / "apps" / app))
+    sys.path.append(str(find_specs_folder() / "apps" / app))
 
 OpenLab = Callable[..., AbstractContextManager[LabThread]]
 

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from labos.spec.library import specs_folder
+from labos.spec.library import find_specs_folder
 
-APPS = specs_folder() / "apps"
+APPS = find_specs_folder() / "apps"
 BLUE = (44.0, 12.0, -55.0)
 GREY = (120.0, 120.0, 120.0)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from labos.audit.database import open_audit
-from labos.audit.difference import differences
+from labos.audit.difference import list_differences
 from labos.audit.projector import Projector
 from labos.audit.provenance import subject_of, trace
 from labos.audit.query import ReadConnection, open_asker
@@ -74,7 +74,7 @@ def questions(asker: ReadConnection, end: int) -> dict[str, Callable[[], object]
         "provenance of a well, down": graph(f"{plate}/{well}", "down"),
         "provenance of a result, up": graph(f"{run}#{step}", "up"),
         "provenance of a run, down": graph(run, "down"),
-        "difference between two moments": lambda: differences(asker, at // 2, at),
+        "difference between two moments": lambda: list_differences(asker, at // 2, at),
     }
 
 

@@ -34,7 +34,7 @@ def _measure(rows: int) -> Report:
     index = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert len(table) == rows
-    assert table.row(rows - 1)["volume"] == rows - 1
+    assert table.read_row(rows - 1)["volume"] == rows - 1
     few, many = (len(msgspec.msgpack.encode(_state(count))) for count in (10, rows))
     whole = (len(data) + index) / 1e6
     return Report(

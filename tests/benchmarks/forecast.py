@@ -9,7 +9,7 @@ import time
 import msgspec
 from msgspec.structs import replace
 
-from labos.core.state import picture
+from labos.core.state import encode_picture
 from labos.planning.hindsight import Hindsight
 from labos.planning.lab_forecast import ForecastRequest, LabForecast, forecast_lab
 from labos.testing.faults import QUIET
@@ -42,7 +42,7 @@ def request(count: int) -> ForecastRequest:
         routes = [job for job in jobs(3 * count, 1, batches=True) if job.runs[0].plan.workflow != "pcr"]
         asked = [replace(job, after_s=0.01 * n) for n, job in enumerate(routes[:count])]
         state = lab.run_for(asked, SUBMITTED_S)
-        return ForecastRequest(picture(state), state.recorded_at, Hindsight())
+        return ForecastRequest(encode_picture(state), state.recorded_at, Hindsight())
     finally:
         lab.close()
 

@@ -27,7 +27,7 @@ from labos.core.labware import LabwareRemoved, StationDeclared
 from labos.core.registry import Event, decode
 from labos.core.resources import LevelSet
 from labos.core.runs import RunSubmitted
-from labos.core.state import LabState, fold_fingerprint, picture
+from labos.core.state import LabState, encode_picture, fold_fingerprint
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Ledger, fold, load
@@ -194,7 +194,7 @@ def measure(events: int = 1_000_000, rounds: int = 3, tail: int = 50_000) -> Rep
         path = folder / "labos.db"
         store = open_store(f"sqlite:///{path}", home=path.parent)
         state, counts, wrote = write_log(store, events, pattern)
-        wanted = picture(state)
+        wanted = encode_picture(state)
         ratios: list[float] = []
         ours: list[Took] = []
         limits: list[Took] = []
@@ -207,7 +207,7 @@ def measure(events: int = 1_000_000, rounds: int = 3, tail: int = 50_000) -> Rep
             folded, number = load(store, snapshots=False)
             ours.append(Took(time.perf_counter() - began, time.process_time() - worked))
             assert number == events
-            assert picture(folded) == wanted, "the fold does not repeat itself"
+            assert encode_picture(folded) == wanted, "the fold does not repeat itself"
             ratios.append(ours[-1].cpu_s / limits[-1].cpu_s)
             began = time.perf_counter()
             for _ in store.replay():
@@ -220,7 +220,7 @@ def measure(events: int = 1_000_000, rounds: int = 3, tail: int = 50_000) -> Rep
         early = LabState()
         fold(early, store.read(upto=at))
         record = next(store.read(after=at - 1, upto=at))
-        store.save_snapshot(at, record.hash, fold_fingerprint(), picture(early))
+        store.save_snapshot(at, record.hash, fold_fingerprint(), encode_picture(early))
         store.close()
         starts = [asyncio.run(ready(path)) for _ in range(rounds)]
         size = path.stat().st_size

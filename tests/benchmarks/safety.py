@@ -47,11 +47,13 @@ class TimedSafety(Safety):
         super().__init__()
         self.taken: list[tuple[int, float, bool]] = []
 
-    def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
+    def list_trapped(
+        self, state: LabState, run: RunState, step: int, *, only_asking: bool = False
+    ) -> list[str]:
         began = time.thread_time()
-        trapped = super().traps(state, run, step, only_asking=only_asking)
+        trapped = super().list_trapped(state, run, step, only_asking=only_asking)
         took = time.thread_time() - began
-        actors = len(self.actors(state, state.runs.plan_of(run).workcell))
+        actors = len(self.list_actors(state, state.runs.plan_of(run).workcell))
         self.taken.append((actors + (run.status == "queued"), took, bool(trapped)))
         return trapped
 

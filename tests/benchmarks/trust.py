@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import msgspec
 
 from labos.core.envelope import GENESIS, Record, find_damage, seal
-from labos.core.merkle import Tree, inclusion_ranges, proof_of
+from labos.core.merkle import Tree, list_inclusion_ranges, make_proof
 from labos.ports import Head
 from labos.services.trust.tree import StoredTree, grow
 from tests.benchmarks.figures import Figure, Report, median, times
@@ -55,7 +55,9 @@ def _measure(size: int, new: int) -> Report:
     added = _cost(lambda: grow(log, begun)) / new  # type: ignore[arg-type]
     leaves = grow(log, StoredTree()).added  # type: ignore[arg-type]
     tree = Tree(leaves)
-    proof = _cost(lambda: [proof_of(inclusion_ranges(at, size), tree.hash_of) for at in range(100)]) / 100
+    proof = (
+        _cost(lambda: [make_proof(list_inclusion_ranges(at, size), tree.hash_of) for at in range(100)]) / 100
+    )
     made = _cost(lambda: Tree(leaves))
     return Report(
         [

@@ -8,7 +8,7 @@ from typing import get_args
 
 import msgspec
 
-from labos.core.machines import MACHINES, Transition, arrows
+from labos.core.machines import MACHINES, Transition, list_arrows
 from labos.core.reasons import AnyReason
 from labos.core.topics import AnyTopic
 from tests.support.topics import TOPICS
@@ -26,7 +26,7 @@ def machines() -> str:
 def draw_arrows(rows: tuple[Transition, ...]) -> str:
     """Arrows between two statuses are one, named by all their events."""
     found: dict[tuple[str, str], list[str]] = {}
-    for event, before, after in arrows(rows):
+    for event, before, after in list_arrows(rows):
         found.setdefault((before, after), []).append(event)
     lines = [
         f"    {_node(before)} --> {_node(after)}: {', '.join(dict.fromkeys(events))}"

@@ -19,10 +19,10 @@ from typing import Any
 import click
 import msgspec
 
-from labos.audit.tables import VIEWS, Table, view_columns
+from labos.audit.tables import VIEWS, Table, list_view_columns
 from labos.cli._exit import CODES
 from labos.cli.app import group
-from labos.cli.schema import schema_text
+from labos.cli.schema import write_schema
 from labos.core import (
     approvals,
     campaigns,
@@ -41,9 +41,9 @@ from labos.core.effects import AnyEffect
 from labos.core.registry import TYPES
 from labos.core.state import LabState
 from labos.core.topics import AnyTopic
-from labos.core.words import fields_of_words
+from labos.core.words import find_fields_of_words
 from labos.node import protocol
-from labos.spec.describing import load_description, variant
+from labos.spec.describing import apply_variant, load_description
 from labos.spec.description import DescriptionFile
 from labos.spec.schema import FILES
 from labos.telemetry.api import ApiMetrics
@@ -225,7 +225,7 @@ def _fields(kind: type[msgspec.Struct]) -> str:
     fields = msgspec.structs.fields(kind)
     if not fields:
         return "No fields."
-    words = fields_of_words(kind)
+    words = find_fields_of_words(kind)
     rows = [
         (
             f"`{field.encode_name}`",
@@ -304,7 +304,7 @@ def sizes() -> str:
         file = load_description(path)
         rows += [
             _size(file.driver, file),
-            *(_size(f"{file.driver}, {n}", variant(file, n)) for n in file.variants),
+            *(_size(f"{file.driver}, {n}", apply_variant(file, n)) for n in file.variants),
         ]
     head = (
         "driver",
@@ -343,7 +343,7 @@ def views() -> str:
 
 
 def _one_view(table: Table) -> str:
-    rows = [(f"`{column.name}`", column.kind, column.about) for column in view_columns(table)]
+    rows = [(f"`{column.name}`", column.kind, column.about) for column in list_view_columns(table)]
     return f"## {table.view}\n\n{table.about}\n\n{_table(('column', 'kind', 'what it says'), rows)}\n"
 
 
@@ -416,7 +416,7 @@ def renew(text: str) -> str:
 
 def schemas() -> dict[Path, str]:
     """The published JSON Schemas, by file."""
-    return {REFERENCE / "schemas" / f"{kind}.json": schema_text(kind) for kind in FILES}
+    return {REFERENCE / "schemas" / f"{kind}.json": write_schema(kind) for kind in FILES}
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from labos.cli.app import main
 from labos.core.ids import RunId
-from labos.core.signatures import RunSigned, digest_of_records
+from labos.core.signatures import RunSigned, make_digest_of_records
 from tests.docs.markdown import DOCS, blocks
 from tests.docs.test_tutorial import check_output
 from tests.support.audited import audit_lab
@@ -23,7 +23,7 @@ def test_the_day_goes_as_the_page_tells(
 ) -> None:
     book = audit_lab()
     envelopes = [record.envelope for record in book.records if record.head.stream == "R3"]
-    digest = digest_of_records(envelopes)
+    digest = make_digest_of_records(envelopes)
     signed = RunSigned(RunId("R3"), "ada", "reviewed", len(envelopes), digest, "password", "volumes checked")
     book.write([signed], "ada")
     book.save(tmp_path / "lab")

@@ -151,7 +151,7 @@ def test_the_six_operations_are_told() -> None:
 
 def test_the_commands_of_admin_are_told() -> None:
     told = first_codes(section(page("node-protocol.md"), "Commands of admin"))
-    assert sorted(told) == sorted(Admin.commands(Admin.__new__(Admin)))
+    assert sorted(told) == sorted(Admin.list_commands(Admin.__new__(Admin)))
 
 
 # -- settings ----------------------------------------------------------------------------------

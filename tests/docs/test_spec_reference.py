@@ -27,7 +27,7 @@ from labos.spec import (
     parse_workcell,
     parse_workflow,
 )
-from labos.spec.dialects import kind_of
+from labos.spec.dialects import detect_kind
 from labos.spec.durations import SECONDS
 from labos.spec.importing import import_spec
 from labos.spec.models import (
@@ -114,7 +114,7 @@ def test_workflows_on_the_page_of_workcells_compile() -> None:
 
 @pytest.mark.parametrize("block", examples(WORKCELL))
 def test_workcell_examples_compile(block: Block) -> None:
-    if kind_of(parse_workflow(block.text, block.title))[0] == "labware":
+    if detect_kind(parse_workflow(block.text, block.title))[0] == "labware":
         assert load_labware(parse_workflow(block.text, block.title))
         return
     beside = {b.title: b.text.encode() for b in blocks(WORKCELL.read_text()) if b.title}
@@ -132,7 +132,7 @@ def test_examples_of_other_labs_load_and_are_rewritten(block: Block) -> None:
         source = next(b for b in blocks(DIALECTS.read_text()) if b.title == origin)
         assert import_spec(parse_workflow(source.text, origin), drivers()).text == block.text
         return
-    kind, dialect = kind_of(parse_workflow(block.text, block.title))
+    kind, dialect = detect_kind(parse_workflow(block.text, block.title))
     assert dialect != "labos"
     if kind == "workflow":
         check(block, lambda: compile_example(block))

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from labos.core.wells import well_index
+from labos.core.wells import parse_well
 from labos.errors import DeviceError, HalfReply, LinkLost, NotConnected, WrongDevice
 from labos.node import Attachment, World
 from labos.node.node import Setup
@@ -52,7 +52,7 @@ def picture(result: Attachment | str) -> Any:
 
 def color(shown: Any, well: str) -> tuple[float, float, float]:
     """Red, green and blue in the middle of a well of a rendered plate, wherever in its nest that lies."""
-    x, y = project(centre_of(*well_index(well)), (WIDTH, HEIGHT))
+    x, y = project(centre_of(*parse_well(well)), (WIDTH, HEIGHT))
     here = shown[round(y) - 4 : round(y) + 4, round(x) - 4 : round(x) + 4]
     blue, green, red = numpy.median(here, axis=(0, 1))  # the lamp is seen in a part of it
     return red, green, blue

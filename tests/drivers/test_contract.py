@@ -20,7 +20,7 @@ from labos.node import DeviceError, Node, Setup, World
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
 from labos.node.server import NodeServer
-from labos.spec.amounts import arguments_of
+from labos.spec.amounts import list_arguments
 from labos.spec.describing import load_description, places
 from labos.torture import find_declaration
 from labos.torture.cases import cases_of, list_wrong_args
@@ -228,7 +228,7 @@ def test_effects_fill_in(about: Description) -> None:
     for action, effect in each_effect(about):
         args = {arg.name: arg.default if not arg.required else arg.minimum or arg.name for arg in action.args}
         if isinstance(effect, Consumes) and isinstance(effect.amount, str):
-            decisive = arguments_of(effect.amount)
+            decisive = list_arguments(effect.amount)
             assert decisive, action.name
             assert decisive <= args.keys(), action.name
             continue

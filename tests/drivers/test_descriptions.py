@@ -17,12 +17,19 @@ import pytest
 import trimesh
 
 from labos.bootstrap import load_driver
-from labos.spec.describing import for_model, load_description, parts_at, places, places_at, variant
+from labos.spec.describing import (
+    apply_model,
+    apply_variant,
+    load_description,
+    locate_parts,
+    locate_places,
+    places,
+)
 from labos.spec.description import BASE, DescriptionFile
 from labos.spec.frames import frame, from_quaternion
-from labos.spec.schema import schema_of
-from labos.spec.source import plain, read
-from labos.spec.urdf import station_link
+from labos.spec.schema import make_schema
+from labos.spec.source import make_plain, read
+from labos.spec.urdf import name_station_link
 from labos_drivers.pf400 import kinematics, protocol
 from tests.support.robots import parse_robot, poses, write_robot
 
@@ -35,7 +42,7 @@ def list_descriptions(name: str) -> Iterator[tuple[str, DescriptionFile]]:
     file = load_description(DRIVERS / name / "description.yaml")
     yield name, file
     for other in file.variants:
-        yield f"{name}-{other}", variant(file, other)
+        yield f"{name}-{other}", apply_variant(file, other)
 
 
 FILES = dict(pair for name in FOLDERS for pair in list_descriptions(name))
@@ -94,8 +101,8 @@ def test_variants_are_of_models_that_the_driver_serves(file: DescriptionFile) ->
 def test_it_fits_the_published_schema(name: str) -> None:
     jsonschema = pytest.importorskip("jsonschema")
     path = DRIVERS / name / "description.yaml"
-    validator = jsonschema.Draft202012Validator(schema_of("description"))
-    assert [error.message for error in validator.iter_errors(plain(read(path).data))] == []
+    validator = jsonschema.Draft202012Validator(make_schema("description"))
+    assert [error.message for error in validator.iter_errors(make_plain(read(path).data))] == []
     schema = path.read_text("utf-8").partition("\n")[0].partition("$schema=")[2]
     assert (path.parent / schema).resolve() == ROOT / "docs/reference/schemas/description.json"
 
@@ -113,7 +120,7 @@ def still(file: DescriptionFile, name: str) -> bool:
 
 
 def test_what_stands_still_is_within_footprint_and_height(file: DescriptionFile) -> None:
-    at = parts_at(file)
+    at = locate_parts(file)
     (length, width), (x, y) = file.footprint.size_mm, file.footprint.middle_mm
     for name, part in file.parts.items():
         for shape in part.shapes if still(file, name) else ():
@@ -133,7 +140,7 @@ def test_the_hand_stays_within_reach_and_comes_near_its_ends() -> None:
         reach, gripper = file.reach, file.stations["gripper"]
         farthest, lowest, highest = 0.0, 9e9, -9e9
         for seed in range(700):
-            parts = parts_at(file, any_joints(file, seed))
+            parts = locate_parts(file, any_joints(file, seed))
             base, hand = parts[reach.on], parts[gripper.on].then(frame(gripper.at_mm))
             away = dist(base.at[:2], hand.at[:2])
             assert reach.radius_mm[0] - 1 <= away <= reach.radius_mm[1] + 1, name
@@ -152,7 +159,7 @@ def test_a_foreign_parser_finds_all_links_and_joints(file: DescriptionFile) -> N
     robot = parse_robot(file)
     assert robot.get_root() == BASE
     assert {link.name for link in robot.links} == {
-        BASE, *file.parts, *(station_link(name) for name in places(file))
+        BASE, *file.parts, *(name_station_link(name) for name in places(file))
     }  # fmt: skip
     for name, part in file.parts.items():
         joint = robot.joint_map[f"{name}_joint"]
@@ -191,7 +198,9 @@ def test_its_meshes_are_as_big_as_the_parts(file: DescriptionFile, tmp_path: Pat
 def test_a_foreign_reader_has_every_frame_where_we_have_it(file: DescriptionFile, seed: int) -> None:
     joints = any_joints(file, seed)
     theirs = poses(parse_robot(file), for_urdf(file, joints))
-    ours = parts_at(file, joints) | {station_link(n): at for n, at in places_at(file, joints).items()}
+    ours = locate_parts(file, joints) | {
+        name_station_link(n): at for n, at in locate_places(file, joints).items()
+    }
     assert theirs.keys() == ours.keys()
     for name, here in ours.items():
         assert np.allclose(theirs[name][:3, 3] * 1000, here.at, atol=1e-6), name
@@ -279,7 +288,7 @@ TAUGHT = {
 @pytest.mark.parametrize("place", TAUGHT)
 def test_taught_joints_of_a_real_workcell_lead_to_its_stations(place: str) -> None:
     """The modules' coordinates were measured, and the arm's joints taught, independently of each other."""
-    cell = plain(read(ROOT / "specs/workcells/rpl.yaml").data)
+    cell = make_plain(read(ROOT / "specs/workcells/rpl.yaml").data)
     module, station = place.split(".")
     at = {
         entry["name"]: from_quaternion([1000 * v for v in entry["coordinates"][:3]], entry["coordinates"][3:])
@@ -288,9 +297,9 @@ def test_taught_joints_of_a_real_workcell_lead_to_its_stations(place: str) -> No
     }
     column, shoulder, elbow, wrist, _, rail = cell["locations"]["pf400"][place]
     joints = {"carriage": column, "inner_link": shoulder, "outer_link": elbow, "hand": wrist, "slide": rail}
-    hand = at["pf400"].then(places_at(FILES["pf400"], joints)["gripper"])
+    hand = at["pf400"].then(locate_places(FILES["pf400"], joints)["gripper"])
     driver, within_mm = TAUGHT[place]
-    there = at[module].then(places_at(FILES[driver])[station])
+    there = at[module].then(locate_places(FILES[driver])[station])
     assert hypot(*(a - b for a, b in zip(hand.at, there.at, strict=True))) < within_mm, (hand.at, there.at)
 
 
@@ -316,7 +325,7 @@ def test_a_simulator_has_every_frame_where_we_have_it(file: DescriptionFile, tmp
                 follows = for_urdf(file, joints)[f"{part.moves.like}_joint"] * part.moves.times
                 data.joint(f"{name}_joint").qpos[0] = follows
         mujoco.mj_forward(model, data)
-        for name, here in parts_at(file, joints).items():
+        for name, here in locate_parts(file, joints).items():
             if name != BASE:
                 assert np.allclose(data.body(name).xpos * 1000, here.at, atol=1e-6), name
 
@@ -331,6 +340,6 @@ def test_a_wheel_holds_every_description(tmp_path: Path) -> None:
 
 
 def test_models_find_their_size() -> None:
-    assert for_model(FILES["ur"], "ur3").instrument.endswith("UR3e")
-    assert for_model(FILES["ur"], "ur5e").instrument.endswith("UR5e")
-    assert for_model(FILES["mir"], "MiR100").footprint.height_mm == 352
+    assert apply_model(FILES["ur"], "ur3").instrument.endswith("UR3e")
+    assert apply_model(FILES["ur"], "ur5e").instrument.endswith("UR5e")
+    assert apply_model(FILES["mir"], "MiR100").footprint.height_mm == 352

@@ -16,7 +16,7 @@ from labos.node import Setup
 from labos.node.mapping import read_table
 from labos.spec import load_workcell, parse_workcell
 from labos.spec.about import find_description
-from labos.spec.source import plain, read
+from labos.spec.source import make_plain, read
 from labos_drivers.plc.about import TABLE, describe
 from labos_drivers.plc.driver import PlcDriver
 from labos_drivers.plc.interface import HATCH, Plc
@@ -51,7 +51,7 @@ def test_what_a_module_offers_follows_from_its_mapping(tmp_path: Path) -> None:
     assert (station.name, station.access) == ("lab/hatch.nest", {"door": "open"})
     # The node is told the table itself, and makes of it what the lab was told.
     told = module.config["config"]["plc"]
-    assert told == plain(read(HATCH).data)
+    assert told == make_plain(read(HATCH).data)
     own = Plc.for_config({"plc": told}).describe()
     assert own.actions[:-1] == about.actions[: len(own.actions) - 1]
 
@@ -75,7 +75,7 @@ def test_a_value_that_says_neither_leaves_it_open(
 
 @pytest.mark.parametrize(("mode", "busy"), [(0, False), (2, True), (7, True)])
 def test_a_mode_that_is_not_known_is_no_rest(mode: int, busy: bool) -> None:
-    table = plain(read(HATCH).data) | {"state": {"busy": {"point": "fault", "is": 2, "not": 0}}}
+    table = make_plain(read(HATCH).data) | {"state": {"busy": {"point": "fault", "is": 2, "not": 0}}}
 
     class Hatch(PlcDriver):
         mapping = PlcMapping.model_validate(table)

@@ -10,7 +10,7 @@ from random import Random
 import pytest
 from PIL import Image, ImageChops, ImageStat
 
-from labos.core.wells import well_index
+from labos.core.wells import parse_well
 from labos.node import Attachment, Crash, DeviceError, Node, Setup, World
 from labos_drivers._optics import color_of
 from labos_drivers.a4s_sealer import A4sSealer
@@ -639,7 +639,7 @@ def test_a_picture_may_be_bad(trouble: str, world: World) -> None:
 
 def find_seen_color(image: Image.Image, well: str) -> tuple[float, ...]:
     """What is in the picture where the middle of a well should be."""
-    x, y = project(centre_of(*well_index(well)), image.size)
+    x, y = project(centre_of(*parse_well(well)), image.size)
     return tuple(ImageStat.Stat(image.crop((round(x) - 2, round(y) - 2, round(x) + 3, round(y) + 3))).mean)
 
 

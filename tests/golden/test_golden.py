@@ -17,7 +17,7 @@ from sqlalchemy import create_engine, text
 
 from labos.cli.app import group
 from labos.clock import SystemClock, Uuid7Ids
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.envelope import GENESIS, Record, seal
 from labos.core.ids import LabId
 from labos.errors import LogTooNew
@@ -25,7 +25,7 @@ from labos.ports import Head
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.writer import ThreadWriter
-from labos.store import check_chain, first_damage, migrate, open_store, read_segment, restore_log
+from labos.store import check_chain, find_first_damage, migrate, open_store, read_segment, restore_log
 from tests.golden.make import MAKERS, views
 
 FOLDER = Path(__file__).parent
@@ -49,7 +49,7 @@ def test_it_folds_to_what_it_folded_to_then(name: str) -> None:
     assert len(now) == len(then)
     for before, found in zip(then, now, strict=True):
         assert _differences(f"at {before['position']}", before, found) == []
-        assert canonical(found) == canonical(before)
+        assert encode_canonical(found) == encode_canonical(before)
 
 
 def _differences(path: str, then: Any, now: Any) -> list[str]:
@@ -103,7 +103,7 @@ def test_a_difference_is_seen_and_named() -> None:
 def newer(records: list[Record], kind: str, schema: int, payload: dict[str, Any]) -> Record:
     """One more record, as a later version of LabOS would write it."""
     last = records[-1].head
-    body = canonical(payload)
+    body = encode_canonical(payload)
     head = structs.replace(
         last,
         position=last.position + 1,
@@ -150,7 +150,7 @@ def test_an_old_program_refuses_a_newer_log_by_name_and_writes_nothing(
     assert named in str(told.exception)
     store = open_store(url, read_only=True)
     assert store.head().position == len(records)
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
     store.close()
 
 
@@ -205,7 +205,7 @@ def test_a_log_of_any_revision_is_brought_to_the_newest_one(
     migrate(url)
     store = open_store(url)
     assert list(store.read()) == records
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
     head = store.claim(LabId("x"), "kernel", 30.0)
     last = records[-1]
     assert head == Head(LabId(last.head.lab), len(records), last.hash, 10, last.head.recorded_at)

@@ -15,7 +15,7 @@ from labos.core.bench import Bench, Labware, Station
 from labos.core.campaigns import Campaign
 from labos.core.interventions import Intervention
 from labos.core.modules import Module
-from labos.core.runs import RunState, StepState, first_states, results_of
+from labos.core.runs import RunState, StepState, find_results, make_first_states
 from labos.core.state import LabState
 
 
@@ -105,8 +105,8 @@ def _module(module: Module) -> dict[str, Any]:
 
 def _run(state: LabState, run: RunState) -> dict[str, Any]:
     plan = state.runs.plan_of(run)
-    steps = run.steps or first_states(plan)
-    results = results_of(plan, run)
+    steps = run.steps or make_first_states(plan)
+    results = find_results(plan, run)
     return {
         "workflow": run.workflow,
         "user": run.user,

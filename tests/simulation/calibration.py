@@ -21,11 +21,11 @@ from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.envelope import Record
 from labos.core.fold import evolve
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
-from labos.core.state import LabState, from_picture, picture
-from labos.planner.lengths import quantile
+from labos.core.state import LabState, encode_picture, from_picture
+from labos.planner.lengths import find_quantile
 from labos.planning.hindsight import TARGET, Hindsight, PastForecast, TimeRange, foresee
 from labos.planning.virtual import Play, VirtualLab
-from labos.services.log import events
+from labos.services.log import decode_events
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import CELL, NODES, make_generated, pcr, route, stand
@@ -100,7 +100,7 @@ def log_of(count: int, seed: int, *, batches: bool) -> list[Record]:
 def hear(records: Sequence[Record]) -> list[Heard]:
     """What a log tells of how good forecasts are: each submission is foreseen as it was known then."""
     state, found = LabState(), list[Heard]()
-    for event, head in events(records):
+    for event, head in decode_events(records):
         evolve(state, event, head.position, head.recorded_at)
         if isinstance(event, HEARD):
             play = foresee(state, head.recorded_at) if isinstance(event, RunSubmitted) else None
@@ -135,7 +135,7 @@ def misses_with_true_durations(records: Sequence[Record]) -> list[float]:
     took: dict[tuple[str, int], int] = {}
     ended: dict[str, int] = {}
     submitted: list[int] = []
-    for event, head in events(records):
+    for event, head in decode_events(records):
         if isinstance(event, ActionRequested):
             asked[event.action] = (event.run, event.step, head.recorded_at)
         elif isinstance(event, ActionSucceeded):
@@ -146,7 +146,7 @@ def misses_with_true_durations(records: Sequence[Record]) -> list[float]:
         elif isinstance(event, RunSubmitted):
             submitted.append(head.recorded_at)
     state, found = LabState(), []
-    for event, head in events(records):
+    for event, head in decode_events(records):
         evolve(state, event, head.position, head.recorded_at)
         if not isinstance(event, RunSubmitted) or event.run not in ended:
             continue
@@ -154,7 +154,9 @@ def misses_with_true_durations(records: Sequence[Record]) -> list[float]:
         if submitted and submitted[0] <= ended[event.run]:
             continue
         lab = VirtualLab(
-            from_picture(picture(state)), head.recorded_at, lambda action, _: took[action.run, action.step]
+            from_picture(encode_picture(state)),
+            head.recorded_at,
+            lambda action, _: took[action.run, action.step],
         )
         found.append((ended[event.run] - lab.go_on().ends[event.run]) / SECOND)
     return found
@@ -200,7 +202,7 @@ def is_held(times: TimeRange, came: int) -> bool:
 
 
 def _middle(values: Sequence[float]) -> float:
-    return quantile(sorted(values), 0.5)
+    return find_quantile(sorted(values), 0.5)
 
 
 def _narrowest(values: Sequence[float]) -> float:

@@ -303,7 +303,7 @@ def run_planned(
         life.finish_due()
         life.submit_due()
         lab.pump()
-        at = life.next_time(lab.scheduler.next_deadline(lab.state))
+        at = life.next_time(lab.scheduler.find_next_deadline(lab.state))
         if at is None:
             assert not life.names or not list(life._open()), lab.describe_stuck()
             assert not life._left
@@ -322,7 +322,7 @@ def one_by_one(instance: Instance) -> Life:
         runs = [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]
         keys, lab.keys = lab.keys, set()
         lab.scheduler.note_changes(lab.state, keys)
-        for command in lab.scheduler.deadlines.due(lab.state, lab.now):
+        for command in lab.scheduler.deadlines.iterate_due(lab.state, lab.now):
             lab.do(command)
         waits: list[int] = []
         behind = [run for run in runs if run.experiment]

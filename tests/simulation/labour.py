@@ -249,7 +249,7 @@ class Witnessed(SimulatedLab):
             if module.status == "ERROR" and self._due(f"{name} in error"):
                 await self._reset(kernel, name)
         for run in list(state.runs.active.values()):
-            for _, wait in kernel.scheduler.waits(state, run, now):
+            for _, wait in kernel.scheduler.list_waits(state, run, now):
                 if wait.code == "used_up" and self._due(f"{wait.names[0]} dry after {len(self.works)}"):
                     self.world.supply(local(ModuleName(wait.names[0])), "ink", 4)
                     await kernel.execute(Replenish(ModuleName(wait.names[0]), "ink", 4, "L"), "bo")

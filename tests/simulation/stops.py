@@ -8,8 +8,8 @@ from labos.core.ids import RunId, experiment_owner
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import sentence
-from labos.planning.obstacle import obstacle
+from labos.planning.explain import describe_wait
+from labos.planning.obstacle import find_obstacle
 from labos.planning.scheduler import Scheduler
 
 KINDS = {
@@ -58,15 +58,15 @@ class _Search:
         for question in self.state.interventions.open.values():
             if question.run == run.id:
                 found.add(f"person, {question.kind}: {question.text}")
-        for _, wait in self.scheduler.waits(self.state, run, self.now):
+        for _, wait in self.scheduler.list_waits(self.state, run, self.now):
             found |= self._behind(run, wait, seen)
         return found
 
     def _behind(self, run: RunState, wait: Wait, seen: set[str]) -> set[str]:
         if wait.blocked and wait.code in KIND_OF:
-            return {f"{KIND_OF[wait.code]}, {wait.code}: {sentence(wait)}"}
+            return {f"{KIND_OF[wait.code]}, {wait.code}: {describe_wait(wait)}"}
         found: set[str] = set()
-        cause = obstacle(self.scheduler.safety, self.state, run) if wait.code == "no_way_out" else ""
+        cause = find_obstacle(self.scheduler.safety, self.state, run) if wait.code == "no_way_out" else ""
         for other in self._list_named((*wait.names, *cause.replace("experiment ", "experiment:").split())):
             if other.id != run.id:
                 found |= self.find_causes(other, seen)

@@ -109,5 +109,5 @@ def test_without_the_rule_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.slow
 def test_without_waiting_for_what_is_in_flight_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(access, "in_motion", lambda *_: [])
+    monkeypatch.setattr(access, "list_in_motion", lambda *_: [])
     assert any(run_visit(seed, QUIET)[1] for seed in range(3))

@@ -62,7 +62,7 @@ def test_in_a_storm_too() -> None:
 @pytest.mark.slow
 def test_without_the_rule_they_trap_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: safety looks only at the way on which nothing fails."""
-    monkeypatch.setattr(paths, "ways", lambda plan: branches.ways(plan)[:1])
+    monkeypatch.setattr(paths, "list_ways", lambda plan: branches.list_ways(plan)[:1])
     assert any(stalls(CROSSING, seed) for seed in range(6))
 
 
@@ -119,7 +119,7 @@ def test_results_decide_where_plates_go_and_trap_nobody() -> None:
 @pytest.mark.slow
 def test_who_counts_on_one_branch_only_is_trapped(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: safety believes that every plate is weak."""
-    monkeypatch.setattr(paths, "ways", lambda plan: branches.ways(plan)[:1])
+    monkeypatch.setattr(paths, "list_ways", lambda plan: branches.list_ways(plan)[:1])
     assert any(stalls(SORTED, seed) for seed in range(6))
 
 
@@ -133,7 +133,7 @@ def test_a_press_that_jams_is_reset_before_it_is_tried_again() -> None:
 def test_without_waiting_for_the_reset_it_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: the next try does not wait for the reset of its module."""
     monkeypatch.setitem(HANDLERS, StepRetried, _no_reset)
-    monkeypatch.setattr(fold, "TABLE", fold._table())
+    monkeypatch.setattr(fold, "TABLE", fold._make_table())
     assert any("presses while it is jammed" in crash for crash in CORNER.crashes(JAMMING, 1))
 
 

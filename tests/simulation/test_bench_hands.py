@@ -56,7 +56,7 @@ def test_in_a_storm_too() -> None:
 @pytest.mark.slow
 def test_without_the_rule_it_grips_with_a_full_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding, "check_hand", lambda state, step, source: None)
-    monkeypatch.setattr("labos.planning.moves.Mover.hand", lambda self, what: None)
+    monkeypatch.setattr("labos.planning.moves.Mover.check_hand", lambda self, what: None)
     for seed in range(3):
         crashes = CORNER.crashes(RUNS, seed)
         assert any("grips with a full hand" in crash for crash in crashes), f"seed {seed}"

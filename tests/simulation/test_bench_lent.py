@@ -125,5 +125,5 @@ def test_nobody_is_inside_for_ever(rates: FaultRates, seeds: range) -> None:
 
 
 def test_who_does_not_look_at_what_runs_need_leaves_somebody_inside(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.planning.paths._needs", lambda *_: ())
+    monkeypatch.setattr("labos.planning.paths._list_needs", lambda *_: ())
     assert any(run_lab(seed, QUIET).runs.active for seed in range(8))

@@ -133,13 +133,13 @@ def test_without_the_rule_tips_are_driven_into_lids(monkeypatch: pytest.MonkeyPa
 
 
 def test_without_room_lids_are_put_on_lids(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.StartCheck.room
+    real = binding.StartCheck.check_room
 
     def room_for_lids(self: binding.StartCheck, what: Carrying, place: StationName) -> Wait | None:
-        item = self._item(what)
+        item = self._find_item(what)
         return None if item is not None and item.type == "lid96" else real(self, what, place)
 
-    monkeypatch.setattr(binding.StartCheck, "room", room_for_lids)
+    monkeypatch.setattr(binding.StartCheck, "check_room", room_for_lids)
     monkeypatch.setattr(effects.Unlid, "room", property(lambda what: (what.via,) if what.via else ()))
     found = (crash for seed in SEEDS for crash in crashes(seed, make_bare_scheduler))
     assert any("puts a plate on a plate at sciclops.lidnest1" in crash for crash in found)

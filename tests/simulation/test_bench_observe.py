@@ -54,12 +54,12 @@ def test_a_log_that_takes_silence_for_nothing_done_is_wrong(
     motion: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The mutant: a failure that says nothing counts as one that moved nothing."""
-    true = actions.effect_events
+    true = actions.list_effect_events
 
     def careless(state: LabState, action: Any, done: str, why: str, result: object = None) -> Any:
         return true(state, action, "all" if done == "all" else "none", why)
 
-    monkeypatch.setattr(actions, "effect_events", careless)
+    monkeypatch.setattr(actions, "list_effect_events", careless)
     monkeypatch.setattr(Reconciler, "on_reopened", lambda self: None)
     assert live_through(motion, "silent after") != []
     assert live_through(motion, "half") != []
@@ -125,8 +125,8 @@ def test_a_lab_that_does_not_look_waits_for_a_person(monkeypatch: pytest.MonkeyP
 
 def test_a_lab_that_does_not_narrow_waits_for_a_person_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: a place seen empty stays a possible one."""
-    monkeypatch.setattr(Sight, "empty", lambda self, place: None)
-    monkeypatch.setattr(Sight, "stands", lambda self, labware, place: None)
+    monkeypatch.setattr(Sight, "add_empty", lambda self, place: None)
+    monkeypatch.setattr(Sight, "add_standing", lambda self, labware, place: None)
     _, lab = kill_in_motion(25.0)
     try:
         assert "j" not in lab.done_jobs
@@ -142,7 +142,7 @@ def test_a_lab_that_narrows_too_far_believes_what_is_not_so(monkeypatch: pytest.
             self._left[name] = [other for other in self._left[name] if other != place][-1:]
         self._conclude()
 
-    monkeypatch.setattr(Sight, "empty", hastily)
+    monkeypatch.setattr(Sight, "add_empty", hastily)
     wrong: list[str] = []
     for after_s in (5.0, 13.0, 17.0, 25.0):
         state, lab = kill_in_motion(after_s)

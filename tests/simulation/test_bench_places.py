@@ -9,7 +9,7 @@ import pytest
 
 from labos.core import binding
 from labos.core.bench import Labware
-from labos.core.binding import party
+from labos.core.binding import list_party
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
 from labos.core.runs import RunFailed, RunState
@@ -262,7 +262,9 @@ def test_with_two_hands_at_a_stack_nobody_knows_what_is_on_top(monkeypatch: pyte
 def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     def anywhere(state: LabState, run: RunState, place: StationName, _: object = ()) -> Labware | None:
         standing = [state.bench.labware[name] for name in state.bench.stations[place].labware]
-        return next((i for owner in party(run) for i in standing if i.owner == owner and not i.moving), None)
+        return next(
+            (i for owner in list_party(run) for i in standing if i.owner == owner and not i.moving), None
+        )
 
     monkeypatch.setattr(binding, "find_usable", anywhere)
     found = [CORNER.run_anyhow(OVER_THE_PILE, seed, plan_with=make_bare_scheduler)[1] for seed in SEEDS]
@@ -304,7 +306,7 @@ def test_without_types_a_plate_is_crushed(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding.StartCheck, "setpoint", lambda self, claims: None)
+    monkeypatch.setattr(binding.StartCheck, "check_setpoint", lambda self, claims: None)
     found = (CORNER.run_anyhow(IN_THE_OVEN, seed, plan_with=make_bare_scheduler)[0] for seed in range(4))
     assert any("bakes at" in crash for crashes in found for crash in crashes)
 

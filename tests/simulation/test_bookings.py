@@ -22,7 +22,7 @@ from labos.core.model import Plan, Workcell
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
 from labos.core.shares import Group, Member
-from labos.core.state import state_hash
+from labos.core.state import hash_state
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
 from labos.testing.stand import Meddle
@@ -199,7 +199,7 @@ class Day(Driver):
     def go_on(self) -> bool:
         """To the next end of an action, or the next time that somebody waits for; False if there is none."""
         times = [self.ends[0][0]] if self.ends else []
-        deadline = self.scheduler.next_deadline(self.state)
+        deadline = self.scheduler.find_next_deadline(self.state)
         times += [deadline] if deadline is not None else []
         if not times:
             return False
@@ -302,7 +302,7 @@ def run_with_bookings(seed: int, rates: FaultRates) -> int:
     try:
         state = lab.run([pcr("j0", "ada"), *mix(seed, largest=4)[1:]], limit_s=5 * 86_400.0)
         assert lab.differences(state) == [], f"seed {seed}"
-        assert state_hash(fold_again(lab.store.records)) == state_hash(state)
+        assert hash_state(fold_again(lab.store.records)) == hash_state(state)
         return _check_against_log(lab.store.records)
     finally:
         lab.close()

@@ -48,7 +48,9 @@ def each_step(others: int, steps: Iterable[int] = range(STEPS)) -> None:
         assert count["run.cancelled"] == count["run.leaving"] == out, f"step {step}"
         assert count["run.completed"] == others + (not out)
         assert count["intervention.requested"] == 0
-        places = {local(state.bench.as_planned(item.station)) for item in state.bench.labware.values()}
+        places = {
+            local(state.bench.find_planned_place(item.station)) for item in state.bench.labware.values()
+        }
         assert places <= {"sciclops.tower2", "wc.output"}, f"step {step}: {places}"
 
 

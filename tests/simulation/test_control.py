@@ -42,7 +42,9 @@ def live_through(
         assert lab.differences(state) == [], f"step {step}"
         assert lab.world.crashes() == [], f"step {step}"
         assert not state.interventions.open, f"step {step}"
-        places = {local(state.bench.as_planned(item.station)) for item in state.bench.labware.values()}
+        places = {
+            local(state.bench.find_planned_place(item.station)) for item in state.bench.labware.values()
+        }
         assert places <= {"sciclops.tower2", "wc.output"}, f"step {step}: {places}"
         heads = [record.head for record in lab.store.records if not is_sent_again(record)]
         told = [(head.type, head.recorded_at, head.stream) for head in heads]

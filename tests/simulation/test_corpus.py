@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from labos.core.arguments import names_of
+from labos.core.arguments import list_names
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import local
@@ -19,9 +19,9 @@ from labos.errors import SpecError
 from labos.spec import Compiled, CompiledWorkcell, SpecErrors, compile_workcell, compile_workflow
 from labos.spec.about import find_description
 from labos.spec.dialects import find_kind
-from labos.spec.references import keys_in
+from labos.spec.references import list_keys
 from labos.spec.source import Source, read
-from labos.spec.uses import read_uses, workflow_in, workflows_by_workcell
+from labos.spec.uses import read_uses, read_workflow, sort_workflows_by_workcell
 from labos.spec.workflow import StartingLabware
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab, Stand
@@ -65,7 +65,7 @@ def cases() -> list[Case]:
     by_file = {source.file: source for source in sources}
     found = {
         flow.file: Case(flow, by_file[cell])
-        for cell, flows in workflows_by_workcell(sources).items()
+        for cell, flows in sort_workflows_by_workcell(sources).items()
         for flow in flows
     }
     return [found[file] for file in sorted(found)]
@@ -82,7 +82,7 @@ def compile_case(case: Case) -> tuple[CompiledWorkcell, Compiled, dict[str, Any]
 def payload_for(flow: Source, cell: CompiledWorkcell) -> dict[str, Any]:
     """What an application would send: something that fits each argument."""
     modules = {local(module.name): module for module in cell.workcell.modules}
-    file = workflow_in(flow)[1]
+    file = read_workflow(flow)[1]
     assert file is not None
     found: dict[str, Any] = {}
     for step in file.steps:
@@ -90,8 +90,8 @@ def payload_for(flow: Source, cell: CompiledWorkcell) -> dict[str, Any]:
         offers = find_description(module, DESCRIPTIONS) if module is not None else None
         action = offers.action(step.action) if offers is not None else None
         for name, value in step.args.items():
-            arg = names_of(action).get(name) if action is not None else None
-            for key in keys_in(value):
+            arg = list_names(action).get(name) if action is not None else None
+            for key in list_keys(value):
                 *tables, last = key.split(".")
                 here = found
                 for table in tables:

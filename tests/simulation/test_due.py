@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from labos.core.registry import decode
 from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
-from labos.core.state import state_hash
+from labos.core.state import hash_state
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import Job, SimulatedLab
 from labos.testing.loop import BASE_NS
@@ -40,7 +40,7 @@ def live_through(seed: int, jobs: list[Job], rates: FaultRates) -> None:
         assert not state.runs.queued
         faults = [fault for kernel in lab.opened for fault in kernel.faults]
         assert not faults, f"seed {seed}: {faults}"
-        assert state_hash(fold_again(lab.store.records)) == state_hash(state)
+        assert hash_state(fold_again(lab.store.records)) == hash_state(state)
     finally:
         lab.close()
 

@@ -44,7 +44,7 @@ class Silent(SimulatedLab):
 
 def is_asked_or_over(state: LabState, name: ExperimentId) -> bool:
     found = state.experiments.open.get(name)
-    return found is None or found.status != "open" or state.interventions.about(name) is not None
+    return found is None or found.status != "open" or state.interventions.find_about(name) is not None
 
 
 def application(name: str, mixes: int, after_s: float) -> Job:

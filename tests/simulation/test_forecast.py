@@ -10,8 +10,8 @@ from labos.core.ids import local
 from labos.core.runs import PENDING, RunSubmitted
 from labos.core.state import LabState
 from labos.runtime.ledger import fold
-from labos.services.inventory import Inventory, Shortfall, inventory, list_shortfalls
-from labos.services.log import events
+from labos.services.inventory import Inventory, Shortfall, count_inventory, list_shortfalls
+from labos.services.log import decode_events
 from labos.services.times import iso_time
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab
@@ -57,7 +57,7 @@ def compare_inventories(
         waits = {
             run.id: {
                 ":".join(map(str, wait.names[:2]))
-                for _, wait in kernel.scheduler.waits(end, run, kernel.clock.now_ns())
+                for _, wait in kernel.scheduler.list_waits(end, run, kernel.clock.now_ns())
                 if wait.code in ("used_up", "stack_empty")
             }
             for run in runs
@@ -66,10 +66,10 @@ def compare_inventories(
         records = list(lab.store.read())
     finally:
         lab.close()
-    submitted = [head.position for event, head in events(records) if isinstance(event, RunSubmitted)]
+    submitted = [head.position for event, head in decode_events(records) if isinstance(event, RunSubmitted)]
     before = LabState()
     fold(before, records[: submitted[len(kinds) - 1]])
-    return inventory(before, before.recorded_at, iso_time(before.recorded_at)[:10]), end, waits
+    return count_inventory(before, before.recorded_at, iso_time(before.recorded_at)[:10]), end, waits
 
 
 def in_turn(asked: list[Job]) -> list[Job]:

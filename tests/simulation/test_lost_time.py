@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from labos.services.losses import LossAccount, Losses, account
+from labos.services.losses import LossAccount, Losses, sum_losses
 from labos.testing.lab import SimulatedLab, make_cancellers
 from labos.testing.loop import BASE_NS
 from tests.simulation.labour import MISHAPS, SECOND, Day, Witnessed, beside
@@ -39,7 +39,7 @@ def compare(seed: int) -> Counter[str]:
     lab = Witnessed(seed, day)
     try:
         lab.live(day.run())
-        found = account(lab.store.records)
+        found = sum_losses(lab.store.records)
         adds_up(found)
         truth, told = lab.truth(), list_charged(found.runs["R1"])
         wrong = {
@@ -67,7 +67,7 @@ def test_the_lab_is_at_work_while_one_of_its_devices_is() -> None:
         lab = Witnessed(seed, Day(seed, without=("paused", "hands", "no kernel")))
         try:
             lab.live(lab.day.run(), beside(4))
-            found = account(lab.store.records)
+            found = sum_losses(lab.store.records)
             adds_up(found)
             assert found.lab.at_work_ns / SECOND == pytest.approx(lab.is_working(), abs=2.0), f"seed {seed}"
             assert found.runs["R1"].lost_ns > found.lab.lost_ns > 0, "what one run lost, another used"
@@ -115,7 +115,7 @@ def soundly_charged(seed: int) -> Counter[str]:
             lab.world.fit(place, kind, grip)
     try:
         lab.run_for(jobs, WEEK_S)
-        found = account(lab.store.records)
+        found = sum_losses(lab.store.records)
         adds_up(found)
         tally = Counter[str]()
         for spell in found.intervals:

@@ -14,7 +14,7 @@ from labos.core.actions import ActionEvent, ActionRequested
 from labos.core.ids import local
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
-from labos.core.state import LabState, state_hash
+from labos.core.state import LabState, hash_state
 from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
 from labos.testing.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
@@ -40,7 +40,7 @@ def live_through(seed: int, rates: FaultRates) -> tuple[LabState, Faults]:
         assert not state.runs.queued
         faults = [fault for kernel in lab.opened for fault in kernel.faults]
         assert not faults, f"seed {seed}: {faults}"
-        assert state_hash(fold_again(lab.store.records)) == state_hash(state)
+        assert hash_state(fold_again(lab.store.records)) == hash_state(state)
         return state, lab.faults
     finally:
         lab.close()
@@ -194,7 +194,7 @@ def outlive(seed: int, module: str) -> Counter[str]:
         submitted = sum(record.head.type == RunSubmitted.TYPE for record in lab.store.records)
         left = len(state.runs.active) + len(state.runs.queued)
         safety = Safety()
-        actors = safety.actors(state, stand().workcell.name)
+        actors = safety.list_actors(state, stand().workcell.name)
         floor = lay_out(state, stand().workcell.name, actors, hopeful=False)
         names = {str(run) for run in state.runs.active}
         _, ends = safety.find(floor, actors, set())

@@ -27,7 +27,7 @@ class _Endless(OvertakeCounts):
     def is_over(self, run: RunId) -> bool:
         return False
 
-    def keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+    def find_who_keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
         return None
 
 

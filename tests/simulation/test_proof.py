@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.core.state import LabState, state_hash
+from labos.core.state import LabState, hash_state
 from labos.runtime.ledger import fold
 from labos.store import read_segment
 from tests.simulation.proof.__main__ import seeds_of
@@ -35,7 +35,7 @@ def test_a_saved_day_is_a_log_that_can_be_stepped_through(tmp_path: Path) -> Non
     day = live(2, tmp_path / "seed-2.jsonl")
     state = LabState()
     fold(state, read_segment(tmp_path / "seed-2.jsonl"))
-    assert day.hash.endswith(state_hash(state)[:16])
+    assert day.hash.endswith(hash_state(state)[:16])
 
 
 @pytest.mark.timeout(600)

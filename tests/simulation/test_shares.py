@@ -98,7 +98,7 @@ class Facility(Driver):
 
     def shares(self) -> dict[str, float]:
         """Which part of the module time each user has had."""
-        spent = {user: had.week.lab_ns(self.now) for user, had in self.state.shares.had.items()}
+        spent = {user: had.week.sum_lab_ns(self.now) for user, had in self.state.shares.had.items()}
         return {user: ns / sum(spent.values()) for user, ns in spent.items()}
 
 

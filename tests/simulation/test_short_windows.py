@@ -8,7 +8,7 @@ import pytest
 from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ActionId
 from labos.core.model import Plan, Window
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from tests.benchmarks.windows import Count, count
 from tests.simulation.clocked import Instance, judge, one_by_one, run_planned
 from tests.support.bench import SECOND, Driver, hold, move, plan, small, step, take
@@ -73,7 +73,7 @@ def make_dosed(takes_s: float, within_s: float) -> Plan:
 
 def why(lab: Driver, run: str, index: int = 0) -> str:
     wait = lab.scheduler.check_start(lab.state, lab.run(run), index, lab.now, only_asking=True)
-    return "" if wait is None else sentence(wait)
+    return "" if wait is None else describe_wait(wait)
 
 
 @pytest.mark.parametrize("within_s", [1.0, 20.0, 179.0])
@@ -111,7 +111,7 @@ def test_a_clock_waits_for_what_follows_at_the_end_of_a_chain() -> None:
     run = lab.submit(chain)
     assert lab.pump() == []
     assert why(lab, run) == "if 'one' started now, 'four' could not start in time"
-    assert lab.scheduler.next_deadline(lab.state) is not None
+    assert lab.scheduler.find_next_deadline(lab.state) is not None
     order = live(lab)
     assert order == [f"{run}#{index}" for index in range(4)]
     assert "window.breached" not in lab.types()
@@ -123,7 +123,7 @@ def live(lab: Driver) -> list[str]:
     for _ in range(100):
         order += lab.pump()
         ends = {name: _ends_at(lab, name) for name in lab.list_flying()}
-        alarm = lab.scheduler.next_deadline(lab.state)
+        alarm = lab.scheduler.find_next_deadline(lab.state)
         times = [*ends.values(), *([alarm] if alarm is not None else [])]
         if not times:
             return order
@@ -178,7 +178,7 @@ def test_who_waits_for_a_better_time_goes_on_when_nobody_else_does() -> None:
     lab.do(PauseRun(lab.run(sitting).id))
     assert lab.pump() == []
     assert why(lab, run, 1) == "if 'dose' started now, 'read' could not start in time"
-    lab.now = lab.scheduler.next_deadline(lab.state) or 0
+    lab.now = lab.scheduler.find_next_deadline(lab.state) or 0
     assert lab.pump() == [f"{run}#1"]
     lab.wait(10.0)
     lab.finish(lab.list_flying()[0])

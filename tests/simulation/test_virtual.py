@@ -12,7 +12,7 @@ from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import RunId
 from labos.core.runs import RunCompleted, RunStarted
-from labos.core.state import from_picture, picture
+from labos.core.state import encode_picture, from_picture
 from labos.planning.hindsight import ENOUGH, Hindsight, PastForecast
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.virtual import MOST_RUNS, Play, VirtualLab, keep_first
@@ -37,9 +37,9 @@ HOUR = 3600 * SECOND
 
 def carry_on(lab: Driver) -> Play:
     """The play with the nominal durations, which leaves the lab as it is."""
-    before = picture(lab.state)
+    before = encode_picture(lab.state)
     told = VirtualLab(from_picture(before), lab.now, lambda _, step: int(step.duration_s * SECOND)).go_on()
-    assert picture(lab.state) == before
+    assert encode_picture(lab.state) == before
     return told
 
 
@@ -49,7 +49,7 @@ def goes_on(life: Life) -> None:
     for _ in range(20_000):
         life.finish_due()
         lab.pump()
-        at = life.next_time(lab.scheduler.next_deadline(lab.state))
+        at = life.next_time(lab.scheduler.find_next_deadline(lab.state))
         if at is None:
             return
         lab.now = at
@@ -106,7 +106,7 @@ PRINT = plan(
 
 
 def make_request(lab: Driver, **more: object) -> ForecastRequest:
-    return ForecastRequest(picture(lab.state), lab.now, **more)  # type: ignore[arg-type]
+    return ForecastRequest(encode_picture(lab.state), lab.now, **more)  # type: ignore[arg-type]
 
 
 def test_what_is_used_up_calls_a_person_when_the_first_run_needs_it() -> None:
@@ -184,9 +184,9 @@ def test_whoever_goes_first_delays_the_others() -> None:
     lab = small()
     for _ in range(3):
         lab.submit(PRINT)
-    before = picture(lab.state)
+    before = encode_picture(lab.state)
     told = forecast_lab(make_request(lab, new=SubmitRun(PRINT, "bo", priority=5), actor="labos"))
-    assert picture(lab.state) == before
+    assert encode_picture(lab.state) == before
     assert len(told.new) == 1
     assert {delay.run: delay.by_s for delay in told.delays} == dict.fromkeys(("R1", "R2", "R3"), 120.0)
     last = forecast_lab(make_request(lab, new=SubmitRun(PRINT, "ada"), actor="labos"))
@@ -258,7 +258,7 @@ def test_of_ten_thousand_runs_that_wait_a_bounded_part_is_looked_at() -> None:
     lab.careful = False
     for number in range(10_000):
         lab.submit(PRINT, user="greedy" if number < 9_990 else "late")
-    state = from_picture(picture(lab.state))
+    state = from_picture(encode_picture(lab.state))
     assert keep_first(state) == 10_000 - MOST_RUNS
     assert sum(run.user == "late" for run in state.runs.queued.values()) == 10, "each user has a turn"
     told = VirtualLab(state, lab.now, lambda _, step: int(step.duration_s * SECOND), most_steps=20).go_on()
@@ -268,5 +268,5 @@ def test_of_ten_thousand_runs_that_wait_a_bounded_part_is_looked_at() -> None:
 
 def test_a_rejected_row_is_no_reason_to_fail() -> None:
     lab = small()
-    virtual = VirtualLab(from_picture(picture(lab.state)), lab.now, lambda *_: SECOND)
+    virtual = VirtualLab(from_picture(encode_picture(lab.state)), lab.now, lambda *_: SECOND)
     assert isinstance(virtual.submit(SubmitRun(replace(PRINT, workcell="other"), "ada"), "labos"), Rejection)

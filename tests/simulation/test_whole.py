@@ -12,7 +12,7 @@ from collections import Counter
 import pytest
 
 from labos.core.runs import RunLeaving, RunSubmitted
-from labos.core.state import LabState, state_hash
+from labos.core.state import LabState, hash_state
 from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
 from labos.testing.faults import QUIET, STORMY, FaultRates
@@ -42,7 +42,7 @@ def weather(seed: int) -> tuple[FaultRates, dict[str, float], dict[str, float]]:
 def could_still_end(state: LabState) -> set[str]:
     """Who has a way to its end on the bench as it stands, whatever has died."""
     safety, cell = Safety(), stand().workcell.name
-    actors = safety.actors(state, cell)
+    actors = safety.list_actors(state, cell)
     return safety.find(lay_out(state, cell, actors, hopeful=False), actors, set())[1]
 
 
@@ -62,7 +62,7 @@ def live_through(seed: int) -> Counter[str]:
         state = lab.run_for(jobs, WEEK_S)
         wrong = lab.differences(state)
         assert not wrong, f"seed {seed}, {doomed}, {mended}: {wrong}"
-        assert state_hash(fold_again(lab.store.records)) == state_hash(state)
+        assert hash_state(fold_again(lab.store.records)) == hash_state(state)
         faults = [fault for kernel in lab.opened for fault in kernel.faults]
         assert not faults, f"seed {seed}: {faults}"
         submitted = sum(record.head.type == RunSubmitted.TYPE for record in lab.store.records)

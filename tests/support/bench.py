@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.decide import Command, Rejection, carry_out, decide
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import (
@@ -52,8 +52,8 @@ from labos.core.model import Hold, ModuleSpec, Plan, PlanStep, StationKind, Stat
 from labos.core.registry import Event, decode, encode
 from labos.core.resources import LevelSet
 from labos.core.rules import examine
-from labos.core.runs import RunState, results_of
-from labos.core.state import LabState, from_picture, picture
+from labos.core.runs import RunState, find_results
+from labos.core.state import LabState, encode_picture, from_picture
 from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler, StepStart, list_ready_steps
 from labos.planning.touch import find_touched_keys
@@ -92,7 +92,7 @@ def module(name: str, **more: Any) -> ModuleSpec:
 
 def workcell(modules: Iterable[ModuleSpec], stations: Iterable[StationSpec], name: str = CELL) -> Workcell:
     modules, stations = tuple(modules), tuple(stations)
-    return Workcell(name, digest(canonical([modules, stations])), modules, stations)
+    return Workcell(name, digest(encode_canonical([modules, stations])), modules, stations)
 
 
 def move(source: str, target: str, via: str = "") -> Move:
@@ -227,13 +227,13 @@ class Driver:
 
     def ask(self, command: Command, actor: str = "labos") -> list[Event] | Rejection:
         """Decide; fold what was decided and what follows from it, checking after every event."""
-        before = picture(self.state) if self.careful else b""
+        before = encode_picture(self.state) if self.careful else b""
         if self.careful:
             decide(self.state, command, actor)
-            assert picture(self.state) == before, f"{command} changed the state by being decided"
+            assert encode_picture(self.state) == before, f"{command} changed the state by being decided"
         answer = carry_out(self.state, command, self.write, actor)
         if isinstance(answer, Rejection):
-            assert not self.careful or picture(self.state) == before, f"{command} was refused too late"
+            assert not self.careful or encode_picture(self.state) == before, f"{command} was refused too late"
             assert answer.message.endswith("."), answer
             return answer
         for event in answer:
@@ -344,7 +344,7 @@ class Driver:
     def results(self, name: str) -> dict[int, Any]:
         """What later steps of a run read, by step."""
         run = self.run(name)
-        return results_of(self.state.runs.plan_of(run), run)
+        return find_results(self.state.runs.plan_of(run), run)
 
     def check_start(self, run: str, index: int = 0) -> Wait | tuple[AnyEffect, ...]:
         """What the rules say about a step."""
@@ -387,9 +387,9 @@ class Driver:
             keys, self.keys = self.keys, set()
             before = len(self.log)
             self.scheduler.note_changes(self.state, keys)
-            for command in self.scheduler.due(self.state, self.now):
+            for command in self.scheduler.iterate_due(self.state, self.now):
                 self.do(command)
-            for start in self.scheduler.proposals(self.state, self.now):
+            for start in self.scheduler.iterate_proposals(self.state, self.now):
                 self._begin(start)
                 started += [f"{run}#{step}" for run, step in ((start.run, start.step), *start.others)]
                 assert len(started) < limit, "planning proposes without end"
@@ -470,7 +470,7 @@ class Driver:
         fresh.reservations.windows.remember(self.scheduler.reservations.windows)
         fresh.adviser.own = copy.deepcopy(self.scheduler.adviser.own)
         fresh.window_orders.remember(self.scheduler.window_orders)
-        start = next(iter(fresh.proposals(self.state, self.now)), None)
+        start = next(iter(fresh.iterate_proposals(self.state, self.now)), None)
         return [] if start is None else [f"{start.run}#{start.step}"]
 
     def describe_stuck(self) -> str:
@@ -478,14 +478,15 @@ class Driver:
         lines = []
         for run in [*self.state.runs.active.values(), *self.state.runs.queued.values()]:
             lines += [
-                f"{run.id}#{i} {w.code} {w.names}" for i, w in Scheduler().waits(self.state, run, self.now)
+                f"{run.id}#{i} {w.code} {w.names}"
+                for i, w in Scheduler().list_waits(self.state, run, self.now)
             ]
         return "; ".join(lines) or "nothing waits"
 
     # -- the log ---------------------------------------------------------------------------------
 
     def keep_picture(self) -> None:
-        self.pictures[self.state.position] = picture(self.state)
+        self.pictures[self.state.position] = encode_picture(self.state)
 
     def check_log(self) -> None:
         """The log folds to the same state from its start and from every picture kept, in the same

@@ -18,7 +18,7 @@ from labos.core.envelope import Record
 from labos.core.state import LabState
 from labos.node.world import Motion, World
 from labos.runtime.ledger import fold
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.settings import Settings, find_kernel
 from labos.store import open_store
 from tests.support.cells import rpl_with
@@ -155,7 +155,7 @@ class Up:
         fold(state, records)
         world = World(str(self.home / "world" / "rpl.db"))
         try:
-            return differences(world, state, records)
+            return list_differences(world, state, records)
         finally:
             world.close()
 

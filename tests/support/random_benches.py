@@ -22,7 +22,7 @@ from labos.core.effects import (
     Sets,
     Take,
     Unlid,
-    places,
+    list_places,
 )
 from labos.core.fold import evolve
 from labos.core.ids import (
@@ -45,7 +45,7 @@ from labos.core.labware import (
 from labos.core.model import PlanStep, StationSpec, Workcell
 from labos.core.modules import SetpointClaimed, VariableSet
 from labos.core.registry import Event
-from labos.core.state import LabState, from_picture, picture
+from labos.core.state import LabState, encode_picture, from_picture
 from tests.support.bench import Driver, full, hold, module, plan, station, step, workcell
 
 MINE, OTHERS, USERS = run_owner(RunId("R1")), run_owner(RunId("R2")), user_owner("ada")
@@ -233,7 +233,7 @@ class RandomBench:
         motion is the first, and no effect says that."""
         while True:
             one, other = self.start_carrying(), self.start_carrying()
-            both = {*places((one,))} & {*places((other,))}
+            both = {*list_places((one,))} & {*list_places((other,))}
             if not any(self.specs[place].kind == "stack" or self.specs[place].capacity > 1 for place in both):
                 return one, other
 
@@ -276,7 +276,7 @@ class Blank:
         lab.submit(plan(step("cam", exclusive=False), step("cam", exclusive=False), name="two", holds=kept))
         lab.step("R1", 0)
         lab.step("R2", 0)
-        self.state = picture(lab.state)
+        self.state = encode_picture(lab.state)
 
     def bench(self, rng: random.Random, *, alone: bool = False) -> RandomBench:
         return RandomBench(rng, self.state, self.cell, alone=alone)

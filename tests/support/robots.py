@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from urdf_parser_py.urdf import URDF
 
 from labos.spec.description import DescriptionFile
-from labos.spec.urdf import meshes, urdf_of
+from labos.spec.urdf import make_meshes, write_urdf
 
 Array = NDArray[np.float64]
 
@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 def write_robot(file: DescriptionFile, folder: Path | None = None) -> Path:
     """A folder with the URDF, which is called robot.urdf, and its meshes."""
     folder = folder or Path(tempfile.mkdtemp())
-    (folder / "robot.urdf").write_text(urdf_of(file), "utf-8")
-    for name, content in meshes().items():
+    (folder / "robot.urdf").write_text(write_urdf(file), "utf-8")
+    for name, content in make_meshes().items():
         (folder / name).write_bytes(content)
     return folder
 
 
 def parse_robot(file: DescriptionFile) -> Any:
     """The URDF as the foreign parser has it."""
-    return URDF.from_xml_string(urdf_of(file).encode())
+    return URDF.from_xml_string(write_urdf(file).encode())
 
 
 def poses(robot: Any, joints: Mapping[str, float]) -> dict[str, Array]:

@@ -23,7 +23,7 @@ from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.node.world import Motion, World
 from labos.runtime.ledger import fold
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.store import open_store
 from tests.support.hosts import Host, Hosts
 from tests.support.lab_process import until
@@ -306,7 +306,7 @@ class Spread:
         fold(state, records)
         world = World(str(self.bench / "rpl.db"))
         try:
-            return differences(world, state, records)
+            return list_differences(world, state, records)
         finally:
             world.close()
 

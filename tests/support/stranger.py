@@ -59,7 +59,7 @@ class _Session:
 
         security = Security(Credentials(Path(folder))) if folder else None
         config = config_of(mode, (), (endpoint,), None)
-        for key, value in security.settings("client").items() if security is not None else ():
+        for key, value in security.make_settings("client").items() if security is not None else ():
             config.insert_json5(key, json.dumps(value))
         self._session: Any = zenoh.open(config)
         self._declared: list[Any] = []

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from labos.core.bench import Labware
 from labos.core.fold import evolve
 from labos.core.registry import Event
-from labos.core.runs import statuses_of
+from labos.core.runs import list_statuses
 from labos.core.state import LabState
 
 Found = dict[str, dict[tuple[str, str, str], bool]]
@@ -22,7 +22,7 @@ def statuses(state: LabState) -> dict[str, dict[str, str]]:
         "step": {
             f"{run.id}#{index}": str(status)
             for run in runs
-            for index, status in enumerate(statuses_of(state.runs.plan_of(run), run))
+            for index, status in enumerate(list_statuses(state.runs.plan_of(run), run))
         },
         "action": {action.id: str(action.status) for action in state.actions.open.values()},
         "node": {name: str(module.status) for name, module in state.modules.by_name.items()},

@@ -49,7 +49,7 @@ import pytest
 
 from labos.errors import BadInput
 from labos.settings import find_kernel
-from labos.store import lease_holder
+from labos.store import find_lease_holder
 from tests.support.lab_process import Up, labos, until
 from tests.support.postgres import free_port
 
@@ -282,7 +282,7 @@ def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
             client.submit(file, {"seal": {"tim": 3}}, user="ada")
         with pytest.raises(BadInput, match=told[0]):
             client.start_experiment("e", "ada", closing=file, payload={"seal": {"tim": 3}})
-        url = client._base()
+        url = client._find_base()
     body = {"workflow": {"text": text}, "user": "ada", "payload": {"seal": {"tim": 3}}}
     answer = httpx.post(f"{url}/api/v1/runs", json=body)
     assert answer.status_code == 422
@@ -534,9 +534,9 @@ def test_right_after_a_kill_nobody_is_refused(ended: Callable[[Path], Path], tmp
     url, up = f"sqlite:///{home}/labos.db", Up(home, "--no-nodes")
     try:
         up.start()
-        assert lease_holder(url)
+        assert find_lease_holder(url)
         up.kill()
-        assert lease_holder(url) == ""
+        assert find_lease_holder(url) == ""
         where = ("--home", str(home), "--database", url)  # a copied home names the first one's
         facts = json.loads(labos("db", "status", "--json", *where).stdout)
         assert facts["kernel"] == ""

@@ -21,7 +21,7 @@ from labos.core.ids import local
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
 from labos.node.world import World
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.spec import find_spec
 from tests.support.carried import find_carried_wrong
 from tests.support.cells import rpl_with
@@ -104,7 +104,7 @@ class Lab(kills.Lab):
         state, records = self.fold_log()
         world = World(str(self.home / "world" / "rpl.db"))
         try:
-            assert differences(world, state, records) == []
+            assert list_differences(world, state, records) == []
             assert find_carried_wrong(world, records) == []
         finally:
             world.close()

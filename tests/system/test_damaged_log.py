@@ -12,7 +12,7 @@ from labos.core.lab import WHOLE_LAB
 from labos.errors import LogDamaged
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
-from labos.store import first_damage, open_store
+from labos.store import find_first_damage, open_store
 from tests.integration.store.records import flip, raw
 
 
@@ -26,7 +26,7 @@ async def live(home: Path) -> None:
     async with open_lab(settings(home), workcells=[cell]) as lab:
         assert lab.log_check is not None
         await lab.log_check.wait()
-        assert lab.log_check.view() == {
+        assert lab.log_check.make_view() == {
             "checked": lab.log_check.total,
             "of": lab.log_check.total,
             "done": True,
@@ -73,5 +73,5 @@ def test_damage_behind_the_snapshot_keeps_the_lab_from_opening(tmp_path: Path) -
         asyncio.run(again())
     store = open_store(url)
     assert store.head().position == before.position, "nothing was written"
-    assert first_damage(store) is not None
+    assert find_first_damage(store) is not None
     store.close()

@@ -15,7 +15,7 @@ from labos.client import LabClient
 from labos.core.state import LabState
 from labos.ports import LogQuery
 from labos.runtime.ledger import fold
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.settings import Settings
 from labos.spec import load_workcell
 from tests.support.lab_process import PATIENCE_S, labos, until
@@ -68,7 +68,7 @@ class Corner:
     def differences(self) -> list[str]:
         state, records = LabState(), list(self.thread.runtime.store.read())
         fold(state, records)
-        return differences(self.thread.runtime.world("corner"), state, records)
+        return list_differences(self.thread.runtime.world("corner"), state, records)
 
 
 @pytest.fixture

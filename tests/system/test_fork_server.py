@@ -40,7 +40,7 @@ async def until(holds: Callable[[], object], patience_s: float = 30.0) -> None:
 async def all_wait(keeper: Supervisor) -> None:
     """Every node's process has come as far as it can without a lab."""
     for module, node in keeper.nodes.items():
-        log = keeper.log_of(module)
+        log = keeper.find_log(module)
         await until(lambda node=node, log=log: node.pid and "waiting_for_the_lab" in log.read_text())
 
 

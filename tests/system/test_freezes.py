@@ -24,7 +24,7 @@ from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.node.world import World
 from labos.runtime.ledger import fold
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.settings import free_port
 from labos.store import open_store
 from tests.support.cable import Cable
@@ -111,7 +111,7 @@ class Corner(Up):
         fold(state, records)
         world = World(str(self.home / "world" / "corner.db"))
         try:
-            found = differences(world, state, records)
+            found = list_differences(world, state, records)
             grips = len(world.motions("grip"))
         finally:
             world.close()
@@ -271,7 +271,7 @@ def test_frozen_at_every_point(tmp_path: Path, point: str) -> None:
         assert lab.kills == 0
         world = World(str(lab.home / "world" / "rpl.db"))
         try:
-            assert differences(world, state, records) == []
+            assert list_differences(world, state, records) == []
         finally:
             world.close()
         ended = [r.head.type for r in records if r.head.type in ("run.completed", "run.failed")]

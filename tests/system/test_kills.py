@@ -23,7 +23,7 @@ from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.node.world import World
 from labos.runtime.ledger import fold
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.settings import find_kernel
 from labos.spec import find_spec
 from labos.store import open_store
@@ -245,7 +245,7 @@ def survive(home: Path, database: str, crash: str) -> None:
             assert lab.kills == sum(point.startswith("kernel") for point in lab.crashes)
             if lab.questions:
                 assert any(point.startswith(MAY_ASK) for point in lab.crashes), lab.questions
-            assert differences(world, state, records) == []
+            assert list_differences(world, state, records) == []
             ended = [r.head.type for r in records if r.head.type in ("run.completed", "run.failed")]
             assert ended == ["run.completed"] * (2 + lab.resets)
         finally:

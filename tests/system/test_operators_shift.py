@@ -26,7 +26,7 @@ from labos.core.registry import decode
 from labos.core.state import LabState
 from labos.node.world import World
 from labos.runtime.ledger import fold
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.store import open_store
 from tests.docs.markdown import DOCS, Block, blocks
 from tests.docs.test_tutorial import Reader, Terminal, check_output
@@ -125,7 +125,7 @@ def test_a_shift_goes_as_the_page_says(operator: Operator) -> None:
     fold(state, records)
     world = World(str(operator.folder / "lab/world/corner.db"))
     try:
-        assert differences(world, state, records) == []
+        assert list_differences(world, state, records) == []
     finally:
         world.close()
 

@@ -26,7 +26,7 @@ from labos.core.ids import local
 from labos.core.state import LabState
 from labos.errors import StoreError
 from labos.node.world import World
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 from labos.settings import free_port
 from labos.spec import find_spec
 from labos.store import SqlEventStore, open_store
@@ -248,7 +248,7 @@ def outlive(lab: Lab) -> None:
 def sound(lab: Lab, world: World) -> None:
     """The bench is as the log says, in every plate; nothing was done twice and nothing is missing."""
     state, records = lab.fold_log()
-    assert differences(world, state, records) == []
+    assert list_differences(world, state, records) == []
     assert find_carried_wrong(world, records) == []
     kinds = ("run.completed", "run.failed", "run.cancelled")
     ends = Counter(record.head.type for record in records if record.head.type in kinds)

@@ -77,7 +77,7 @@ def test_a_secure_lab(lab: Up, cell: str, stranger: Stranger, tmp_path: Path) ->
         endpoint, keys = found.bus, Keys(found.lab)
         assert endpoint.startswith("tls/")
         issuing, own = authority(lab), PartyIdentity("node", PF400, found.lab)
-        listed = {entry.identity for entry in issuing.members().entries}
+        listed = {entry.identity for entry in issuing.read_members().entries}
         assert listed == {
             PartyIdentity("kernel", "", found.lab),
             PartyIdentity("node", SCICLOPS, found.lab),

@@ -38,7 +38,7 @@ def test_a_crashed_node_is_started_again(tmp_path: Path) -> None:
         keeper = supervisor(tmp_path)
         keeper.start([command("a", ENDS_WITH_PARENT)])
         node = keeper.nodes["cell/a"]
-        await until(lambda: node.pid and "up" in keeper.log_of("cell/a").read_text())
+        await until(lambda: node.pid and "up" in keeper.find_log("cell/a").read_text())
         first = node.pid
         os.kill(first, signal.SIGKILL)
         await until(lambda: node.starts == 2 and node.state == "running")

@@ -43,7 +43,7 @@ def test_a_plate_is_sealed_over_a_wire(tmp_path: Path) -> None:
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
     settings = Settings.make(home, speed=100.0, simulate=True, wire=True)
     with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as client:
-        assert "--wire" in lab.runtime._argv(ModuleName("corner/sealer"), detach=False)
+        assert "--wire" in lab.runtime._make_argv(ModuleName("corner/sealer"), detach=False)
         node = start_node("sealer", home, tmp_path)
         try:
             until(

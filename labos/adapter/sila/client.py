@@ -102,7 +102,7 @@ class Client:
 
     # -- what it is --------------------------------------------------------------------------
 
-    async def alive(self) -> None:
+    async def check_alive(self) -> None:
         """Check whether the server answers. Raises DeviceError (``none``)."""
         await self.read(SERVICE.properties[1])
 
@@ -162,34 +162,38 @@ class Client:
 
     async def call(self, command: SilaCommand, data: bytes, *, limit_s: float | None) -> dict[str, Any]:
         """Carry out an unobservable command; its responses. Raises SilaError, Lost."""
-        return self._responses(command, await self._call(self._path(command), data, limit_s))
+        return self._decode_responses(command, await self._call(self._make_path(command), data, limit_s))
 
     async def initiate(self, command: SilaCommand, data: bytes, *, limit_s: float) -> str:
         """Start an observable command; the UUID of its execution. Raises SilaError, Lost."""
-        told = await self._call(self._path(command), data, limit_s)
+        told = await self._call(self._make_path(command), data, limit_s)
         try:
-            execution = str(self._messages.framework("CommandConfirmation", told).commandExecutionUUID.value)
+            execution = str(
+                self._messages.make_framework_message("CommandConfirmation", told).commandExecutionUUID.value
+            )
         except ValueError as error:
             raise NoResponse(str(error)) from error
         if not execution:
             raise NoResponse("the server gave no UUID")
         return execution
 
-    async def infos(
+    async def watch_execution(
         self, command: SilaCommand, execution: str, *, limit_s: float
     ) -> AsyncGenerator[int, None]:
         """The status of an execution, now and after each change: 0 waiting, 1 running, 2 finished, 3 failed.
         Raises SilaError, and Lost, also when the time is up."""
-        path, asked = f"{self._path(command)}_Info", self._execution(execution)
+        path, asked = f"{self._make_path(command)}_Info", self._encode_execution(execution)
         async with contextlib.aclosing(self._stream(path, asked, limit_s)) as told:
             async for data in told:
-                yield self._messages.framework("ExecutionInfo", data).commandStatus if data else 0
+                yield (
+                    self._messages.make_framework_message("ExecutionInfo", data).commandStatus if data else 0
+                )
 
-    async def intermediate(
+    async def watch_intermediate(
         self, command: SilaCommand, execution: str
     ) -> AsyncGenerator[dict[str, Any], None]:
         """The intermediate responses of an execution. Raises SilaError, Lost."""
-        path, asked = f"{self._path(command)}_Intermediate", self._execution(execution)
+        path, asked = f"{self._make_path(command)}_Intermediate", self._encode_execution(execution)
         name = f"{command.name}_IntermediateResponses"
         async with contextlib.aclosing(self._stream(path, asked, None)) as told:
             async for data in told:
@@ -197,10 +201,12 @@ class Client:
 
     async def result(self, command: SilaCommand, execution: str) -> dict[str, Any]:
         """The responses of an execution that has ended. Raises SilaError, Lost."""
-        data = await self._call(f"{self._path(command)}_Result", self._execution(execution), READ_S)
-        return self._responses(command, data)
+        data = await self._call(
+            f"{self._make_path(command)}_Result", self._encode_execution(execution), READ_S
+        )
+        return self._decode_responses(command, data)
 
-    def _responses(self, command: SilaCommand, data: bytes) -> dict[str, Any]:
+    def _decode_responses(self, command: SilaCommand, data: bytes) -> dict[str, Any]:
         """Read responses. Raises DeviceError (``all``), because the command was carried out."""
         name = f"{command.name}_Responses"
         try:
@@ -209,11 +215,13 @@ class Client:
             words = f"{command.full_name} was done, but its responses cannot be read ({error})."
             raise DeviceError(words, effects="all") from error
 
-    def _path(self, command: SilaCommand) -> str:
+    def _make_path(self, command: SilaCommand) -> str:
         return f"/{command.package}.{command.feature}/{command.name}"
 
-    def _execution(self, uuid: str) -> bytes:
-        data: bytes = self._messages.framework("CommandExecutionUUID", value=uuid).SerializeToString()
+    def _encode_execution(self, uuid: str) -> bytes:
+        data: bytes = self._messages.make_framework_message(
+            "CommandExecutionUUID", value=uuid
+        ).SerializeToString()
         return data
 
     # -- the wire ----------------------------------------------------------------------------
@@ -240,7 +248,7 @@ class Client:
         """The error of a failed call: SilaError, DeviceError (``none``), Lost."""
         called = f"{self.address}: {path.rpartition('.')[2]}"
         code, words = error.code().name, error.details() or ""
-        if code == "ABORTED" and (said := self._sila_error(words)):
+        if code == "ABORTED" and (said := self._decode_sila_error(words)):
             return said
         if code in NOT_CARRIED_OUT:
             return DeviceError(f"{self.address} refuses the call: {words or code}.", effects="none")
@@ -248,10 +256,10 @@ class Client:
             return NoResponse(f"{called}: no answer within {limit_s:g} s")
         return NoResponse(f"{called}: {code}: {words}" if words else f"{called}: {code}")
 
-    def _sila_error(self, words: str) -> SilaError | None:
+    def _decode_sila_error(self, words: str) -> SilaError | None:
         """SiLA's own error, which is in the message of gRPC."""
         try:
-            told = self._messages.framework("SiLAError", base64.b64decode(words, validate=True))
+            told = self._messages.make_framework_message("SiLAError", base64.b64decode(words, validate=True))
         except (ValueError, binascii.Error):
             return None
         for field, found in told.ListFields():
@@ -267,7 +275,7 @@ class Client:
         return None
 
 
-def certificate_in(path: str) -> bytes | None:
+def read_certificate(path: str) -> bytes | None:
     """A certificate from a file; None if none is named. Raises DeviceError (``none``)."""
     if not path:
         return None

@@ -37,7 +37,7 @@ def our_name(theirs: str) -> str:
     return _WORD_ENDS.sub("_", theirs).lower()
 
 
-def alike(name: str) -> str:
+def simplify_name(name: str) -> str:
     """A name in a form for comparison, which is the same for ``open_door`` and ``OpenDoor``."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
@@ -55,8 +55,8 @@ def find_command(features: Iterable[Feature], name: str) -> SilaCommand | None:
             if f"{each.identifier}/Command/{told.name}" == name
         ],
         [command for command in commands if command.full_name == name],
-        [command for command in commands if alike(command.full_name) == alike(name)],
-        [command for command in commands if alike(command.name) == alike(name)],
+        [command for command in commands if simplify_name(command.full_name) == simplify_name(name)],
+        [command for command in commands if simplify_name(command.name) == simplify_name(name)],
     ):
         if len(meant) == 1:
             return meant[0]
@@ -83,7 +83,7 @@ def actions_of(features: Iterable[Feature]) -> tuple[ActionSpec, ...]:
         ActionSpec(
             name=our_name(command.name if names[command.name] == 1 else f"{feature.name}{command.name}"),
             description=command.description,
-            args=tuple(_arg(feature, element) for element in command.parameters),
+            args=tuple(_make_arg(feature, element) for element in command.parameters),
             aliases=(command.full_name,),
             result="any" if command.responses else "",
         )
@@ -92,13 +92,13 @@ def actions_of(features: Iterable[Feature]) -> tuple[ActionSpec, ...]:
     )
 
 
-def _arg(feature: Feature, element: Element) -> Arg:
+def _make_arg(feature: Feature, element: Element) -> Arg:
     types = {told.name: told.type for told in feature.types}
     layers = list(unwrap(element.type, types))
     limits = [told.limits for told in layers if isinstance(told, Constrained)]
     lows = [each.minimum for each in limits if each.minimum is not None]
     highs = [each.maximum for each in limits if each.maximum is not None]
-    kind = _kind(layers[-1])
+    kind = _find_kind(layers[-1])
     return Arg(
         name=our_name(element.name),
         type=kind,
@@ -106,12 +106,12 @@ def _arg(feature: Feature, element: Element) -> Arg:
         unit=next((each.unit for each in limits if each.unit), ""),
         minimum=max(lows, default=None),
         maximum=min(highs, default=None),
-        choices=_choices(kind, limits),
+        choices=_list_choices(kind, limits),
         description=element.description,
     )
 
 
-def _kind(told: Any) -> str:
+def _find_kind(told: Any) -> str:
     match told:
         case Basic():
             return _KINDS.get(told.name, "str")  # dates and times are written as in ISO 8601
@@ -122,7 +122,7 @@ def _kind(told: Any) -> str:
     return "any"
 
 
-def _choices(kind: str, limits: list[Limits]) -> tuple[Any, ...]:
+def _list_choices(kind: str, limits: list[Limits]) -> tuple[Any, ...]:
     """The allowed values, in the form in a workflow."""
     written = next((each.choices for each in limits if each.choices), ())
     of = {"int": int, "float": float}.get(kind, str)

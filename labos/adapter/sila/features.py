@@ -142,10 +142,10 @@ def read_feature(text: str) -> Feature:
             originator=originator,
             category=category,
             version=version,
-            commands=tuple(_command(package, name, found) for found in _all(root, "Command")),
+            commands=tuple(_command(package, name, found) for found in _find_all(root, "Command")),
             properties=tuple(
-                Property(package, name, _text(found, "Identifier"), _type(found), _is_observable(found))
-                for found in _all(root, "Property")
+                Property(package, name, _text(found, "Identifier"), _read_type(found), _is_observable(found))
+                for found in _find_all(root, "Property")
             ),
             types=_elements(root, "DataTypeDefinition"),
         )
@@ -161,7 +161,7 @@ def read_feature(text: str) -> Feature:
 
 
 def _command(package: str, feature: str, found: ET.Element) -> SilaCommand:
-    errors = _all(found, "DefinedExecutionErrors")
+    errors = _find_all(found, "DefinedExecutionErrors")
     return SilaCommand(
         package=package,
         feature=feature,
@@ -171,36 +171,36 @@ def _command(package: str, feature: str, found: ET.Element) -> SilaCommand:
         parameters=_elements(found, "Parameter"),
         responses=_elements(found, "Response"),
         intermediate=_elements(found, "IntermediateResponse"),
-        errors=tuple(_words(name) for each in errors for name in _all(each, "Identifier")),
+        errors=tuple(_read_words(name) for each in errors for name in _find_all(each, "Identifier")),
     )
 
 
 def _elements(parent: ET.Element, tag: str) -> tuple[Element, ...]:
     return tuple(
-        Element(_text(found, "Identifier"), _type(found), _text(found, "Description"))
-        for found in _all(parent, tag)
+        Element(_text(found, "Identifier"), _read_type(found), _text(found, "Description"))
+        for found in _find_all(parent, tag)
     )
 
 
-def _type(parent: ET.Element) -> DataType:
+def _read_type(parent: ET.Element) -> DataType:
     """The data type below an element. Raises ValueError."""
-    told = next(iter(_one(parent, "DataType")))
-    match _bare(told):
+    told = next(iter(_find_one(parent, "DataType")))
+    match _strip_namespace(told):
         case "Basic":
-            return Basic(_words(told))
+            return Basic(_read_words(told))
         case "DataTypeIdentifier":
-            return Named(_words(told))
+            return Named(_read_words(told))
         case "List":
-            return ListOf(_type(told))
+            return ListOf(_read_type(told))
         case "Structure":
             return Structure(_elements(told, "Element"))
         case "Constrained":
-            inner = _type(told)
-            return Constrained(inner, _limits(_one(told, "Constraints"), inner))
-    raise ValueError(f"there is no data type {_bare(told)!r}")
+            inner = _read_type(told)
+            return Constrained(inner, _read_limits(_find_one(told, "Constraints"), inner))
+    raise ValueError(f"there is no data type {_strip_namespace(told)!r}")
 
 
-def _limits(told: ET.Element, of: DataType) -> Limits:
+def _read_limits(told: ET.Element, of: DataType) -> Limits:
     """The narrower of the bounds. Excluded bounds are expressed only for whole numbers; for other numbers,
     the server refuses the bound itself."""
     step = 1.0 if of == Basic("Integer") else 0.0
@@ -208,19 +208,19 @@ def _limits(told: ET.Element, of: DataType) -> Limits:
     unit: str = ""
     choices: tuple[str, ...] = ()
     for found in told:
-        match _bare(found):
+        match _strip_namespace(found):
             case "MinimalInclusive":
-                low.append(float(_words(found)))
+                low.append(float(_read_words(found)))
             case "MinimalExclusive":
-                low.append(float(_words(found)) + step)
+                low.append(float(_read_words(found)) + step)
             case "MaximalInclusive":
-                high.append(float(_words(found)))
+                high.append(float(_read_words(found)))
             case "MaximalExclusive":
-                high.append(float(_words(found)) - step)
+                high.append(float(_read_words(found)) - step)
             case "Unit":
                 unit = _text(found, "Label")
             case "Set":
-                choices = tuple((value.text or "").strip() for value in _all(found, "Value"))
+                choices = tuple((value.text or "").strip() for value in _find_all(found, "Value"))
     if of not in (Basic("Integer"), Basic("Real")):
         low, high = [], []  # of dates and times
     return Limits(unit, max(low, default=None), min(high, default=None), choices)
@@ -229,27 +229,27 @@ def _limits(told: ET.Element, of: DataType) -> Limits:
 # -- XML without its name space, which changed between versions of SiLA ----------------------
 
 
-def _bare(found: ET.Element) -> str:
+def _strip_namespace(found: ET.Element) -> str:
     return found.tag.rpartition("}")[2]
 
 
-def _all(parent: ET.Element, tag: str) -> list[ET.Element]:
-    return [child for child in parent if _bare(child) == tag]
+def _find_all(parent: ET.Element, tag: str) -> list[ET.Element]:
+    return [child for child in parent if _strip_namespace(child) == tag]
 
 
-def _one(parent: ET.Element, tag: str) -> ET.Element:
-    found = _all(parent, tag)
+def _find_one(parent: ET.Element, tag: str) -> ET.Element:
+    found = _find_all(parent, tag)
     if len(found) != 1:
-        raise ValueError(f"{_bare(parent)} has {len(found)} {tag}")
+        raise ValueError(f"{_strip_namespace(parent)} has {len(found)} {tag}")
     return found[0]
 
 
-def _words(found: ET.Element) -> str:
+def _read_words(found: ET.Element) -> str:
     return " ".join((found.text or "").split())
 
 
 def _text(parent: ET.Element, tag: str) -> str:
-    return _words(_one(parent, tag))
+    return _read_words(_find_one(parent, tag))
 
 
 def _is_observable(found: ET.Element) -> bool:

@@ -89,34 +89,34 @@ class Messages:
         self._class_of: Callable[[Any], Any] = message_factory.GetMessageClass
         self._pool: Any = descriptor_pool.DescriptorPool()
         self._types: dict[str, dict[str, DataType]] = {}
-        file = self._file("SiLAFramework.proto", FRAMEWORK)
+        file = self._make_file("SiLAFramework.proto", FRAMEWORK)
         for name, fields in _FRAMEWORK.items():
             message = file.message_type.add(name=name)
             for field, kind, number in fields:
-                self._field(message, field, number, kind if kind.islower() else f".{FRAMEWORK}.{kind}")
+                self._add_field(message, field, number, kind if kind.islower() else f".{FRAMEWORK}.{kind}")
         self._pool.Add(file)
         for feature in features:
             self._add(feature)
 
     def _add(self, feature: Feature) -> None:
         self._types[feature.package] = {element.name: element.type for element in feature.types}
-        file = self._file(f"{feature.package}.proto", feature.package)
+        file = self._make_file(f"{feature.package}.proto", feature.package)
         file.dependency.append("SiLAFramework.proto")
         for element in feature.types:
-            self._message(file.message_type, f"DataType_{element.name}", (element,), feature.package)
+            self._add_message(file.message_type, f"DataType_{element.name}", (element,), feature.package)
         for command in feature.commands:
             for suffix, elements in (
                 ("Parameters", command.parameters),
                 ("Responses", command.responses),
                 ("IntermediateResponses", command.intermediate),
             ):
-                self._message(file.message_type, f"{command.name}_{suffix}", elements, feature.package)
+                self._add_message(file.message_type, f"{command.name}_{suffix}", elements, feature.package)
         for told in feature.properties:
             element = Element(told.name, told.type)
-            self._message(file.message_type, f"{told.method}_Responses", (element,), feature.package)
+            self._add_message(file.message_type, f"{told.method}_Responses", (element,), feature.package)
         self._pool.Add(file)
 
-    def framework(self, name: str, data: bytes = b"", **fields: Any) -> Any:
+    def make_framework_message(self, name: str, data: bytes = b"", **fields: Any) -> Any:
         """One of the framework's messages, from its bytes or its fields. Raises ValueError."""
         kind = self._class(FRAMEWORK, name)
         return self._read(kind, data) if data else kind(**fields)
@@ -140,19 +140,19 @@ class Messages:
         """The values in a message. Raises ValueError."""
         message = self._read(self._class(package, name), data)
         try:
-            return self._values(package, message, elements)
+            return self._read_values(package, message, elements)
         except RecursionError:
             raise ValueError(f"{name} is nested too deep to be read") from None
 
-    def _values(self, package: str, message: Any, elements: tuple[Element, ...]) -> dict[str, Any]:
+    def _read_values(self, package: str, message: Any, elements: tuple[Element, ...]) -> dict[str, Any]:
         return {element.name: self._get(package, message, element.name, element.type) for element in elements}
 
     # -- how messages are built --------------------------------------------------------------
 
-    def _file(self, name: str, package: str) -> Any:
+    def _make_file(self, name: str, package: str) -> Any:
         return self._descriptors.FileDescriptorProto(name=name, package=package, syntax="proto3")
 
-    def _message(
+    def _add_message(
         self, among: Any, name: str, elements: tuple[Element, ...], package: str, within: str = ""
     ) -> None:
         message, full_name = among.add(name=name), f"{within or package}.{name}"
@@ -164,15 +164,15 @@ class Messages:
             match told:
                 case Structure():
                     kind = f"{element.name}_Struct"
-                    self._message(message.nested_type, kind, told.elements, package, full_name)
+                    self._add_message(message.nested_type, kind, told.elements, package, full_name)
                     kind = f".{full_name}.{kind}"
                 case Named():
                     kind = f".{package}.DataType_{told.name}"
                 case _:
                     kind = f".{FRAMEWORK}.{told.name}"
-            self._field(message, element.name, number, kind, repeated=repeated)
+            self._add_field(message, element.name, number, kind, repeated=repeated)
 
-    def _field(self, message: Any, name: str, number: int, kind: str, *, repeated: bool = False) -> None:
+    def _add_field(self, message: Any, name: str, number: int, kind: str, *, repeated: bool = False) -> None:
         field = self._descriptors.FieldDescriptorProto
         label = field.LABEL_REPEATED if repeated else field.LABEL_OPTIONAL
         made = message.field.add(name=name, number=number, label=label)
@@ -221,13 +221,13 @@ class Messages:
         while isinstance(told, Constrained):
             told = told.of
         if isinstance(told, ListOf):
-            return [self._value(package, item, told.of) for item in getattr(message, name)]
-        return self._value(package, getattr(message, name), told)
+            return [self._read_value(package, item, told.of) for item in getattr(message, name)]
+        return self._read_value(package, getattr(message, name), told)
 
-    def _value(self, package: str, field: Any, told: DataType) -> Any:
+    def _read_value(self, package: str, field: Any, told: DataType) -> Any:
         match told:
             case Constrained():
-                return self._value(package, field, told.of)
+                return self._read_value(package, field, told.of)
             case Named():
                 return self._get(package, field, told.name, self._types[package][told.name])
             case Structure():
@@ -312,7 +312,7 @@ def _read_any(field: Any) -> dict[str, str]:
     return {"type": field.type, "payload": base64.b64encode(field.payload).decode()}
 
 
-def _zone(field: Any) -> str:
+def _show_zone(field: Any) -> str:
     return f"{field.timezone.hours:+03}:{field.timezone.minutes:02}"
 
 
@@ -321,7 +321,7 @@ def _read_date(field: Any) -> str:
 
 
 def _read_time(field: Any) -> str:
-    return f"{field.hour:02}:{field.minute:02}:{field.second:02}.{field.millisecond:03}{_zone(field)}"
+    return f"{field.hour:02}:{field.minute:02}:{field.second:02}.{field.millisecond:03}{_show_zone(field)}"
 
 
 _READ: dict[str, Callable[[Any], Any]] = {

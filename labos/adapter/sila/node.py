@@ -12,17 +12,17 @@ import contextlib
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from typing import Any, ClassVar
 
-from labos.adapter._channels import SETTLED, ChannelReading, fits, leaves_open
+from labos.adapter._channels import SETTLED, ChannelReading, is_fulfilled, leaves_open
 from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
 from labos.adapter._http import NoResponse
-from labos.adapter.sila.client import Client, SilaError, certificate_in
-from labos.adapter.sila.describe import actions_of, alike, find_command, find_property
+from labos.adapter.sila.client import Client, SilaError, read_certificate
+from labos.adapter.sila.describe import actions_of, find_command, find_property, simplify_name
 from labos.adapter.sila.features import SilaCommand
 from labos.adapter.sila.results import as_lines, result_with_files, with_files
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
-from labos.spec.flaws import flaw_in
+from labos.spec.flaws import find_first_flaw
 from labos.spec.signals import Condition
 from labos.spec.sila import SilaMapping
 
@@ -75,14 +75,14 @@ class SilaNode(ForeignNode):
     async def connect(self) -> None:
         config = self.setup.config
         written = config.get("sila") or {}
-        if flaw := flaw_in(SilaMapping, written):
+        if flaw := find_first_flaw(SilaMapping, written):
             raise DeviceError(f"In `sila:`, {flaw}.", effects="none")
         self.mapping = SilaMapping.model_validate(written)
         address = str(config.get("sila_address") or config.get("node_url") or "")
         address = self.complete(address.removeprefix("sila://").rstrip("/"))
         if not address:
             raise DeviceError("`config:` does not say `sila_address`.", effects="none")
-        certificate = certificate_in(str(config.get("sila_certificate") or ""))
+        certificate = read_certificate(str(config.get("sila_certificate") or ""))
         await self.close()
         self._client = Client(
             address,
@@ -111,16 +111,16 @@ class SilaNode(ForeignNode):
         still be under way."""
         await self._learn()
         if not self.tells_busy:
-            await self.client.alive()
+            await self.client.check_alive()
             return await super().is_idle()
         seen = [(told, await self._read_value(told)) for told in self.mapping.state.busy]
-        return not any(fits(told, now) or leaves_open(told, now) for told, now in seen)
+        return not any(is_fulfilled(told, now) or leaves_open(told, now) for told, now in seen)
 
     async def trouble(self) -> str:
         try:
             await self._learn()
-            await self.client.alive()
-            return self._absent_words() or await self._error()
+            await self.client.check_alive()
+            return self._describe_absent() or await self._describe_error()
         except DeviceError as silent:
             self._learned = False
             return str(silent)
@@ -128,7 +128,7 @@ class SilaNode(ForeignNode):
     async def learn(self) -> None:
         """Also checks that the server answers; otherwise no command is sent."""
         await self._learn()
-        await self.client.alive()
+        await self.client.check_alive()
 
     async def _is_known(self) -> bool:
         await self._learn()
@@ -141,7 +141,7 @@ class SilaNode(ForeignNode):
                 self.note_version(await self.client.about("ServerVersion"))
             self._learned = True
 
-    def _absent_words(self) -> str:
+    def _describe_absent(self) -> str:
         """The features in the mapping that the server does not have, as a sentence."""
         features = self.client.features
         if absent := self.describe_missing(lambda name: find_command(features, name) is not None):
@@ -154,11 +154,11 @@ class SilaNode(ForeignNode):
         ]
         return f"The server does not offer {', '.join(lacking)}. Correct `sila:`." if lacking else ""
 
-    async def _error(self) -> str:
+    async def _describe_error(self) -> str:
         state = self.mapping.state
         for condition in state.error:
-            if await self._holds(condition):
-                seen = await self._value(state.why or condition.pv)
+            if await self._is_fulfilled(condition):
+                seen = await self._read_property(state.why or condition.pv)
                 words = seen if state.why else f"{condition.pv} is {seen}"
                 return f"The device is in error: {words}. Reset the module."
         return ""
@@ -166,23 +166,25 @@ class SilaNode(ForeignNode):
     async def observe(self) -> dict[str, Any]:
         self.look()
         await self._learn()
-        seen = {variable: await self._value(name) for variable, name in self.mapping.observe.items()}
+        seen = {variable: await self._read_property(name) for variable, name in self.mapping.observe.items()}
         if self.mapping.labware:
             told_of = [(at, told, await self._read_value(told)) for at, told in self.mapping.labware.items()]
-            seen["labware"] = {at: fits(told, now) for at, told, now in told_of if not leaves_open(told, now)}
+            seen["labware"] = {
+                at: is_fulfilled(told, now) for at, told, now in told_of if not leaves_open(told, now)
+            }
         return seen
 
     async def resources(self) -> dict[str, float]:
         await self._learn()
-        return {what: float(await self._value(name)) for what, name in self.mapping.resources.items()}
+        return {what: float(await self._read_property(name)) for what, name in self.mapping.resources.items()}
 
-    async def _holds(self, condition: Condition) -> bool:
-        return fits(condition, await self._read_value(condition))
+    async def _is_fulfilled(self, condition: Condition) -> bool:
+        return is_fulfilled(condition, await self._read_value(condition))
 
     async def _read_value(self, condition: Condition) -> ChannelReading:
-        return ChannelReading(await self._value(condition.pv))
+        return ChannelReading(await self._read_property(condition.pv))
 
-    async def _value(self, name: str) -> Any:
+    async def _read_property(self, name: str) -> Any:
         """The present value of a property, or an element of it. Raises DeviceError (``none``)."""
         found = find_property(self.client.features, name)
         if found is None:
@@ -199,7 +201,7 @@ class SilaNode(ForeignNode):
 
     async def reset(self) -> None:
         if self.mapping.reset:
-            await self._order(self.mapping.reset)
+            await self._carry_out_command(self.mapping.reset)
         self.believe_at_rest()
 
     async def stop(self) -> None:
@@ -207,14 +209,14 @@ class SilaNode(ForeignNode):
         await self._learn()
         if not self.mapping.stop and find_command(self.client.features, CANCEL) is None:
             raise DeviceError("`sila:` does not say how the device is stopped.", effects="none")
-        await self._order(self.mapping.stop or CANCEL)
+        await self._carry_out_command(self.mapping.stop or CANCEL)
 
-    async def _order(self, name: str) -> None:
+    async def _carry_out_command(self, name: str) -> None:
         """Carry out a command without parameters, and wait for its end. Raises DeviceError."""
         await self.learn()
         command = self._command(name)
         try:
-            data = self.client.encode(command, self._values(command, {}))
+            data = self.client.encode(command, self._make_values(command, {}))
             if not command.observable:
                 await self.client.call(command, data, limit_s=self.patience_s)
                 return
@@ -223,7 +225,7 @@ class SilaNode(ForeignNode):
         except (NoResponse, OutcomeUnknown) as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
         except SilaError as error:
-            raise self._failure(name, error) from error
+            raise self._make_failure(name, error) from error
 
     # -- actions -----------------------------------------------------------------------------
 
@@ -233,27 +235,27 @@ class SilaNode(ForeignNode):
             key: await read_file(value) if self.is_file(spec, key) else value
             for key, value in self.name_places(spec, args).items()
         }
-        data = self.client.encode(command, self._values(command, given))
+        data = self.client.encode(command, self._make_values(command, given))
         await self.note_handle(SENT)
         try:
             if not command.observable:
                 return result_with_files(await self._answer(spec, command, data))
             execution = await self.client.initiate(command, data, limit_s=START_S)
         except SilaError as error:
-            raise self._failure(command.full_name, error) from error
+            raise self._make_failure(command.full_name, error) from error
         except NoResponse as lost:
-            await self._until_at_rest()
+            await self._wait_until_at_rest()
             why = NO_UUID if command.observable else NO_RECORD
             raise OutcomeUnknown(f"its answer was lost ({lost}); {why}") from lost
         await self.note_handle(execution)
-        return await self._outcome(spec, command, execution)
+        return await self._read_outcome(spec, command, execution)
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         if handle == SENT:
-            await self._until_at_rest()
+            await self._wait_until_at_rest()
             raise OutcomeUnknown(f"the adapter was restarted before an answer came; {NO_UUID}")
-        await self._until(self._is_known, 1)
-        return await self._outcome(spec, self._command(name), handle)
+        await self._wait_until(self._is_known, 1)
+        return await self._read_outcome(spec, self._command(name), handle)
 
     def _command(self, name: str) -> SilaCommand:
         """Raises DeviceError (``none``)."""
@@ -266,12 +268,14 @@ class SilaNode(ForeignNode):
             )
         return command
 
-    def _values(self, command: SilaCommand, given: dict[str, Any]) -> dict[str, Any]:
+    def _make_values(self, command: SilaCommand, given: dict[str, Any]) -> dict[str, Any]:
         """The arguments by names of parameters. SiLA's parameters have no defaults, so all must be given.
         Raises DeviceError (``none``)."""
-        meant = {alike(element.name): element.name for element in command.parameters}
-        unknown = [name for name in given if alike(name) not in meant]
-        values = {meant[alike(name)]: value for name, value in given.items() if alike(name) in meant}
+        meant = {simplify_name(element.name): element.name for element in command.parameters}
+        unknown = [name for name in given if simplify_name(name) not in meant]
+        values = {
+            meant[simplify_name(name)]: value for name, value in given.items() if simplify_name(name) in meant
+        }
         lacking = [name for name in meant.values() if name not in values]
         if unknown or lacking:
             wrong = [f"has no {name!r}" for name in unknown] + [f"needs {name!r}" for name in lacking]
@@ -284,7 +288,7 @@ class SilaNode(ForeignNode):
 
         async def at_work() -> bool:
             if not self.tells_busy:
-                await self.client.alive()
+                await self.client.check_alive()
             return self.tells_busy and not await self.is_idle()
 
         return await self.answer_to(
@@ -295,7 +299,7 @@ class SilaNode(ForeignNode):
             ended=NO_RECORD,
         )
 
-    async def _outcome(self, spec: ActionSpec, command: SilaCommand, execution: str) -> Any:
+    async def _read_outcome(self, spec: ActionSpec, command: SilaCommand, execution: str) -> Any:
         """The result of an execution, with its intermediate responses if these should be stored."""
         if spec.name not in self.mapping.intermediate or not command.intermediate:
             return result_with_files(await self._end(command, execution))
@@ -314,7 +318,7 @@ class SilaNode(ForeignNode):
         while True:
             try:
                 first = True  # the first value after subscribing repeats the last one
-                async for values in self.client.intermediate(command, execution):
+                async for values in self.client.watch_intermediate(command, execution):
                     if not (first and told and told[-1] == values):
                         told.append(values)
                     first = False
@@ -330,7 +334,7 @@ class SilaNode(ForeignNode):
         while True:
             over = False
             try:
-                async with contextlib.aclosing(self._infos(command, execution)) as infos:
+                async with contextlib.aclosing(self._watch_execution(command, execution)) as infos:
                     async for status in infos:
                         if over := status in (FINISHED, FAILED):
                             break
@@ -340,7 +344,7 @@ class SilaNode(ForeignNode):
                 if error.kind == "not known":
                     raise OutcomeUnknown(FORGOTTEN) from error
                 if error.kind != "not finished":
-                    raise self._failure(command.full_name, error, began=True) from error
+                    raise self._make_failure(command.full_name, error, began=True) from error
                 if over:  # the server contradicts itself
                     silence.go_on(error)
                 else:
@@ -353,15 +357,15 @@ class SilaNode(ForeignNode):
                 silence.go_on(refused)  # the question was refused, which says nothing of the execution
             await asyncio.sleep(self.poll_s)
 
-    def _infos(self, command: SilaCommand, execution: str) -> AsyncGenerator[int, None]:
-        return self.client.infos(command, execution, limit_s=WATCH_S)
+    def _watch_execution(self, command: SilaCommand, execution: str) -> AsyncGenerator[int, None]:
+        return self.client.watch_execution(command, execution, limit_s=WATCH_S)
 
-    async def _until_at_rest(self) -> None:
+    async def _wait_until_at_rest(self) -> None:
         """Wait while the device is busy; it may not have started the last command yet. Raises OutcomeUnknown
         if the server does not answer."""
-        await self._until(self.is_idle, SETTLED if self.mapping.state.busy else 1)
+        await self._wait_until(self.is_idle, SETTLED if self.mapping.state.busy else 1)
 
-    async def _until(self, ready: Callable[[], Awaitable[bool]], times: int) -> None:
+    async def _wait_until(self, ready: Callable[[], Awaitable[bool]], times: int) -> None:
         """Wait for this answer the given number of times in a row. Raises OutcomeUnknown if the server does
         not answer."""
         silence, said = Silence(self.patience_s, self.where), 0
@@ -376,7 +380,7 @@ class SilaNode(ForeignNode):
                 said = 0
             await asyncio.sleep(self.poll_s)
 
-    def _failure(self, what: str, error: SilaError, *, began: bool = False) -> DeviceError:
+    def _make_failure(self, what: str, error: SilaError, *, began: bool = False) -> DeviceError:
         """The failure that a server reports for a command. Its effects are unknown, unless the server refused
         the command or the mapping has the error."""
         bare = error.identifier.rpartition("/")[2]

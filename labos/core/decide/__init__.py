@@ -7,7 +7,7 @@ worked out on the state that the ones before it have left.
 from collections.abc import Callable
 
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, check_recordable
-from labos.core.decide.limits import bare_report, cut_report, refuse_misfit
+from labos.core.decide.limits import cut_report, refuse_misfit, shorten_report
 from labos.core.decide.reactions import REACTIONS
 from labos.core.decide.rights import Denied, check_rights  # its table loads every command
 from labos.core.decide.submissions import hold_for_approval, name_both_actors
@@ -63,7 +63,7 @@ def decide(state: LabState, command: Command, actor: str, keep: Keep | None = No
     decision = _decide(state, command, actor)
     if isinstance(command, Report) and isinstance(decision, Rejection) and decision.code == UNFIT:
         return _decide(
-            state, bare_report(command), actor
+            state, shorten_report(command), actor
         )  # what has happened is recorded, if without the words
     return decision
 

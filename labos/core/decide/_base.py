@@ -19,7 +19,7 @@ UNFIT = "unfit"
 class Command(msgspec.Struct, frozen=True, tag=True):
     """Somebody asks for something. Ids and times come in with the command."""
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         """The parts of this command: the actor must be allowed each of them, and the texts
         of each must be fit to be recorded. All of them are carried out, or none."""
         return ()

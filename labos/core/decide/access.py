@@ -40,7 +40,7 @@ class RequestAccess(Command, frozen=True):
     why: Words = ""
     parking: tuple[SubmitRun, ...] = ()
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return self.parking
 
 
@@ -59,7 +59,7 @@ class EndAccess(Command, frozen=True):
     changes: tuple[ReportedChange, ...] = ()
 
 
-def in_motion(state: LabState, cell: str) -> list[str]:
+def list_in_motion(state: LabState, cell: str) -> list[str]:
     """The modules of a workcell that may move: what a person does there by plan, and what nobody
     knows the end of, does not count."""
     moving = [
@@ -77,7 +77,7 @@ def in_motion(state: LabState, cell: str) -> list[str]:
     return [*moving, *busy]
 
 
-def perhaps_in_motion(state: LabState, cell: str) -> list[str]:
+def list_perhaps_in_motion(state: LabState, cell: str) -> list[str]:
     """The modules of a workcell that may still be in motion, because nobody knows: who is let in has to
     see to it."""
     unknown = {
@@ -115,7 +115,7 @@ def _submit_all(state: LabState, runs: Iterable[SubmitRun]) -> Iterator[Event]:
 @decides(GrantAccess)
 def grant_access(state: LabState, command: GrantAccess) -> Decision:
     access = state.lab.access.get(command.workcell)
-    if access is None or access.granted or in_motion(state, command.workcell):
+    if access is None or access.granted or list_in_motion(state, command.workcell):
         return []
     # An arm that could not be parked stays where it is.
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
@@ -207,7 +207,7 @@ def _place_new(
     if not spec.admits(change.what):
         return Rejection(
             "not_accepted",
-            f"{local(change.station)} {spec.why_not(change.what)}.",
+            f"{local(change.station)} {spec.explain_refusal(change.what)}.",
             "Labware that the log knows is named by its id: labos labware",
         )
     name = LabwareId(f"P{state.bench.named + number + 1}")

@@ -21,16 +21,16 @@ from labos.core.actions import (
     EffectsDone,
     FailureKind,
 )
-from labos.core.bench import parts
+from labos.core.bench import split_item
 from labos.core.decide._base import Command, Decision, Rejection, Report, check_recordable, decides
 from labos.core.decide.barcodes import record_barcodes
 from labos.core.decide.choices import bind
 from labos.core.decide.endings import give_up
 from labos.core.decide.inputs import fill_inputs, name_returned_files
 from labos.core.decide.outcomes import (
-    effect_events,
     find_shown_outcome,
     limit_result,
+    list_effect_events,
     put_back_in_place,
     settle,
 )
@@ -54,8 +54,8 @@ from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan, PlanStep
 from labos.core.modules import ModuleStatus, NodeStateChanged, find_unproven
 from labos.core.registry import Event
-from labos.core.rules import ends_by, examine
-from labos.core.runs import RunStarted, RunState, RunStatus, results_of
+from labos.core.rules import examine, find_end_by
+from labos.core.runs import RunStarted, RunState, RunStatus, find_results
 from labos.core.shelves import expand_hotels
 from labos.core.state import LabState
 from labos.core.topics import LateResult
@@ -151,7 +151,7 @@ def request_action(
     step = plan.steps[command.step]
     events: list[Event] = [bind(state, run)] if chooses else []
     events += [RunStarted(run.id)] if not run.has_started else []
-    results = results_of(plan, run)
+    results = find_results(plan, run)
     args = fill_inputs(plan, results, step.args)
     if isinstance(args, str):
         return _fail_start(state, run, step, args)
@@ -163,7 +163,7 @@ def request_action(
     if fault := _find_liquid_fault(state, effects):
         return _fail_start(state, run, step, fault)
     args = expand_hotels(step.effects, effects, _fill_in_from_labware(state, args, effects))
-    events += _become_its_own(state, run, found)
+    events += _hand_labware_to_run(state, run, found)
     module = state.modules.by_name[step.module]
     args = _add_labware_types(state, args, effects)
     if "slow" in args and find_unproven(module, effects, args):
@@ -193,7 +193,7 @@ def request_action(
     return events
 
 
-def _become_its_own(
+def _hand_labware_to_run(
     state: LabState, run: RunState, effects: tuple[AnyEffect, ...]
 ) -> Iterator[LabwareHandedOver]:
     """What a step touches belongs to its run: what it carries or changes for good, what it only needs until
@@ -235,7 +235,7 @@ def _add_labware_types(
     told = dict(args)
     for effect in list_carried(effects):
         if effect.stock:
-            types = {LABWARE_TYPE: parts(state.bench.stations[effect.stock].stock[-1])[0]}
+            types = {LABWARE_TYPE: split_item(state.bench.stations[effect.stock].stock[-1])[0]}
         elif effect.labware in state.bench.labware:
             types = {LABWARE_TYPE: state.bench.labware[effect.labware].type}
             if effect.plate in state.bench.labware:
@@ -289,7 +289,7 @@ def accept_action(state: LabState, command: AcceptAction) -> Decision:
     accepted = ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)
     if action.status == ActionStatus.UNKNOWN and not action.looks:
         # Its node was away, and is back at it. Who has asked because it takes too long still asks.
-        due = ends_by(state, action)
+        due = find_end_by(state, action)
         return [] if due is not None and command.now > due else [accepted]
     return [accepted] if action.status == ActionStatus.REQUESTED else []
 
@@ -364,14 +364,14 @@ def finish(state: LabState, action: Action, command: FinishAction) -> Iterator[E
     if not command.succeeded:
         yield ActionFailed(*ids, command.error, command.effects, kind)
         why = f"{local(action.module)} could not {action.name!r}: {command.error}"
-        yield from effect_events(state, action, command.effects, why, command.result)
+        yield from list_effect_events(state, action, command.effects, why, command.result)
         return
     ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
     recovered = state.modules.by_name[action.module].status == ModuleStatus.ERROR and _is_recovery(
         state, action
     )
     yield ActionSucceeded(*ids, command.result, ended_ns)
-    yield from effect_events(state, action, "all", "", command.result)
+    yield from list_effect_events(state, action, "all", "", command.result)
     yield from record_barcodes(state, action, command.result)
     if recovered:
         yield NodeStateChanged(action.module, "IDLE")
@@ -453,7 +453,7 @@ def doubt_action(state: LabState, command: DoubtAction) -> Decision:
 def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
     """Its node is back and knows nothing more, but where its labware stands has been seen while the node was
     away."""
-    question = state.interventions.about(action.id)
+    question = state.interventions.find_about(action.id)
     name = next((move.labware for move in list_moved(action.effects)), None)
     item = state.bench.labware.get(name) if name is not None else None
     choice = find_shown_outcome(state, action, item.station) if item is not None else ""

@@ -12,7 +12,7 @@ from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
 from labos.core.topics import SecondPerson
-from labos.core.users import ON_BEHALF, person_of
+from labos.core.users import ON_BEHALF, find_person
 
 MOST_NAMED = 5
 """So many dangerous steps are named in the question."""
@@ -26,7 +26,7 @@ def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) 
     if choice != "approve":
         return record_end(state, run, RunCancelled(run.id, f"{by} did not approve it"), "was not approved")
     user = state.users.known.get(by)
-    if person_of(by) == run.user:
+    if find_person(by) == run.user:
         return Rejection(
             "second_person",
             f"{run.id} is {run.user}'s own, and takes the approval of a second person.",

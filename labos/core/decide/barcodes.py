@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import Action
-from labos.core.bench import Labware, removal
+from labos.core.bench import Labware, remove_labware
 from labos.core.effects import Reads
 from labos.core.ids import LabwareId, StationName, local
 from labos.core.labware import BarcodeRead, LabwareObserved, LabwareUncertain
@@ -21,7 +21,7 @@ LONGEST_BARCODE = 128
 NOWHERE = StationName("")
 
 
-def barcode_in(result: Any) -> str:
+def find_barcode(result: Any) -> str:
     """The barcode that a result tells of; empty if none could be read."""
     found = result.get("barcode") if isinstance(result, dict) else result
     text = found.strip() if isinstance(found, str) else ""
@@ -32,7 +32,7 @@ def record_barcodes(state: LabState, action: Action, result: Any, by: str = "") 
     """What follows from the barcode that an action read. One that contradicts the log leaves it
     uncertain where the labware is, and what else bears that barcode: only what needs them waits.
     ``by`` is who says what was read, if it is not the module."""
-    code = barcode_in(result)
+    code = find_barcode(result)
     if not code:
         return []
     for effect in action.effects:
@@ -106,7 +106,7 @@ def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> lis
         return events
     if choice in ("gone", "other"):
         why = f"not where it was recorded ({by})"
-        return [*events, *removal(state.bench, labware.id, "", NOWHERE, why)]
+        return [*events, *remove_labware(state.bench, labware.id, "", NOWHERE, why)]
     place = other.maybe[0] if choice == "swapped" and other is not None else here
     events.append(LabwareObserved(labware.id, "", place, by))
     if choice == "relabelled":

@@ -28,7 +28,7 @@ class SubmitRuns(Command, frozen=True):
     loads: tuple[LoadStation, ...] = ()
     first: int = 0
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return (*self.runs, *self.loads)
 
 

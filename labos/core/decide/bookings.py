@@ -8,7 +8,7 @@ from itertools import pairwise
 import msgspec
 
 from labos.core.bench import Labware
-from labos.core.booked import contacts, find_begun
+from labos.core.booked import find_begun, find_contacts
 from labos.core.bookings import (
     Booking,
     BookingBegan,
@@ -21,16 +21,16 @@ from labos.core.bookings import (
     BookingSpan,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.limits import BAD_TEXT, fault_of
-from labos.core.ids import SHARED, ModuleName, local, owner_parts, workcell_of
+from labos.core.decide.limits import BAD_TEXT, find_fault
+from labos.core.ids import SHARED, ModuleName, local, split_owner, workcell_of
 from labos.core.interventions import InterventionResolved
-from labos.core.recurrence import DAY_NS, LATEST, fault_of_rule, in_zone, zone_of
+from labos.core.recurrence import DAY_NS, LATEST, find_rule_fault, find_zone, in_zone
 from labos.core.registry import Event
-from labos.core.roles import role_in
+from labos.core.roles import rank_role_in
 from labos.core.state import LabState
 from labos.core.structs import make_from
-from labos.core.topics import BookedPlace, in_batches, name_some
-from labos.core.users import person_of, rank
+from labos.core.topics import BookedPlace, name_some, split_into_batches
+from labos.core.users import find_person, rank
 from labos.core.words import Words
 
 HOUR_NS = 3_600_000_000_000
@@ -112,10 +112,10 @@ class EndBooking(Command, frozen=True):
 
 @decides(MakeBooking)
 def make_booking(state: LabState, command: MakeBooking) -> Decision:
-    over = _over(state, command.target, command, "")
+    over = _find_overridden(state, command.target, command, "")
     if isinstance(over, Rejection):
         return over
-    return [_event(BookingMade, state.bookings.next_id, command.target, command, over)]
+    return [_make_event(BookingMade, state.bookings.next_id, command.target, command, over)]
 
 
 @decides(ChangeBooking)
@@ -126,10 +126,10 @@ def change_booking(state: LabState, command: ChangeBooking) -> Decision:
     if command.terms.why is None:
         same = msgspec.structs.replace(command.terms, why=booking.why)
         command = msgspec.structs.replace(command, terms=same)
-    over = _over(state, booking.target, command, booking.id)
+    over = _find_overridden(state, booking.target, command, booking.id)
     if isinstance(over, Rejection):
         return over
-    return [_event(BookingChanged, booking.id, booking.target, command, over)]
+    return [_make_event(BookingChanged, booking.id, booking.target, command, over)]
 
 
 @decides(CancelBooking)
@@ -139,7 +139,7 @@ def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
         return refuse_unknown_booking(command.booking)
     if not command.begins or not booking.rule:
         return [BookingCancelled(booking.id, command.by, command.why)]
-    times = booking.spans(command.begins, command.begins + 1)
+    times = booking.list_spans(command.begins, command.begins + 1)
     if not any(span.begins == command.begins for span in times):
         return Rejection(
             "no_time",
@@ -154,7 +154,7 @@ def near_booking(state: LabState, command: NearBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None or booking.change_due(command.now) != "near":
         return []
-    span = booking.next_span(booking.handled)
+    span = booking.find_next_span(booking.handled)
     return [BookingNeared(booking.id, span.begins, span.ends)] if span is not None else []
 
 
@@ -163,7 +163,7 @@ def begin_booking(state: LabState, command: BeginBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None or booking.change_due(command.now) != "begin":
         return []
-    span = booking.next_span(booking.handled)
+    span = booking.find_next_span(booking.handled)
     return [BookingBegan(booking.id, span.begins, span.ends)] if span is not None else []
 
 
@@ -175,9 +175,11 @@ def end_booking(state: LabState, command: EndBooking) -> Decision:
         return []
     last = BookingSpan(booking.began, booking.until, booking.id)
     if not booking.began:
-        missed = [span for span in booking.spans(booking.handled, command.now) if span.ends <= command.now]
+        missed = [
+            span for span in booking.list_spans(booking.handled, command.now) if span.ends <= command.now
+        ]
         last = missed[-1] if missed else BookingSpan(booking.begins, booking.ends, booking.id)
-    over = booking.next_span(max(last.ends, booking.handled)) is None
+    over = booking.find_next_span(max(last.ends, booking.handled)) is None
     return [BookingEnded(booking.id, last.begins, last.ends, over)]
 
 
@@ -187,7 +189,7 @@ def refuse_unknown_booking(name: str) -> Rejection:
     )
 
 
-def modules_of(state: LabState, target: str) -> list[ModuleName]:
+def list_modules(state: LabState, target: str) -> list[ModuleName]:
     """The modules that a booking of a module or a workcell takes."""
     return [name for name in state.modules.by_name if target in (name, workcell_of(name))]
 
@@ -195,7 +197,7 @@ def modules_of(state: LabState, target: str) -> list[ModuleName]:
 # -- what a booking has to keep --------------------------------------------------------------------
 
 
-def _event(
+def _make_event(
     kind: type[BookingMade] | type[BookingChanged],
     name: str,
     target: str,
@@ -214,20 +216,20 @@ def _event(
     )
 
 
-def _over(
+def _find_overridden(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> tuple[str, ...] | Rejection:
     """The bookings that one is made over, or why it is not made. ``name`` is its own, if it has one."""
     return (
-        _unfit(state, target, command.terms, command.now)
-        or _beyond_quota(state, target, command, name)
-        or _conflicts(state, target, command, name)
+        _check_terms(state, target, command.terms, command.now)
+        or _check_quota(state, target, command, name)
+        or _find_conflicts(state, target, command, name)
     )
 
 
-def _unfit(state: LabState, target: str, terms: NewTerms, now: int) -> Rejection | None:
+def _check_terms(state: LabState, target: str, terms: NewTerms, now: int) -> Rejection | None:
     for field in ("user", "group", "zone", "rule"):
-        if fault := fault_of(getattr(terms, field), field):
+        if fault := find_fault(getattr(terms, field), field):
             return Rejection(BAD_TEXT, fault, "Shorten it.")
     if target not in state.lab.workcells and ModuleName(target) not in state.modules.by_name:
         return Rejection("no_target", f"There is no module or workcell {target!r}.", "List them: labos nodes")
@@ -237,31 +239,31 @@ def _unfit(state: LabState, target: str, terms: NewTerms, now: int) -> Rejection
         return Rejection("past", "The time that would be booked is over already.", "Choose a later one.")
     if terms.ends - terms.begins > LONGEST_DAYS * DAY_NS or terms.ends > LATEST:
         return Rejection("bad_time", f"A booking lasts {LONGEST_DAYS} days at most, and ends before 2100.")
-    return _unfit_rule(terms, now) or _for_nobody(state, terms)
+    return _check_rule(terms, now) or _check_for_whom(state, terms)
 
 
-def _unfit_rule(terms: NewTerms, now: int) -> Rejection | None:
+def _check_rule(terms: NewTerms, now: int) -> Rejection | None:
     try:
-        zone_of(terms.zone)
+        find_zone(terms.zone)
     except ValueError as error:
         return Rejection("bad_zone", f"{error}.", "Write one like Europe/Zurich, or UTC.")
     if not terms.rule:
         if terms.last:
             return Rejection("bad_rule", "Only a booking that is repeated has a last time.", "Say --every.")
         return None
-    fault = fault_of_rule(terms.rule, terms.zone, terms.begins)
+    fault = find_rule_fault(terms.rule, terms.zone, terms.begins)
     if fault:
         return Rejection("bad_rule", fault, "Say how often: --every day, week, weekday, '2 weeks' or month.")
     booking = _as_booking("", "", terms)
-    times = booking.spans(terms.begins, terms.begins + CONFLICT_DAYS * DAY_NS)
+    times = booking.list_spans(terms.begins, terms.begins + CONFLICT_DAYS * DAY_NS)
     if any(later.begins < earlier.ends for earlier, later in pairwise(times)):
         return Rejection("bad_rule", "It lasts longer than until it comes again.", "Book it less often.")
-    if booking.next_span(now) is None:
+    if booking.find_next_span(now) is None:
         return Rejection("past", "The time that would be booked is over already.", "Choose a later one.")
     return None
 
 
-def _for_nobody(state: LabState, terms: NewTerms) -> Rejection | None:
+def _check_for_whom(state: LabState, terms: NewTerms) -> Rejection | None:
     if (bool(terms.user), bool(terms.group), terms.maintenance).count(True) != 1:
         return Rejection(
             "for_whom", "A booking is for one group, for one user, or for maintenance.", "Say --for NAME."
@@ -273,13 +275,13 @@ def _for_nobody(state: LabState, terms: NewTerms) -> Rejection | None:
     return None
 
 
-def _beyond_quota(
+def _check_quota(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> Rejection | None:
     """Users who are no operators there book as much, and as far ahead, as the policy lets them."""
-    who, terms, now = person_of(command.by), command.terms, command.now
+    who, terms, now = find_person(command.by), command.terms, command.now
     cell = workcell_of(ModuleName(target))
-    if state.users.is_open or role_in(state, who, cell) >= rank("operator"):
+    if state.users.is_open or rank_role_in(state, who, cell) >= rank("operator"):
         return None
     limits, remedy = state.approvals.policy.bookings, "Ask an operator to book it."
     if terms.begins > now + limits.days_ahead * DAY_NS:
@@ -288,7 +290,9 @@ def _beyond_quota(
     if limits.hours is not None and long > limits.hours:
         what = f"This booking lasts {long:.1f} h, and one of {who} may last {limits.hours:g} h."
         return Rejection("too_long", what, f"Book less at once. {remedy}")
-    mine = [b for b in state.bookings.open.values() if person_of(b.by) == who and b.id != name and not b.rule]
+    mine = [
+        b for b in state.bookings.open.values() if find_person(b.by) == who and b.id != name and not b.rule
+    ]
     hours = (sum(b.ends - max(b.begins, now) for b in mine) + terms.ends - max(terms.begins, now)) / HOUR_NS
     if hours > limits.total_hours:
         return Rejection(
@@ -299,20 +303,20 @@ def _beyond_quota(
     return None
 
 
-def _conflicts(
+def _find_conflicts(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> tuple[str, ...] | Rejection:
     mine = _as_booking(name, target, command.terms)
     whole = target in state.lab.workcells
-    others = state.bookings.in_cell(target) if whole else state.bookings.list_for(ModuleName(target))
+    others = state.bookings.list_in_cell(target) if whole else state.bookings.list_for(ModuleName(target))
     since = max(command.now, mine.begins)
     until = since + CONFLICT_DAYS * DAY_NS if mine.rule else mine.ends
-    times = mine.spans(since, until)
+    times = mine.list_spans(since, until)
     over: list[str] = []
     for other in others:
         if other.id == name:
             continue
-        met = _first_overlap(times, other.spans(since, max(until, times[-1].ends if times else 0)))
+        met = _find_first_overlap(times, other.list_spans(since, max(until, times[-1].ends if times else 0)))
         if met is None:
             continue
         if command.force and (mine.maintenance or not other.maintenance):
@@ -331,7 +335,7 @@ def _refuse(other: Booking, met: BookingSpan, *, force: bool) -> Rejection:
     return Rejection("booked", f"{what}: {other.id}.", remedy)
 
 
-def _first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> BookingSpan | None:
+def _find_first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> BookingSpan | None:
     """The first of the others' times that one of ours overlaps; both are in order."""
     index = 0
     for span in others:
@@ -366,14 +370,14 @@ def tell_who_stands_there(state: LabState, event: BookingNeared) -> Iterator[Eve
 def tell_who_overruns(state: LabState, event: BookingBegan) -> Iterator[Event]:
     """Actions that are under way when a booking begins continue to their end, and a person is notified."""
     booking = state.bookings.open[event.booking]
-    for module in modules_of(state, booking.target):
+    for module in list_modules(state, booking.target):
         for action in [state.actions.open[name] for name in state.modules.by_name[module].in_flight]:
             run = state.runs.active.get(action.run)
             if run is None or find_begun(state, run.user, module) is not booking:
                 continue
             plan = state.runs.plan_of(run)
             step = plan.steps[action.step]
-            if step.recovers or not contacts(state, step):
+            if step.recovers or not find_contacts(state, step):
                 continue
             yield state.interventions.ask(
                 BookedPlace(module=module, booking=booking.id, action=action.id),
@@ -386,20 +390,20 @@ def tell_who_overruns(state: LabState, event: BookingBegan) -> Iterator[Event]:
 
 
 def _stand_asked(state: LabState, booking: Booking) -> Iterator[bool]:
-    for question in state.interventions.all_about(_subject(booking.id)):
+    for question in state.interventions.list_about(_make_subject(booking.id)):
         yield isinstance(question.topic, BookedPlace) and bool(question.topic.labware)
 
 
 def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:
     found = [
         (module, item)
-        for module in modules_of(state, booking.target)
+        for module in list_modules(state, booking.target)
         for item in _list_standing(state, module)
     ]
     items = [item for _, item in found if not _is_theirs(state, booking, item)]
     if not items:
         return
-    for some in in_batches(BookedPlace, items):
+    for some in split_into_batches(BookedPlace, items):
         where = next(module for module, item in found if item is some[0])
         stands = name_some([f"{i.id} of {_owner(i)} at {local(i.station)}" for i in some])
         yield state.interventions.ask(
@@ -421,7 +425,7 @@ def _is_theirs(state: LabState, booking: Booking, item: Labware) -> bool:
     """Whether labware belongs to everybody, or to those who have the booking."""
     if item.owner == SHARED:
         return True
-    kind, name = owner_parts(item.owner)
+    kind, name = split_owner(item.owner)
     user = name if kind == "user" else ""
     run = state.runs.get(name) if kind == "run" else None
     experiment = state.experiments.open.get(name) if kind == "experiment" else None  # type: ignore[call-overload]
@@ -433,7 +437,7 @@ def _owner(item: Labware) -> str:
     return item.owner.replace(":", " ") or "nobody"
 
 
-def _subject(booking: str) -> str:
+def _make_subject(booking: str) -> str:
     return BookedPlace(booking=booking).subject
 
 
@@ -441,7 +445,7 @@ def withdraw_booking_questions(
     state: LabState, event: BookingChanged | BookingCancelled | BookingSkipped | BookingEnded
 ) -> Iterator[Event]:
     """The questions about a booking are withdrawn when it changes or ends."""
-    for question in state.interventions.all_about(_subject(event.booking)):
+    for question in state.interventions.list_about(_make_subject(event.booking)):
         yield InterventionResolved(question.id, "withdrawn", "labos", "the booking is over, or another one")
 
 
@@ -459,7 +463,7 @@ def withdraw_what_was_cleared(state: LabState, event: Event) -> Iterator[Event]:
         if topic.action:
             still = topic.action in state.actions.open
         else:
-            modules = modules_of(state, booking.target)
+            modules = list_modules(state, booking.target)
             standing = {item.id for module in modules for item in _list_standing(state, module)}
             still = any(name in standing for name in topic.labware)
         if not still:

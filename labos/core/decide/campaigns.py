@@ -35,8 +35,8 @@ from labos.core.ids import CampaignId, RunId
 from labos.core.model import MAIN, Plan
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
-from labos.core.resources import uses_up
-from labos.core.roles import lacks_role_for
+from labos.core.resources import list_used_up
+from labos.core.roles import explain_lacking_role
 from labos.core.runs import RunPaused, RunResumed, RunSubmitted
 from labos.core.state import LabState
 from labos.core.structs import make_from
@@ -102,7 +102,7 @@ class SubmitRows(Command, frozen=True):
 
     rows: tuple[SubmitRow | RefuseRow, ...]
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return self.rows
 
 
@@ -154,7 +154,7 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
     campaign = _expect_next(state, command.campaign, command.row)
     if isinstance(campaign, Rejection):
         return campaign
-    needed = (lacks_role_for(state, campaign.user, plan) for plan in (command.plan, *command.others))
+    needed = (explain_lacking_role(state, campaign.user, plan) for plan in (command.plan, *command.others))
     lacks = next(filter(None, needed), "")
     if lacks:
         return [CampaignStopped(campaign.id, cut(lacks, LONGEST_REASON))]
@@ -228,13 +228,13 @@ def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
         return campaign
     if campaign.is_ended:
         return _refuse_rows(campaign)
-    unfit = unfit_terms(campaign, command.terms)
+    unfit = check_terms(campaign, command.terms)
     if unfit is not None:
         return unfit
     return [] if command.terms == campaign.terms else [CampaignAmended(campaign.id, command.terms)]
 
 
-def unfit_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
+def check_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
     """Why a campaign cannot go on under these terms."""
     until, known = terms.until, campaign.terms.until
     if (
@@ -297,24 +297,24 @@ def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
     ]
     if budget.lab_time_s:
         spent = campaign.spent_ns / 1e9 * state.lab.pace
-        if spent + sum(map(module_time_s, plans)) > budget.lab_time_s:
+        if spent + sum(map(compute_module_time_s, plans)) > budget.lab_time_s:
             return f"Another run would take it beyond its budget of {budget.lab_time_s / 3600:g} h lab time."
     for kind, most in budget.consumables.items():
         used = campaign.used.get(kind, 0.0)
-        if used + sum(consumption(plan).get(kind, 0.0) for plan in plans) > most:
+        if used + sum(sum_consumption(plan).get(kind, 0.0) for plan in plans) > most:
             return f"Another run would take it beyond its budget of {most:g} {kind}."
     return ""
 
 
-def module_time_s(plan: Plan) -> float:
+def compute_module_time_s(plan: Plan) -> float:
     """The nominal module time of a plan that goes well, in lab seconds."""
     return sum(step.duration_s for step in plan.steps if step.part == MAIN)
 
 
-def consumption(plan: Plan) -> dict[str, float]:
+def sum_consumption(plan: Plan) -> dict[str, float]:
     """What a plan that goes well uses up, by kind."""
     found: dict[str, float] = {}
-    for index, _, resource, amount in uses_up(plan.steps):
+    for index, _, resource, amount in list_used_up(plan.steps):
         if plan.steps[index].part == MAIN:
             found[resource] = found.get(resource, 0.0) + amount
     return found

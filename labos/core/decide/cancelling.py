@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.endings import record_end, under_way
+from labos.core.decide.endings import has_open_action, record_end
 from labos.core.decide.runs import expect_alive
 from labos.core.ids import RunId
-from labos.core.leaving import find_bench_of_run, has_lost_labware, steps_out, way_out, will_leave
+from labos.core.leaving import find_bench_of_run, find_way_out, has_lost_labware, list_steps_out, will_leave
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
 from labos.core.runs import RunCancelled, RunCancelling, RunLeaving, RunState, RunStatus
@@ -45,8 +45,10 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
         return run
     if run.is_ending and (run.stay or not command.stay):
         return record_repeat(command.run, "cancel", command.why)
-    leaves = run.status == RunStatus.ACTIVE and not command.stay and bool(steps_out(state.runs.plan_of(run)))
-    if leaves or under_way(run):
+    leaves = (
+        run.status == RunStatus.ACTIVE and not command.stay and bool(list_steps_out(state.runs.plan_of(run)))
+    )
+    if leaves or has_open_action(run):
         return [RunCancelling(command.run, stay=command.stay, reason=command.why)]
     return record_end(state, run, RunCancelled(command.run, command.why), "was cancelled")
 
@@ -63,12 +65,12 @@ def cancel_all(
 @decides(TakeWayOut)
 def take_way_out(state: LabState, command: TakeWayOut) -> Decision:
     run = state.runs.active.get(command.run)
-    if run is None or under_way(run) or not will_leave(state.runs.plan_of(run), run):
+    if run is None or has_open_action(run) or not will_leave(state.runs.plan_of(run), run):
         return []
     steps = (
         ()
         if has_lost_labware(state, run)
-        else way_out(state.runs.plan_of(run), find_bench_of_run(state, run))
+        else find_way_out(state.runs.plan_of(run), find_bench_of_run(state, run))
     )
     return (
         [RunLeaving(run.id, steps)]
@@ -80,6 +82,6 @@ def take_way_out(state: LabState, command: TakeWayOut) -> Decision:
 @decides(GiveUpWayOut)
 def give_up_way_out(state: LabState, command: GiveUpWayOut) -> Decision:
     run = state.runs.active.get(command.run)
-    if run is None or run.status != RunStatus.LEAVING or under_way(run):
+    if run is None or run.status != RunStatus.LEAVING or has_open_action(run):
         return []
     return record_end(state, run, RunCancelled(run.id), "was cancelled, and its way out is blocked")

@@ -7,7 +7,7 @@ import msgspec
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.ids import RunId
 from labos.core.model import Plan
-from labos.core.runs import PENDING, SKIPPED, RunBound, RunState, RunStatus, modules_chosen
+from labos.core.runs import PENDING, SKIPPED, RunBound, RunState, RunStatus, find_chosen_modules
 from labos.core.state import LabState
 
 MOST_PLANS = 16
@@ -33,7 +33,7 @@ def bind_anew(state: LabState, command: BindAnew) -> Decision:
 
 def bind(state: LabState, run: RunState, why: str = "") -> RunBound:
     """A run is bound to the plan that it has here."""
-    chosen = modules_chosen(state.runs, run)
+    chosen = find_chosen_modules(state.runs, run)
     return RunBound(run.id, run.plan, chosen, state.runs.find_plan_stream(run.plan), why)
 
 

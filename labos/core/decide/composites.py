@@ -35,7 +35,7 @@ class SubmitWithLabware(Command, frozen=True):
     run: SubmitRun
     loads: tuple[LoadStation, ...] = ()
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return (self.run, *self.loads)
 
 
@@ -44,7 +44,7 @@ class DeclareStations(Command, frozen=True):
 
     stations: tuple[DeclareStation, ...]
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return self.stations
 
 
@@ -58,7 +58,7 @@ class ReportRound(Command, frozen=True):
     as_recorded: tuple[StationName, ...] = ()
     finish: bool = False
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return (*self.stations, ConfirmStations(self.as_recorded, self.by))
 
 
@@ -123,14 +123,14 @@ def report_round(state: LabState, command: ReportRound) -> Decision:
 
 def _report_round(state: LabState, command: ReportRound) -> Iterator[Event]:
     for said in command.stations:
-        yield from _as_far_as_possible(say_contents(state, said))
+        yield from _list_possible(say_contents(state, said))
     for name in command.as_recorded:
-        yield from _as_far_as_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
+        yield from _list_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
     asked = state.interventions.open_about(ShorterLog)
     if command.finish and asked and not list_to_say(state):
         answer = ResolveIntervention(asked[0].id, "checked", command.by, "the bench was gone round")
-        yield from _as_far_as_possible(resolve_intervention(state, answer))
+        yield from _list_possible(resolve_intervention(state, answer))
 
 
-def _as_far_as_possible(decision: Decision) -> Iterable[Event]:
+def _list_possible(decision: Decision) -> Iterable[Event]:
     return () if isinstance(decision, Rejection) else decision

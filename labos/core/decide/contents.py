@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labos.core.bench import Station, parts
+from labos.core.bench import Station, split_item
 from labos.core.decide._base import Rejection
 from labos.core.ids import SHARED, LabwareId, StationName, local
 from labos.core.labware import (
@@ -23,7 +23,7 @@ GONE = StationName("")
 
 
 def list_recorded(state: LabState, name: StationName) -> list[str]:
-    """What stands at a station by the record, as ``contents_events`` takes it."""
+    """What stands at a station by the record, as ``list_contents_events`` takes it."""
     station, labware = state.bench.stations[name], state.bench.labware
     if station.spec.kind == "waste":
         return ["labware"] * station.level
@@ -34,7 +34,7 @@ def _name_with_lid(name: str, lid: str) -> str:
     return f"{name}+{lid}" if lid else name
 
 
-def contents_events(
+def list_contents_events(
     state: LabState, station: Station, contents: Sequence[str], by: str
 ) -> list[Event] | Rejection:
     """The events that make the record of a station say ``contents``, bottom to top: labware by its id or,
@@ -47,13 +47,13 @@ def contents_events(
         )
     if station.spec.kind == "waste":
         return [StationDeclared(name, tuple(contents))] if len(contents) != station.level else []
-    pieces = [parts(item) for item in contents]
+    pieces = [split_item(item) for item in contents]
     named = [piece for pair in pieces for piece in pair if piece in state.bench.labware]
     wrong = _refuse_misfit(state, station, pieces, named)
     if wrong:
         return wrong
     if station.spec.kind == "stack":
-        return _stack(state, station, pieces, by)
+        return _list_stack_events(state, station, pieces, by)
     return [
         *_remove_missing(station, pieces, by),
         *_place_or_observe(state, station, pieces, by),
@@ -82,14 +82,14 @@ def _refuse_misfit(
         if not station.spec.admits(piece):
             return Rejection(
                 "not_accepted",
-                f"{local(station.spec.name)} {station.spec.why_not(piece)}.",
+                f"{local(station.spec.name)} {station.spec.explain_refusal(piece)}.",
                 "If it stands there all the same, take it away first; labware that the log knows is named by "
                 "its id: labos labware",
             )
     return None
 
 
-def _stack(
+def _list_stack_events(
     state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str
 ) -> list[Event] | Rejection:
     """A stack holds nameless pieces, and on top of them labware with names."""

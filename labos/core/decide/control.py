@@ -91,7 +91,7 @@ def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
     return chain([ended], cancel_all(state, runs, command.stay, command.why))
 
 
-def _names_one(state: LabState, target: str) -> bool:
+def _is_known_target(state: LabState, target: str) -> bool:
     """Whether a target names something whose starts can be paused."""
     return (
         target == WHOLE_LAB
@@ -102,7 +102,7 @@ def _names_one(state: LabState, target: str) -> bool:
 
 
 def _refuse_unknown(state: LabState, target: str) -> Rejection | None:
-    if _names_one(state, target):
+    if _is_known_target(state, target):
         return None
     return Rejection(
         "no_target",

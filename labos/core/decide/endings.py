@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core.actions import ActionReconciled, ActionRejected, ActionSucceeded
-from labos.core.conditions import by_key, holds
+from labos.core.conditions import holds, sort_results_by_key
 from labos.core.expressions import ExpressionError
 from labos.core.ids import Owner, experiment_owner, local, run_owner, user_owner
 from labos.core.labware import LabwareHandedOver
@@ -26,15 +26,15 @@ from labos.core.runs import (
     RunFailed,
     RunState,
     RunStatus,
+    find_results,
     list_rescue_steps,
-    results_of,
 )
 from labos.core.state import LabState
 from labos.core.steps import StepSkipped
-from labos.core.topics import LeftLabware, in_batches, name_some
+from labos.core.topics import LeftLabware, name_some, split_into_batches
 
 
-def under_way(run: RunState) -> bool:
+def has_open_action(run: RunState) -> bool:
     """Whether an action of the run has not ended: until then the run cannot end either."""
     return run.has(IN_FLIGHT, UNKNOWN)
 
@@ -75,7 +75,7 @@ def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | Step
         if any(run.steps[before].status not in SETTLED for before in step.after):
             continue
         try:
-            wanted = holds(step.when, by_key(plan, results_of(plan, run)))
+            wanted = holds(step.when, sort_results_by_key(plan, find_results(plan, run)))
         except ExpressionError as error:
             why = f"the condition of step {step.key!r} cannot be decided: {error.message}"
             yield from fail_run(state, run, why, "experiment")
@@ -100,7 +100,7 @@ def end_run(
             yield from record_end(state, run, RunCompleted(run.id, run.statuses.count(DONE)), "completed")
     elif (
         run.status == RunStatus.CANCELLING
-        and not under_way(run)
+        and not has_open_action(run)
         and not will_leave(state.runs.plan_of(run), run)
     ):
         if run.why:
@@ -114,9 +114,9 @@ def end_run(
 
 def fail_run(state: LabState, run: RunState, why: str, kind: str = "software") -> Iterator[Event]:
     """A step has failed, and with it the run. One that was cancelled goes the way out that it has first."""
-    if not under_way(run) and will_leave(state.runs.plan_of(run), run):
+    if not has_open_action(run) and will_leave(state.runs.plan_of(run), run):
         return  # its way out begins where this has left its labware
-    if not under_way(run) and run.status == RunStatus.LEAVING:
+    if not has_open_action(run) and run.status == RunStatus.LEAVING:
         what = f"was cancelled, and its way out failed: {(run.why or why).rstrip('.')}"
         yield from record_end(state, run, RunCancelled(run.id), what)
     else:
@@ -125,7 +125,7 @@ def fail_run(state: LabState, run: RunState, why: str, kind: str = "software") -
 
 def give_up(state: LabState, run: RunState, why: str, kind: str = "experiment") -> Iterator[Event]:
     """A run ends as failed, as soon as nothing of it is in flight. ``kind`` is the class of failure."""
-    if under_way(run):
+    if has_open_action(run):
         yield RunCancelling(run.id, why)
     else:
         why = run.why or why
@@ -145,12 +145,12 @@ def record_end(state: LabState, run: RunState, end: RunEnd, what: str) -> Iterat
         if not lender and item.station and not state.bench.stations[item.station].spec.is_storage:
             in_the_way.append(item)
     cell = state.runs.plan_of(run).workcell
-    for name, module in state.modules.within(cell):
+    for name, module in state.modules.list_in_cell(cell):
         for setpoint, now in list(module.setpoints.items()):
             if run.id in now.holders:
                 yield SetpointReleased(name, setpoint, run.id)
     if in_the_way and not isinstance(end, RunCompleted):
-        for some in in_batches(LeftLabware, in_the_way):
+        for some in split_into_batches(LeftLabware, in_the_way):
             stands = name_some([f"{item.id} at {local(item.station)}" for item in some])
             left = LeftLabware(run=run.id, labware=tuple(item.id for item in some))
             yield state.interventions.ask(

@@ -7,11 +7,11 @@ import re
 from collections.abc import Iterator
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.policy import service_of
+from labos.core.decide.policy import find_service
 from labos.core.erasure import REASONS, ErasureAsked, ErasureRefused, WordsErased
 from labos.core.registry import Event
 from labos.core.state import LabState
-from labos.core.users import person_of
+from labos.core.users import find_person
 
 PER_EVENT = 400
 """So many digests one event bears."""
@@ -44,7 +44,7 @@ class RefuseErasure(Command, frozen=True):
 
 @decides(EraseWords)
 def erase_words(state: LabState, command: EraseWords) -> Decision:
-    wrong = _unfit(state, command)
+    wrong = _check_erasure(state, command)
     if wrong:
         return wrong
     if not state.approvals.policy.erasure and not command.erasure:
@@ -54,8 +54,8 @@ def erase_words(state: LabState, command: EraseWords) -> Decision:
         return [ErasureAsked(name, *terms, command.records, command.user)]
     asked = state.erasures.open.get(command.erasure)
     if asked is None:
-        return _not_asked(command.erasure)
-    if person_of(asked.by) == person_of(command.by):
+        return _refuse_unknown(command.erasure)
+    if find_person(asked.by) == find_person(command.by):
         return Rejection(
             "same_person",
             f"{command.by} asked for {command.erasure}, and the policy wants a second person.",
@@ -83,11 +83,11 @@ def _erase(command: EraseWords, by: str, approved_by: str) -> Iterator[Event]:
 @decides(RefuseErasure)
 def refuse_erasure(state: LabState, command: RefuseErasure) -> Decision:
     if command.erasure not in state.erasures.open:
-        return _not_asked(command.erasure)
+        return _refuse_unknown(command.erasure)
     return [ErasureRefused(command.erasure, command.by)]
 
 
-def _unfit(state: LabState, command: EraseWords) -> Rejection | None:
+def _check_erasure(state: LabState, command: EraseWords) -> Rejection | None:
     if command.because not in REASONS:
         return Rejection(
             "no_reason", f"{command.because!r} is no reason to erase words.", f"Known: {', '.join(REASONS)}."
@@ -107,11 +107,11 @@ def _unfit(state: LabState, command: EraseWords) -> Rejection | None:
         )
     if not all(_DIGEST.fullmatch(digest) for _, digest in command.found):
         return Rejection("no_words", "A digest is no SHA-256.")
-    service = service_of(state, command.by)
+    service = find_service(state, command.by)
     if service:
         return Rejection("no_person", f"{service} is a program, and erases nothing.", "Ask an admin.")
     return None
 
 
-def _not_asked(name: str) -> Rejection:
+def _refuse_unknown(name: str) -> Rejection:
     return Rejection("no_erasure", f"No erasure {name!r} waits for a second person.", "List: labos erase")

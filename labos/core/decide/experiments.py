@@ -9,7 +9,7 @@ from labos.core.closing import plan_closing
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.endings import record_end
 from labos.core.decide.runs import find_plan_flaw, plan_digest, record_plan
-from labos.core.decide.windows import outer_windows
+from labos.core.decide.windows import list_outer_windows
 from labos.core.experiments import (
     ExperimentClosing,
     ExperimentEnded,
@@ -30,7 +30,7 @@ from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.open_experiments import Experiment, ExperimentStatus, note_digest
 from labos.core.registry import Event
-from labos.core.rules import CLOSING_S, closes_late_at
+from labos.core.rules import CLOSING_S, find_late_close
 from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
 from labos.core.structs import make_from
@@ -116,7 +116,7 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
         flaw = find_plan_flaw(state, command.closing)
         if flaw:
             return flaw
-        if outer_windows(command.closing):
+        if list_outer_windows(command.closing):
             return Rejection(
                 "no_anchor",
                 f"The closing workflow {command.closing.workflow!r} has a window of another run.",
@@ -200,7 +200,7 @@ def lose_experiment(state: LabState, command: LoseExperiment) -> Decision:
     if (
         experiment is None
         or experiment.status != ExperimentStatus.OPEN
-        or state.interventions.about(command.experiment)
+        or state.interventions.find_about(command.experiment)
     ):
         return []
     return [
@@ -215,7 +215,7 @@ def lose_experiment(state: LabState, command: LoseExperiment) -> Decision:
 @decides(AskAboutClosing)
 def ask_about_closing(state: LabState, command: AskAboutClosing) -> Decision:
     run = state.runs.queued.get(command.run)
-    due = closes_late_at(state, run) if run is not None else None
+    due = find_late_close(state, run) if run is not None else None
     if run is None or due is None or command.now <= due:
         return []
     return [
@@ -293,6 +293,6 @@ def withdraw_experiment_question(
     """The question about a silent application is withdrawn when the application comes back."""
     came_back = isinstance(event, ExperimentResumed)
     why = f"the application {'was started again' if came_back else 'came back and ended'}"
-    for question in state.interventions.all_about(event.experiment):
+    for question in state.interventions.list_about(event.experiment):
         if isinstance(question.topic, LostExperiment) or not came_back:
             yield InterventionResolved(question.id, "withdrawn", "labos", why)

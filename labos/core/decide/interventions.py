@@ -7,7 +7,7 @@ from itertools import chain
 from typing import Any, assert_never
 
 from labos.core.actions import Action
-from labos.core.bench import Labware, removal
+from labos.core.bench import Labware, remove_labware
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finish
 from labos.core.decide.approvals import answer_approval
@@ -19,7 +19,7 @@ from labos.core.decide.proposals import answer_question
 from labos.core.decide.runs import answer_late
 from labos.core.decide.shorter import finish_round
 from labos.core.decide.steps import answer_failed
-from labos.core.effects import Move, Relid, Unlid, arrivals
+from labos.core.effects import Move, Relid, Unlid, list_arrivals
 from labos.core.holding import find_user_meanwhile
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId, StationName, local
 from labos.core.interventions import (
@@ -132,7 +132,7 @@ def _clear_away(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
         event
         for name in topic.labware
         if name in state.bench.labware and not state.bench.labware[name].moving
-        for event in removal(state.bench, name, "", StationName(""), f"taken away ({by})")
+        for event in remove_labware(state.bench, name, "", StationName(""), f"taken away ({by})")
     ]
 
 
@@ -231,5 +231,5 @@ def _is_awaited(state: LabState, item: Labware | None, place: StationName) -> bo
     if item is None:
         return False
     effects = state.bench.reserved.get(ActionId(item.moving), ())
-    way = arrivals(tuple(e for e in effects if isinstance(e, Move) and e.labware == item.id))
-    return place in way or place in map(state.bench.as_planned, way)
+    way = list_arrivals(tuple(e for e in effects if isinstance(e, Move) and e.labware == item.id))
+    return place in way or place in map(state.bench.find_planned_place, way)

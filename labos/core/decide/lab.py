@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
-from labos.core.bench import Station, arrival, count_taking, parts
+from labos.core.bench import Station, add_arrival, count_taking, split_item
 from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides, refuse_hotel
 from labos.core.decide.shorter import record_shorter_log
-from labos.core.effects import Replaces, places
+from labos.core.effects import Replaces, list_places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
@@ -17,7 +17,7 @@ from labos.core.model import StationSpec, Workcell
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.resources import LevelSet
-from labos.core.shelves import in_doubt
+from labos.core.shelves import is_in_doubt
 from labos.core.state import LabState
 from labos.core.topics import DiscoveredAction
 
@@ -42,7 +42,7 @@ class ApplyWorkcell(Command, frozen=True):
     workcell: Workcell
     contents: dict[StationName, tuple[str, ...]] | None = None
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return [DeclareStation(name, types) for name, types in (self.contents or {}).items()]
 
 
@@ -114,7 +114,7 @@ def _declare_rest(
 def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     if state.lab.workcells.get(cell.name) == cell.digest:
         return []
-    forbidden = in_the_way(state, cell)
+    forbidden = list_obstacles(state, cell)
     if forbidden:
         return forbidden[0]
     events: list[Event] = [
@@ -132,7 +132,7 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     return events
 
 
-def in_the_way(state: LabState, cell: Workcell) -> list[Rejection]:
+def list_obstacles(state: LabState, cell: Workcell) -> list[Rejection]:
     """Everything that keeps a workcell from being changed to a new description."""
     return [*_find_needed(state, cell), *_find_parking(state, cell), *_find_too_small(state, cell)]
 
@@ -163,7 +163,7 @@ def _find_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
     for digest, plan in state.runs.plans.items():
         needed: set[str] = {step.module for step in plan.plan.steps}
-        needed.update(place for step in plan.plan.steps for place in places(step.effects))
+        needed.update(place for step in plan.plan.steps for place in list_places(step.effects))
         refilled = (e.module for s in plan.plan.steps for e in s.effects if isinstance(e, Replaces))
         needed.update(refilled)
         by = [run.id for run in runs if run.plan == digest]
@@ -209,7 +209,7 @@ def _find_too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     hotels = {spec.hotel for spec in cell.stations}
     for spec in cell.stations:
         known = state.bench.stations.get(spec.name)
-        full = known is not None and (known.count or in_doubt(state.bench, spec.name))
+        full = known is not None and (known.count or is_in_doubt(state.bench, spec.name))
         if known is not None and full and known.spec.kind != spec.kind:
             yield _refuse_occupied(state, spec.name, f"cannot become a {spec.kind}")
         elif full and (spec.name in state.bench.shelves) != (spec.name in hotels):
@@ -261,9 +261,9 @@ def _refuse_contents(spec: StationSpec, contents: tuple[str, ...]) -> Rejection 
     """Why a station could not hold this."""
     if len(contents) > spec.capacity:
         return Rejection("too_many", f"{local(spec.name)} holds {spec.capacity}, not {len(contents)}.")
-    wrong = next((kind for kind in contents if not spec.admits(parts(kind)[0])), "")
+    wrong = next((kind for kind in contents if not spec.admits(split_item(kind)[0])), "")
     if wrong:
-        return Rejection("not_accepted", f"{local(spec.name)} {spec.why_not(parts(wrong)[0])}.")
+        return Rejection("not_accepted", f"{local(spec.name)} {spec.explain_refusal(split_item(wrong)[0])}.")
     return None
 
 
@@ -273,6 +273,6 @@ def _declare(state: LabState, station: Station, contents: tuple[str, ...]) -> It
         yield StationDeclared(name, contents)
         return
     yield StationDeclared(name, ())
-    for kind, lid in map(parts, contents):
+    for kind, lid in map(split_item, contents):
         plate = LabwarePlaced(state.bench.next_id, "", kind, name, SHARED)
-        yield from arrival(state.bench, plate, lid)
+        yield from add_arrival(state.bench, plate, lid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.barcodes import LONGEST_BARCODE, barcode_in
+from labos.core.decide.barcodes import LONGEST_BARCODE, find_barcode
 from labos.core.ids import LabwareId
 from labos.core.labware import BarcodeRead, Sample, SamplesRegistered
 from labos.core.registry import Event
@@ -65,7 +65,7 @@ def name_barcode(state: LabState, command: NameBarcode) -> Decision:
     labware = state.bench.labware.get(command.labware)
     if labware is None:
         return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
-    code = barcode_in(command.barcode)
+    code = find_barcode(command.barcode)
     if not code:
         return Rejection(
             "bad_barcode",

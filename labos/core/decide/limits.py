@@ -13,7 +13,7 @@ from typing import Any, get_args, get_origin
 import msgspec
 
 from labos.core.decide._base import Command, Rejection, Report
-from labos.core.decide.wording import words_in
+from labos.core.decide.wording import list_words
 from labos.core.texts import (
     CONTROL,
     CONTROL_IN_NOTE,
@@ -34,7 +34,7 @@ MOST_REPORTED = 1_000
 def cut_report(report: Report) -> Report:
     """The report with its texts, and lists, cut to their limits."""
     changed: dict[str, object] = {}
-    fields = _fields(type(report))
+    fields = _find_fields(type(report))
     for name in fields.texts:
         text = getattr(report, name)
         if len(text) > LONGEST_REPORT or CONTROL_IN_NOTE.search(text):
@@ -45,9 +45,9 @@ def cut_report(report: Report) -> Report:
     return msgspec.structs.replace(report, **changed) if changed else report
 
 
-def bare_report(report: Report) -> Report:
+def shorten_report(report: Report) -> Report:
     """The report without what makes it too large: short texts, and no result."""
-    texts = _fields(type(report)).texts
+    texts = _find_fields(type(report)).texts
     changed: dict[str, object] = {name: cut(getattr(report, name), LONGEST_NAME) for name in texts}
     if "result" in report.__struct_fields__:
         changed["result"] = None
@@ -56,17 +56,17 @@ def bare_report(report: Report) -> Report:
 
 def refuse_misfit(command: Command) -> Rejection | None:
     """Why a request cannot be recorded as it is worded; None if it can."""
-    fields = _fields(type(command))
+    fields = _find_fields(type(command))
     texts = [(getattr(command, field), field) for field in fields.texts]
     texts += [(text, field) for field in fields.several for text in getattr(command, field)]
-    texts += words_in(command)
+    texts += list_words(command)
     for text, field in texts:
-        if fault := fault_of(text, field):
+        if fault := find_fault(text, field):
             return Rejection(BAD_TEXT, fault, "Shorten it, or hand in long text as a file.")
-    return next(filter(None, map(refuse_misfit, command.parts())), None)
+    return next(filter(None, map(refuse_misfit, command.list_parts())), None)
 
 
-def fault_of(text: str, field: str) -> str:
+def find_fault(text: str, field: str) -> str:
     """What is wrong with a text of a request, as a sentence; empty if nothing is."""
     most = {"note": LONGEST_NOTE, "why": LONGEST_REASON}.get(field, LONGEST_NAME)
     if len(text) > most:
@@ -86,7 +86,7 @@ class _Fields(msgspec.Struct, frozen=True):
 
 
 @cache
-def _fields(kind: type[Command]) -> _Fields:
+def _find_fields(kind: type[Command]) -> _Fields:
     fields = [(field.name, field.type) for field in msgspec.structs.fields(kind)]
     return _Fields(
         [name for name, kind in fields if _is_text(kind)],

@@ -21,7 +21,7 @@ from labos.core.modules import (
     StopReported,
 )
 from labos.core.registry import Event
-from labos.core.rules import find_give_up_time, lab_ns
+from labos.core.rules import convert_lab_s, find_give_up_time
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.texts import cut
@@ -204,7 +204,7 @@ def quarantine(state: LabState, command: Quarantine) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None or module.out_of_service or command.after < 1:
         return []
-    failed = list_failures_since(module, command.now - lab_ns(state, command.within_s))
+    failed = list_failures_since(module, command.now - convert_lab_s(state, command.within_s))
     if len(failed) < command.after:
         return []
     often = f"{len(failed)} times in {command.within_s:g} s"

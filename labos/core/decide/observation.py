@@ -10,7 +10,7 @@ from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, Station
 from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
-from labos.core.effects import hand_of, list_carried, list_moved, places
+from labos.core.effects import list_carried, list_moved, list_places, name_hand
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
     Intervention,
@@ -34,8 +34,8 @@ from labos.core.topics import (
     SeenElsewhere,
     Unexpected,
     UnknownAction,
-    in_batches,
     name_some,
+    split_into_batches,
 )
 
 GONE = StationName("")
@@ -69,9 +69,9 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
         labware = state.bench.labware[command.labware]
         if labware.station == command.station:
             return events  # as recorded
-        if labware.station or not sight.room(command.station):
+        if labware.station or not sight.count_room(command.station):
             return chain(events, _report_elsewhere(state, labware, station, command.by))
-        sight.stands(labware.id, command.station)
+        sight.add_standing(labware.id, command.station)
         return chain(events, sight.events())
     return chain(events, _decide_count(state, sight, station, command))
 
@@ -89,9 +89,9 @@ def _refuse_sight(state: LabState, station: Station, command: ObserveStation) ->
         if action.status == ActionStatus.UNKNOWN:
             continue
         motions = list_carried(action.effects)
-        hand = hand_of(action.module) if motions else ""
+        hand = name_hand(action.module) if motions else ""
         moving = labware is not None and labware.moving == action.id
-        if moving or command.station == hand or command.station in places(motions):
+        if moving or command.station == hand or command.station in list_places(motions):
             return Rejection(
                 "in_motion",
                 f"{local(action.module)} is carrying something there: what is seen now is old soon.",
@@ -130,7 +130,7 @@ class Sight:
         known = self._state.bench.labware
         return [n for n, left in self._left.items() if place in left and type_ in ("", known[n].type)]
 
-    def room(self, place: StationName) -> int:
+    def count_room(self, place: StationName) -> int:
         """How much more can stand at a place than what is known, or was found now, to stand there."""
         station = self._state.bench.stations.get(place)
         if station is None:
@@ -140,13 +140,13 @@ class Sight:
         found = sum(where == place for where in self._found.values())
         return station.spec.capacity - len(station.labware) - len(station.stock) - found
 
-    def stands(self, labware: LabwareId, place: StationName) -> None:
+    def add_standing(self, labware: LabwareId, place: StationName) -> None:
         """It was seen there."""
         self._left[labware] = [place]
         self._standing.add(labware)
         self._conclude()
 
-    def empty(self, place: StationName) -> None:
+    def add_empty(self, place: StationName) -> None:
         """Nothing stands there."""
         for name in self.may_be_at(place):
             self._left[name] = [other for other in self._left[name] if other != place] or [GONE]
@@ -154,21 +154,21 @@ class Sight:
 
     def full(self, place: StationName) -> None:
         """Nothing more stands there than what is known: only where there is no room."""
-        if not self.room(place):
-            self.empty(place)
+        if not self.count_room(place):
+            self.add_empty(place)
 
     def _conclude(self) -> None:
         """What has one place left is there; a place that it fills is no place for others. At a place that
         has an observer it is there when it was seen there."""
         for name, left in self._left.items():
             place = left[0]
-            if name in self._found or len(left) > 1 or place == GONE or not self.room(place):
+            if name in self._found or len(left) > 1 or place == GONE or not self.count_room(place):
                 continue
             station = self._state.bench.stations[place]
             if station.spec.watched and name not in self._standing:
                 continue
             self._found[name] = place
-            if not self.room(place):
+            if not self.count_room(place):
                 for other in self.may_be_at(place):
                     if other not in self._found:
                         kept = [p for p in self._left[other] if p != place]
@@ -183,13 +183,13 @@ class Sight:
             yield from self._answer(question, told)
         for name, place in self._found.items():
             if name not in told:
-                yield self._stands_at(name, place)
+                yield self._make_event(name, place)
         for name, left in self._left.items():
             if name not in self._found and tuple(left) != self._before[name]:
                 why = f"seen by {self._by} not to be elsewhere"
                 yield LabwareUncertain(name, "", tuple(left), why)
 
-    def _stands_at(self, name: LabwareId, place: StationName) -> Event:
+    def _make_event(self, name: LabwareId, place: StationName) -> Event:
         if self._state.bench.stations[place].spec.kind == "waste":
             return LabwareRemoved(name, "", place, "discarded")
         return LabwareObserved(name, "", place, self._by)
@@ -229,7 +229,7 @@ class Sight:
         if not left or self._state.runs.get(topic.run) is not None:
             return
         whose = f"What run {topic.run} lost" if topic.run else "What was lost"
-        for some in in_batches(LeftLabware, list(left)):
+        for some in split_into_batches(LeftLabware, list(left)):
             stands = name_some([f"{name} at {local(left[name])}" for name in some])
             found = LeftLabware(module=topic.module, labware=tuple(some), lost_by=topic.action)
             yield self._state.interventions.ask(found, f"{whose} was seen by {self._by}: {stands}.")
@@ -255,14 +255,14 @@ def _decide_count(
     here = [state.bench.labware[item] for item in station.labware]
     known = len(here) + len(station.stock)
     types = {item.type for item in here} | set(station.stock)
-    if command.kind and known and command.kind not in types and not sight.room(name):
+    if command.kind and known and command.kind not in types and not sight.count_room(name):
         return _doubt_other_type(state, here, station, command)
     fits = known and (not command.kind or command.kind in types)
     more = command.count - known if command.count is not None else (0 if fits else 1)
     if more < 0:
         return _doubt_missing(state, here, station, command)
     if more == 0:
-        sight.empty(name)
+        sight.add_empty(name)
         return chain(_withdraw_strange(state, name), sight.events())
     if any(name in found for found in state.bench.searched.values()):
         return []  # it may be what came off a stack and has no name yet
@@ -274,7 +274,7 @@ def _decide_count(
         return _report_unexpected(state, station, command)
     if len(may_be) == more:
         for item in may_be:
-            sight.stands(item, name)
+            sight.add_standing(item, name)
     return sight.events()
 
 
@@ -282,7 +282,7 @@ def _find_take(state: LabState, place: StationName) -> Action | None:
     """An action that may have brought something from a stack to a place, or not: nobody knows."""
     for action in state.actions.open.values():
         takes = [e for e in list_carried(action.effects) if e.stock]
-        hand = hand_of(action.module)
+        hand = name_hand(action.module)
         if action.status == ActionStatus.UNKNOWN and any(place in (hand, e.source, e.target) for e in takes):
             return action
     return None
@@ -291,7 +291,7 @@ def _find_take(state: LabState, place: StationName) -> Action | None:
 def _settle_take(state: LabState, action: Action, place: StationName, by: str) -> Iterable[Event]:
     """What came off a stack was seen: at its target the action was done."""
     motions = list_carried(action.effects)
-    question = state.interventions.about(action.id)
+    question = state.interventions.find_about(action.id)
     there = len(motions) == 1 and motions[0].target == place
     if question is None or not there or is_read_later(state, action) or may_still_act(state, action):
         return []
@@ -320,7 +320,7 @@ def _doubt_missing(
     seen = "empty" if not command.count else f"with {command.count}"
     for item in here:
         yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
-    for some in in_batches(NotSeen, [item.id for item in here]):
+    for some in split_into_batches(NotSeen, [item.id for item in here]):
         yield state.interventions.ask(
             NotSeen(module=station.spec.module, station=place, labware=tuple(some)),
             f"{command.by} saw {local(place)} {seen}, where {name_some(some)} should stand. Where is it? "
@@ -335,7 +335,7 @@ def _doubt_other_type(
     module, place, kind = station.spec.module, station.spec.name, command.kind
     for item in here:
         yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
-    for some in in_batches(NotSeen, here):
+    for some in split_into_batches(NotSeen, here):
         recorded = name_some([f"{item.id} ({item.type})" for item in some])
         names = tuple(item.id for item in some)
         yield state.interventions.ask(
@@ -356,7 +356,7 @@ def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: s
     yield LabwareUncertain(labware.id, "", may_be, f"seen at {local(place)} by {by}")
     for item in others:
         yield LabwareUncertain(item, "", (place, GONE), f"{labware.id} was seen in its place")
-    first, *rest = list(in_batches(NotSeen, others)) or [()]
+    first, *rest = list(split_into_batches(NotSeen, others)) or [()]
     topic = SeenElsewhere(
         module=station.spec.module,
         station=place,

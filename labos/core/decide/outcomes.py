@@ -12,8 +12,8 @@ from labos.core.actions import (
     ActionReconciled,
     EffectsDone,
 )
-from labos.core.bench import a1_after, arrival, parts, removal
-from labos.core.canonical import canonical
+from labos.core.bench import add_arrival, compute_a1_after, remove_labware, split_item
+from labos.core.canonical import encode_canonical
 from labos.core.decide.barcodes import record_barcodes
 from labos.core.effects import (
     AnyEffect,
@@ -26,10 +26,10 @@ from labos.core.effects import (
     Sets,
     Take,
     Transfers,
-    hand_of,
     list_carried,
     list_moved,
-    places,
+    list_places,
+    name_hand,
     resolve_value,
 )
 from labos.core.ids import NOBODY, SHARED, LabwareId, ModuleName, Owner, StationName, local, run_owner
@@ -46,11 +46,11 @@ from labos.core.labware import (
 )
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
-from labos.core.resources import ResourceConsumed, ResourceReplenished, charges
+from labos.core.resources import ResourceConsumed, ResourceReplenished, list_charges
 from labos.core.rules import may_still_act
 from labos.core.state import LabState
 from labos.core.topics import LostLabware, UnknownAction
-from labos.core.wells import doses_of
+from labos.core.wells import list_doses
 
 LARGEST_RESULT = 48 * 1024
 """Bytes of JSON that a result may take in the log."""
@@ -59,13 +59,13 @@ LARGEST_RESULT = 48 * 1024
 def mark_uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
     """The labware of a motion that nobody saw end: at its start, in the hand, on the way, at its
     target."""
-    places = [effect.source, hand_of(action.module), effect.target]
+    places = [effect.source, name_hand(action.module), effect.target]
     if effect.via:
         places.insert(2, effect.via)
     return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id, effect.plate)
 
 
-def question_about(
+def make_question(
     state: LabState, action: Action, why: str, maybe: Sequence[LabwareUncertain]
 ) -> InterventionRequested:
     """What a person is asked about an action whose outcome nobody knows; ``maybe`` is where its labware
@@ -88,7 +88,7 @@ def limit_result(result: Any) -> Any:
     if result is None:
         return None
     try:
-        size = len(canonical([result])) - len("[]")  # in its event it stands one level deeper
+        size = len(encode_canonical([result])) - len("[]")  # in its event it stands one level deeper
     except (ValueError, TypeError) as error:
         return {"$unreadable": str(error)[:200]}
     return result if size <= LARGEST_RESULT else {"$too_large": size}
@@ -122,7 +122,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
         action.id, action.run, action.step, action.module, action.attempt, done, by, result
     )
     if choice == "done":
-        yield from effect_events(state, action, "all", "", result, looked=True)
+        yield from list_effect_events(state, action, "all", "", result, looked=True)
         yield from record_barcodes(state, action, result, by)
         return
     for effect in action.effects:
@@ -131,7 +131,9 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
                 yield _find_at(state, effect, effect.source, action.run, by, action.id)
             case Move() if choice == "gone" and effect.labware in state.bench.labware:
                 why = f"taken away ({by})"
-                yield from removal(state.bench, effect.labware, action.run, StationName(""), why, action.id)
+                yield from remove_labware(
+                    state.bench, effect.labware, action.run, StationName(""), why, action.id
+                )
             case Take() if choice == "gone":
                 yield from _take_away(state, action.run, effect, by)
             case Consumes() if choice == "gone":
@@ -140,7 +142,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
                 pass
 
 
-def effect_events(
+def list_effect_events(
     state: LabState, action: Action, done: EffectsDone, why: str, result: Any = None, *, looked: bool = False
 ) -> Iterator[Event]:
     """What an ended action did to the bench, as events, each worked out on what the ones before have left.
@@ -175,7 +177,7 @@ def effect_events(
             case Releases() if done == "all":
                 yield SetpointReleased(action.module, effect.setpoint, action.run)
             case Transfers() if effect.labware:
-                yield from _transfer(state, action, effect, certain=done == "all")
+                yield from _list_transfer_events(state, action, effect, certain=done == "all")
             case Draws() if effect.labware:
                 yield from _draw(state, action, effect, certain=done == "all")
             case Consumes():
@@ -194,7 +196,7 @@ def record_usage(state: LabState, action: Action, effect: Consumes) -> list[Even
     """What an action used, one event for each lot."""
     if not effect.amount:
         return []
-    parts = charges(state.resources, action.module, effect.resource, float(effect.amount))
+    parts = list_charges(state.resources, action.module, effect.resource, float(effect.amount))
     return [
         ResourceConsumed(action.module, effect.resource, amount, action.run, action.id, lot)
         for lot, amount in parts
@@ -211,13 +213,15 @@ def _replace_pack(state: LabState, effect: Replaces) -> list[Event]:
     return [ResourceReplenished(module, effect.resource, *put_in, instead=True)]
 
 
-def _transfer(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:
+def _list_transfer_events(
+    state: LabState, action: Action, effect: Transfers, *, certain: bool
+) -> list[Event]:
     """What a pipette put into wells; nothing where there are no lists of them."""
     pairs = _find_doses(state, effect)
     if not pairs:
         return []
     amount = sum(volume for _, volume in pairs)
-    parts = charges(state.resources, action.module, effect.resource, amount) if effect.resource else []
+    parts = list_charges(state.resources, action.module, effect.resource, amount) if effect.resource else []
     names, amounts = zip(*pairs, strict=True)
     lots = tuple(lot for lot, _ in parts if lot)
     about = (effect.labware, action.run, action.module, effect.liquid)
@@ -235,7 +239,7 @@ def _draw(state: LabState, action: Action, effect: Draws, *, certain: bool) -> l
 
 def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, float]]:
     try:
-        doses = doses_of(effect)
+        doses = list_doses(effect)
     except ValueError:
         return []  # it was refused before it was asked for; an older LabOS did not look
     return [(w, volume) for w, volume in doses if volume] if effect.labware in state.bench.labware else []
@@ -244,7 +248,7 @@ def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, f
 def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:
     """Where somebody has seen labware of a motion since nobody knew how that ended, if that is on none of
     its places: that is later than what the device tells now."""
-    own = {StationName(""), hand_of(action.module), *places(action.effects)}
+    own = {StationName(""), name_hand(action.module), *list_places(action.effects)}
     items = [state.bench.labware[e.labware] for e in list_moved(action.effects)]
     astray = state.shorter.astray  # an action that came after this one may have taken it further
     return {item.id: item.station for item in items if item.station not in own or item.id in astray}
@@ -252,7 +256,7 @@ def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, Station
 
 def _move(state: LabState, action: Action, effect: Move) -> list[Event]:
     if state.bench.stations[effect.target].spec.kind == "waste":
-        return removal(state.bench, effect.labware, action.run, effect.target, "discarded", action.id)
+        return remove_labware(state.bench, effect.labware, action.run, effect.target, "discarded", action.id)
     labware = state.bench.labware[effect.labware]
     if labware.maybe:
         return [LabwareObserved(effect.labware, action.run, effect.target, local(action.module))]
@@ -277,7 +281,7 @@ def _turn(state: LabState, action: Action, effect: Move) -> list[Event]:
     if effect.lid or state.bench.stations[effect.target].spec.kind == "waste":
         return []
     labware = state.bench.labware[effect.labware]
-    way = a1_after(state.bench, effect, labware)
+    way = compute_a1_after(state.bench, effect, labware)
     if way == (labware.variables.get("a1") or 0):
         return []
     return [LabwareChanged(labware.id, action.run, "a1", way, action.id)]
@@ -288,9 +292,9 @@ def take_from_stack(
 ) -> Iterator[Event]:
     """The topmost item of a stack as labware of its own, and its lid, if it has one."""
     item, lot = find_topmost(state, effect)
-    kind, lid = parts(item)
+    kind, lid = split_item(item)
     plate = LabwarePlaced(effect.labware, run, kind, effect.target, owner, effect.stack, action, lot)
-    return arrival(state.bench, plate, lid)
+    return add_arrival(state.bench, plate, lid)
 
 
 def put_back_in_place(state: LabState, action: Action) -> list[Event]:
@@ -317,7 +321,7 @@ def _take_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
     may stand by now."""
     item, lot = find_topmost(state, effect)
     return [
-        LabwarePlaced(effect.labware, run, parts(item)[0], effect.stack, NOBODY, effect.stack, lot=lot),
+        LabwarePlaced(effect.labware, run, split_item(item)[0], effect.stack, NOBODY, effect.stack, lot=lot),
         LabwareRemoved(effect.labware, run, StationName(""), f"taken away ({by})"),
     ]
 
@@ -340,11 +344,11 @@ def settle_found(state: LabState, motions: tuple[AnyEffect, ...], choice: str, b
                 pass  # it has left the bench since the question was asked
             case Move(), "gone":
                 why = f"taken away ({by})"
-                yield from removal(state.bench, effect.labware, "", StationName(""), why)
+                yield from remove_labware(state.bench, effect.labware, "", StationName(""), why)
             case Move(), _:
                 place = effect.source if choice == "source" else effect.target
                 if state.bench.stations[place].spec.kind == "waste":
-                    yield from removal(state.bench, effect.labware, "", place, f"discarded ({by})")
+                    yield from remove_labware(state.bench, effect.labware, "", place, f"discarded ({by})")
                 else:
                     yield _find_at(state, effect, place, "", by)
             case Take(), "gone":

@@ -10,15 +10,15 @@ import msgspec
 from labos.core.approvals import Demand, Why, take_common_parts
 from labos.core.campaigns import Budget, Terms
 from labos.core.decide._base import Command, Rejection
-from labos.core.decide.campaigns import AmendCampaign, SubmitCampaign, consumption, module_time_s
+from labos.core.decide.campaigns import AmendCampaign, SubmitCampaign, compute_module_time_s, sum_consumption
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId, local
 from labos.core.model import MAIN, Plan
 from labos.core.quotas import find_highest_priority
-from labos.core.roles import role_in
+from labos.core.roles import rank_role_in
 from labos.core.state import LabState
-from labos.core.users import LABOS, ON_BEHALF, person_of, rank
+from labos.core.users import LABOS, ON_BEHALF, find_person, rank
 
 COVERED = ("program", "newcomer")
 """Reasons that do not count for runs like one that was approved with `alike`."""
@@ -39,34 +39,34 @@ class Submission(msgspec.Struct, frozen=True):
     before: Terms | None = None
 
 
-def demand_of(plans: Iterable[Plan], times: float = 1.0) -> Demand:
+def sum_demand(plans: Iterable[Plan], times: float = 1.0) -> Demand:
     """What plans ask of the lab, so many ``times``."""
     steps, time, modules = 0, 0.0, dict[str, float]()
     consumables, dangers = dict[str, float](), dict[str, bool]()
     for plan in plans:
         steps += sum(step.part == MAIN for step in plan.steps)
-        time += module_time_s(plan)
+        time += compute_module_time_s(plan)
         for step in plan.steps:
             if step.part == MAIN:
                 name = local(step.module)
                 modules[name] = modules.get(name, 0.0) + step.duration_s * times
-        for kind, amount in consumption(plan).items():
+        for kind, amount in sum_consumption(plan).items():
             consumables[kind] = consumables.get(kind, 0.0) + amount * times
-        dangers.update(dict.fromkeys(dangers_of(plan), True))
+        dangers.update(dict.fromkeys(list_dangers(plan), True))
     named = tuple(dangers)[:MOST_DANGERS]
     return Demand(round(steps * times), time * times, modules, consumables, named)
 
 
-def demand_of_choices(plans: Sequence[Plan]) -> Demand:
+def sum_demand_of_choices(plans: Sequence[Plan]) -> Demand:
     """What a run asks of the lab that follows one of these plans: that of the longest one, and whatever is
     dangerous in any of them."""
-    demands = [demand_of([plan]) for plan in plans]
+    demands = [sum_demand([plan]) for plan in plans]
     dangers = dict.fromkeys(danger for demand in demands for danger in demand.dangers)
     most = max(demands, key=lambda demand: demand.module_time_s)
     return msgspec.structs.replace(most, dangers=tuple(dangers)[:MOST_DANGERS])
 
 
-def dangers_of(plan: Plan) -> tuple[str, ...]:
+def list_dangers(plan: Plan) -> tuple[str, ...]:
     """The dangerous steps of a plan, in words."""
     found = [f"{step.key} on {local(step.module)} ({step.hazard})" for step in plan.steps if step.hazard]
     return tuple(found[:MOST_DANGERS])
@@ -86,8 +86,10 @@ def refuse_priority(state: LabState, command: Any, actor: str) -> Rejection | No
         and priority <= state.campaigns.open[command.campaign].terms.priority
     ):
         return None
-    who = person_of(actor) if actor != LABOS else getattr(command, "user", "")
-    operates = not state.users.is_open and role_in(state, who, _cell_of(state, command)) >= rank("operator")
+    who = find_person(actor) if actor != LABOS else getattr(command, "user", "")
+    operates = not state.users.is_open and rank_role_in(state, who, _find_cell(state, command)) >= rank(
+        "operator"
+    )
     found = find_highest_priority(state, who, operates=operates)
     if found is None or priority <= found[1]:
         return None
@@ -99,7 +101,7 @@ def refuse_priority(state: LabState, command: Any, actor: str) -> Rejection | No
     )
 
 
-def _cell_of(state: LabState, command: Command) -> str:
+def _find_cell(state: LabState, command: Command) -> str:
     match command:
         case SubmitRun():
             return command.plan.workcell
@@ -115,11 +117,11 @@ def _cell_of(state: LabState, command: Command) -> str:
 # -- approval ------------------------------------------------------------------------------------
 
 
-def reasons_for(
+def list_reasons(
     state: LabState, asked: Submission, actor: str, parts: dict[str, str] | None = None
 ) -> tuple[Why, ...]:
     """Why a submission of ``actor`` waits for an approval; empty if it does not. ``parts`` of a run."""
-    found = tuple(_reasons(state, asked, actor))
+    found = tuple(_iterate_reasons(state, asked, actor))
     experiment = parts.get("experiment", "") if parts is not None else ""
     if parts is not None and take_common_parts(parts) in state.approvals.alike.get(experiment, {}):
         found = tuple(why for why in found if why.code not in COVERED)
@@ -129,17 +131,19 @@ def reasons_for(
     return found
 
 
-def _reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:
-    policy, person = state.approvals.policy, person_of(actor)
+def _iterate_reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:
+    policy, person = state.approvals.policy, find_person(actor)
     if asked.propose:
         yield Why("asked", f"{actor} asks for it")
     if actor == LABOS or "/" in actor:
         return
-    service = service_of(state, actor)
+    service = find_service(state, actor)
     if service and policy.programs and service not in policy.trusted:
         yield Why("program", f"it was made by a program ({service})")
     operates = (
-        not state.users.is_open and not service and role_in(state, person, asked.workcell) >= rank("operator")
+        not state.users.is_open
+        and not service
+        and rank_role_in(state, person, asked.workcell) >= rank("operator")
     )
     others = asked.before is not None and person != asked.user
     if operates and (policy.own or others):
@@ -151,27 +155,27 @@ def _reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:
         yield Why("newcomer", f"{asked.user} is new here: {count}")
     if policy.dangerous and asked.demand.dangers:
         yield Why("dangerous", f"it does what is dangerous: {', '.join(asked.demand.dangers)}")
-    beyond = _above(policy.above, asked)
+    beyond = _describe_excess(policy.above, asked)
     if beyond:
         yield Why("budget", beyond)
-    sooner = asked.terms is not None and _hurries(asked.terms, asked.before)
+    sooner = asked.terms is not None and _is_sooner(asked.terms, asked.before)
     if policy.deadlines and sooner and not operates:
         yield Why("deadline", "it has a deadline, for which others wait")
 
 
-def service_of(state: LabState, actor: str) -> str:
+def find_service(state: LabState, actor: str) -> str:
     """The service account that acts, by itself or for a person; empty if none does."""
     name, _, person = actor.rpartition(ON_BEHALF)
     user = state.users.known.get(name or person)
     return name or person if user is not None and user.kind == "service" else ""
 
 
-def _hurries(terms: Terms, before: Terms | None) -> bool:
+def _is_sooner(terms: Terms, before: Terms | None) -> bool:
     was = before.deadline if before is not None else 0
     return bool(terms.deadline) and (not was or terms.deadline < was)
 
 
-def _above(most: Budget, asked: Submission) -> str:
+def _describe_excess(most: Budget, asked: Submission) -> str:
     """What a submission may use that takes an approval, in words. A campaign may use what its budget says, or
     what its rows need by their plans if that is less."""
     need, budget = asked.demand, asked.terms.budget if asked.terms is not None else Budget()

@@ -23,7 +23,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.campaigns import (
     CancelCampaign,
     cancel_campaign,
-    unfit_terms,
+    check_terms,
 )
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.control import CancelExperiment, cancel_experiment
@@ -35,7 +35,7 @@ from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.topics import Approval
-from labos.core.users import ON_BEHALF, person_of
+from labos.core.users import ON_BEHALF, find_person
 from labos.core.words import Words
 
 SHORTEST_DIGEST = 12
@@ -69,7 +69,7 @@ def approve_proposal(state: LabState, command: ApproveProposal) -> Decision:
     proposal = _open(state, command.subject)
     if isinstance(proposal, Rejection):
         return proposal
-    wrong = _not_as_seen(proposal, command.digest) or _unfit_changes(state, proposal, command)
+    wrong = _check_as_seen(proposal, command.digest) or _check_changes(state, proposal, command)
     if wrong is not None:
         return wrong
     events = approve(state, proposal, command)
@@ -96,12 +96,12 @@ def answer_question(state: LabState, topic: Approval, choice: str, by: str, note
         return []
     if choice != "approve":
         return refuse(state, proposal, RefuseProposal(topic.about, by, note))
-    wrong = _not_as_seen(proposal, topic.digest)
+    wrong = _check_as_seen(proposal, topic.digest)
     return wrong or approve(state, proposal, ApproveProposal(topic.about, topic.digest, by, note))
 
 
 def approve(state: LabState, proposal: Proposal, command: ApproveProposal) -> Decision:
-    wrong = _may_not_approve(state, proposal, command.by) or _experiment_first(state, proposal)
+    wrong = _may_not_approve(state, proposal, command.by) or _check_experiment(state, proposal)
     return wrong or _let_go_on(state, proposal, command)
 
 
@@ -117,7 +117,7 @@ def _let_go_on(state: LabState, proposal: Proposal, command: ApproveProposal) ->
     if proposal.kind == "amendment" and proposal.terms is not None:
         yield CampaignAmended(CampaignId(proposal.subject), command.terms or proposal.terms)
     run = state.runs.queued.get(RunId(proposal.subject))
-    if run is not None and run.unapproved and person_of(command.by) != run.user:
+    if run is not None and run.unapproved and find_person(command.by) != run.user:
         yield RunApproved(run.id, command.by)
     if proposal.kind == "experiment":
         for waiting in list(_find_waiting(state, proposal.subject)):
@@ -160,7 +160,7 @@ def _open(state: LabState, subject: str) -> Proposal | Rejection:
     )
 
 
-def _not_as_seen(proposal: Proposal, seen: str) -> Rejection | None:
+def _check_as_seen(proposal: Proposal, seen: str) -> Rejection | None:
     """Why an answer is not about the proposal as it is now."""
     if len(seen) >= SHORTEST_DIGEST and proposal.digest.startswith(seen):
         return None
@@ -171,7 +171,7 @@ def _not_as_seen(proposal: Proposal, seen: str) -> Rejection | None:
     )
 
 
-def _unfit_changes(state: LabState, proposal: Proposal, command: ApproveProposal) -> Rejection | None:
+def _check_changes(state: LabState, proposal: Proposal, command: ApproveProposal) -> Rejection | None:
     """Why a proposal cannot be approved with these changes."""
     of_table = proposal.kind in ("campaign", "amendment")
     wrong = (
@@ -188,14 +188,14 @@ def _unfit_changes(state: LabState, proposal: Proposal, command: ApproveProposal
         )
     if command.terms is None:
         return None
-    return unfit_terms(state.campaigns.open[CampaignId(proposal.subject)], command.terms)
+    return check_terms(state.campaigns.open[CampaignId(proposal.subject)], command.terms)
 
 
 def _may_not_approve(state: LabState, proposal: Proposal, by: str) -> Rejection | None:
     user = state.users.known.get(by)
     if ON_BEHALF in by or (user is not None and user.kind == "service"):
         return Rejection("no_person", f"{by} is no person.", "Ask an operator to look at it.")
-    own = by in (proposal.user, person_of(proposal.by))
+    own = by in (proposal.user, find_person(proposal.by))
     if own and not state.approvals.policy.own:
         return Rejection(
             "own_approval",
@@ -205,7 +205,7 @@ def _may_not_approve(state: LabState, proposal: Proposal, by: str) -> Rejection 
     return None
 
 
-def _experiment_first(state: LabState, proposal: Proposal) -> Rejection | None:
+def _check_experiment(state: LabState, proposal: Proposal) -> Rejection | None:
     """Why a run cannot be approved before its experiment is."""
     experiment = proposal.parts.get("experiment", "") if proposal.kind == "run" else ""
     known: Experiment | None = state.experiments.open.get(ExperimentId(experiment))
@@ -221,15 +221,15 @@ def _experiment_first(state: LabState, proposal: Proposal) -> Rejection | None:
 # -- the question --------------------------------------------------------------------------------
 
 
-def _questions(state: LabState, subject: str) -> list[Intervention]:
-    return [q for q in state.interventions.all_about(subject) if isinstance(q.topic, Approval)]
+def _list_questions(state: LabState, subject: str) -> list[Intervention]:
+    return [q for q in state.interventions.list_about(subject) if isinstance(q.topic, Approval)]
 
 
 def _resolve_question(
     state: LabState, subject: str, choice: str, by: str, note: str
 ) -> Iterable[InterventionResolved]:
     """The question about a proposal is answered along with it."""
-    return [InterventionResolved(q.id, choice, by, note) for q in _questions(state, subject)]
+    return [InterventionResolved(q.id, choice, by, note) for q in _list_questions(state, subject)]
 
 
 # -- reactions -----------------------------------------------------------------------------------
@@ -237,7 +237,7 @@ def _resolve_question(
 
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
     """An operator is asked, and an earlier question about the same subject is withdrawn."""
-    for question in _questions(state, event.subject):
+    for question in _list_questions(state, event.subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it was changed, and is asked anew")
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
     why = "; ".join(why.text for why in event.why)
@@ -262,7 +262,7 @@ def withdraw_approval_question(
 ) -> Iterator[Event]:
     """The question about an approval is withdrawn when its subject has ended."""
     subject = event.campaign if hasattr(event, "campaign") else event.experiment
-    for question in _questions(state, subject):
+    for question in _list_questions(state, subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it has ended")
 
 

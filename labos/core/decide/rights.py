@@ -50,7 +50,7 @@ from labos.core.decide import (
 from labos.core.decide._base import Command, Rejection
 from labos.core.decide.targets import ANYWHERE, Target
 from labos.core.lab import WHOLE_LAB
-from labos.core.roles import role_in
+from labos.core.roles import rank_role_in
 from labos.core.state import LabState
 from labos.core.users import LABOS, ON_BEHALF, ROLES, Role, User, rank
 
@@ -96,7 +96,7 @@ def check_rights(state: LabState, command: Command, actor: str) -> Denied | None
         wrong = _refuse_target(state, target, person, service)
         if wrong:
             return wrong
-    return next((wrong for part in command.parts() if (wrong := check_rights(state, part, actor))), None)
+    return next((wrong for part in command.list_parts() if (wrong := check_rights(state, part, actor))), None)
 
 
 def check_role(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
@@ -126,13 +126,13 @@ def _refuse_stranger(state: LabState, name: str) -> Denied | None:
         return Denied(
             "unknown_user",
             f"{name!r} is no user of this lab.",
-            f"An admin adds users (labos user add): {_list_names(state.users.admins())}.",
+            f"An admin adds users (labos user add): {_list_names(state.users.list_admins())}.",
         )
     if user.disabled:
         return Denied(
             "disabled",
             f"The user {name} is disabled.",
-            f"An admin can enable it: {_list_names(state.users.admins())}.",
+            f"An admin can enable it: {_list_names(state.users.list_admins())}.",
         )
     return None
 
@@ -159,7 +159,7 @@ def _refuse_target(state: LabState, target: Target, person: str, service: str) -
     needs = target.needs if own else max(target.needs, "operator", key=rank)
     askers = (person, service) if service else (person,)
     for cell in target.cells:
-        weak = next((name for name in askers if role_in(state, name, cell) < rank(needs)), None)
+        weak = next((name for name in askers if rank_role_in(state, name, cell) < rank(needs)), None)
         if weak is not None:
             return _word_refusal(state, target, weak, needs, cell, own=own)
     return None
@@ -174,7 +174,7 @@ def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: 
             f"{target.what} is {target.owner}'s; {who} is no {needs}{where}.",
             f"Ask {target.owner}, or somebody who may: {may}.",
         )
-    has = ROLES[role_in(state, who, cell)]
+    has = ROLES[rank_role_in(state, who, cell)]
     grant = f"labos role grant {who} {needs}" + (
         f" --workcell {cell}" if cell not in (WHOLE_LAB, ANYWHERE) else ""
     )
@@ -188,7 +188,7 @@ def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: 
 def _find_who_may(state: LabState, needs: Role, cell: str) -> list[str]:
     """Persons with at least a role, those of the lowest such role first."""
     people = [name for name, user in state.users.known.items() if _may_act(user)]
-    ranks = {name: role_in(state, name, cell) for name in people}
+    ranks = {name: rank_role_in(state, name, cell) for name in people}
     return sorted((name for name in people if ranks[name] >= rank(needs)), key=lambda name: ranks[name])
 
 
@@ -207,7 +207,9 @@ _INSIDE = Right(None, "LabOS itself")
 _OWN = "its owner; else an operator"
 _OPERATOR = "an operator"
 _ADMIN = "an admin of the whole lab"
-_SIGNING = Right("viewer", "a person, as themselves, with their password", targets.anywhere("viewer"), "by")
+_SIGNING = Right(
+    "viewer", "a person, as themselves, with their password", targets.require_anywhere("viewer"), "by"
+)
 
 RIGHTS: dict[type[Command], Right] = {
     # runs, experiments and campaigns
@@ -295,18 +297,18 @@ RIGHTS: dict[type[Command], Right] = {
     ),
     bookings.CancelBooking: Right("submitter", _OWN, targets.find_booking_target, "by"),
     # people
-    shares.ApplyShares: Right("admin", _ADMIN, targets.in_lab("admin")),
-    submissions.ApplyPolicy: Right("admin", _ADMIN, targets.in_lab("admin")),
-    erasure.EraseWords: Right("admin", _ADMIN, targets.in_lab("admin"), "by"),
-    erasure.RefuseErasure: Right("admin", _ADMIN, targets.in_lab("admin"), "by"),
-    users.AddUser: Right("admin", _ADMIN, targets.in_lab("admin")),
-    users.DisableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
-    users.EnableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
+    shares.ApplyShares: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    submissions.ApplyPolicy: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    erasure.EraseWords: Right("admin", _ADMIN, targets.require_in_lab("admin"), "by"),
+    erasure.RefuseErasure: Right("admin", _ADMIN, targets.require_in_lab("admin"), "by"),
+    users.AddUser: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    users.DisableUser: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    users.EnableUser: Right("admin", _ADMIN, targets.require_in_lab("admin")),
     users.EraseUser: Right("viewer", "the user, or " + _ADMIN, targets.find_erasure_target, "by"),
-    users.AddGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
-    users.RemoveGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
-    users.AddMember: Right("admin", _ADMIN, targets.in_lab("admin")),
-    users.RemoveMember: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.AddGroup: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    users.RemoveGroup: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    users.AddMember: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    users.RemoveMember: Right("admin", _ADMIN, targets.require_in_lab("admin")),
     users.GrantRole: Right("admin", "an admin of where the role is granted", targets.find_grant_target),
     users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.find_grant_target),
     # what LabOS asks of itself

@@ -6,18 +6,18 @@ from collections.abc import Iterator
 from itertools import chain
 from typing import Any
 
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.choices import compare_plans
 from labos.core.decide.endings import give_up
 from labos.core.decide.windows import (
-    anchors_of,
     ask_about_breach,
-    clock_of,
-    lateness,
-    questions_of,
+    describe_lateness,
+    find_anchors,
+    find_clock,
+    list_questions,
 )
-from labos.core.effects import Consumes, list_carried, places
+from labos.core.effects import Consumes, list_carried, list_places
 from labos.core.ids import (
     CampaignId,
     ExperimentId,
@@ -108,7 +108,7 @@ class BreachWindow(Command, frozen=True):
 
 def plan_digest(plan: Plan, apart: str = "") -> str:
     """The name of a plan; another one for a campaign that keeps its plans apart."""
-    name = digest(canonical(plan))
+    name = digest(encode_canonical(plan))
     return digest(f"{apart} {name}".encode()) if apart else name
 
 
@@ -130,7 +130,7 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: Campaign
             plan,
             by=by,
             plan=name,
-            shape=digest(canonical([parts, plan.holds])),
+            shape=digest(encode_canonical([parts, plan.holds])),
             steps=len(plan.steps),
             campaign=apart,
         )
@@ -156,9 +156,9 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
         return Rejection("no_workcell", f"This lab has no workcell {plan.workcell!r}.")
     for step in plan.steps:
         missing = "" if step.module in state.modules.by_name else f"module {local(step.module)}"
-        for place in sorted(name for name in places(step.effects) if name not in state.bench.stations):
+        for place in sorted(name for name in list_places(step.effects) if name not in state.bench.stations):
             missing = missing or f"station {local(place)}"
-        used: list[ModuleName | StationName] = [step.module, *sorted(places(step.effects))]
+        used: list[ModuleName | StationName] = [step.module, *sorted(list_places(step.effects))]
         elsewhere = [name for name in used if name and workcell_of(name) != plan.workcell]
         if elsewhere and not missing:
             return Rejection(
@@ -170,7 +170,7 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
             code = f"no_{missing.partition(' ')[0]}"
             message = f"Step {step.key!r} needs the {missing}, which {plan.workcell} does not have."
             return Rejection(code, message)
-        beyond = _beyond_capacity(state, step)
+        beyond = _check_capacity(state, step)
         if beyond:
             return beyond
     done: set[int] = set()
@@ -192,7 +192,7 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
     return None
 
 
-def _beyond_capacity(state: LabState, step: PlanStep) -> Rejection | None:
+def _check_capacity(state: LabState, step: PlanStep) -> Rejection | None:
     """Why a step could not even start on a full module."""
     for effect in step.effects:
         level = state.resources.find(step.module, effect.resource) if isinstance(effect, Consumes) else None
@@ -231,13 +231,13 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
     name = next(iter(plans))
     for digest_, plan in plans.items():
         flaw = None if digest_ in state.runs.plans else find_plan_flaw(state, plan)
-        flaw = flaw or (_parks_elsewhere(state, plan, experiment) if experiment is not None else None)
+        flaw = flaw or (_check_parking(state, plan, experiment) if experiment is not None else None)
         if flaw:
             return flaw
     differ = compare_plans(command.plan, command.others)
     if differ:
         return differ
-    anchors = anchors_of(state, command.plan, command.experiment)
+    anchors = find_anchors(state, command.plan, command.experiment)
     if isinstance(anchors, Rejection):
         return anchors
     events: list[Event] = [
@@ -257,7 +257,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
     return events
 
 
-def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rejection | None:
+def _check_parking(state: LabState, plan: Plan, experiment: Experiment) -> Rejection | None:
     """A run of an experiment with parking stations leaves labware there, in storage, or nowhere. Only
     what the run itself carries counts, in the order of its steps."""
     if not experiment.parking:
@@ -314,12 +314,12 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
     window = plan.steps[command.step].windows[command.window]
     if find_anchor(run, window) is None or (run.has_started and run.steps[command.step].status != PENDING):
         return []
-    started_by, _ = clock_of(run, plan, window)
+    started_by, _ = find_clock(run, plan, window)
     within = window.within_s or 0.0
     breached = WindowBreached(run.id, command.step, window.anchor, within, started_by)
     if run.is_ending:
         return [breached]  # it ends as it is
-    what = lateness(run, plan, command.step, window)
+    what = describe_lateness(run, plan, command.step, window)
     if window.on_breach == "fail":
         return chain([breached], give_up(state, run, what))
     return [
@@ -336,5 +336,5 @@ def answer_late(state: LabState, topic: LateStep, choice: str) -> Iterator[Event
     if choice == "fail":
         key = state.runs.plan_of(run).steps[topic.step].key
         yield from give_up(state, run, f"step {key!r} was too late and was given up")
-    elif run.paused and not questions_of(state, run.id, LateStep):
+    elif run.paused and not list_questions(state, run.id, LateStep):
         yield RunResumed(run.id)

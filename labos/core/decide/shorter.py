@@ -8,11 +8,11 @@ from typing import get_args
 import msgspec
 
 from labos.core.actions import Action, ActionDiscovered, ActionStatus
-from labos.core.bench import parts, removal
+from labos.core.bench import remove_labware, split_item
 from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
-from labos.core.decide.contents import contents_events, list_recorded
-from labos.core.decide.endings import record_end, under_way
-from labos.core.effects import AnyEffect, Carrying, Needs, hand_of, list_carried, places
+from labos.core.decide.contents import list_contents_events, list_recorded
+from labos.core.decide.endings import has_open_action, record_end
+from labos.core.effects import AnyEffect, Carrying, Needs, list_carried, list_places, name_hand
 from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareUncertain
@@ -178,7 +178,7 @@ def _find_credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tu
     if effects is None or len(effects) > MOST_EFFECTS:
         return None
     on_labware = tuple(effect for effect in effects if isinstance(effect, Carrying | Needs))
-    return on_labware if places(on_labware) <= state.bench.stations.keys() else None
+    return on_labware if list_places(on_labware) <= state.bench.stations.keys() else None
 
 
 def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[FoundAction]) -> list[Event]:
@@ -192,7 +192,7 @@ def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[FoundAct
             before = item.maybe or ((item.station,) if item.station else ())
             here = maybe.setdefault(item.id, list(before))
             if isinstance(effect, Carrying) and not effect.stock:
-                here += [effect.source, effect.via, hand_of(module), effect.target]
+                here += [effect.source, effect.via, name_hand(module), effect.target]
             elif isinstance(effect, Needs):
                 here.append(effect.station)
     events: list[Event] = []
@@ -212,11 +212,11 @@ def list_to_say(state: LabState) -> list[StationName]:
     return [name for name in bench.stations if name not in shorter.said and name not in bench.shelves]
 
 
-def must_say(state: LabState, name: StationName) -> bool:
+def must_describe(state: LabState, name: StationName) -> bool:
     """Whether it is not enough to confirm that a station is as recorded."""
     station = state.bench.stations[name]
     doubtful = any(
-        state.bench.labware[item].lid and state.bench.in_doubt(state.bench.labware[item])
+        state.bench.labware[item].lid and state.bench.is_lid_in_doubt(state.bench.labware[item])
         for item in station.labware
     )
     return state.shorter.is_touched(name) or name in state.bench.haunted or doubtful
@@ -234,7 +234,7 @@ def say_contents(state: LabState, command: SayContents) -> Decision:
     )
     if wrong:
         return wrong
-    events = contents_events(state, station, command.contents, command.by)
+    events = list_contents_events(state, station, command.contents, command.by)
     if isinstance(events, Rejection):
         return events
     return [*_withdraw_answered(state, command), *events, StationsChecked((command.station,), command.by)]
@@ -242,12 +242,16 @@ def say_contents(state: LabState, command: SayContents) -> Decision:
 
 def _withdraw_answered(state: LabState, command: SayContents) -> list[Event]:
     """Questions about these stations are older than this report: they are withdrawn."""
-    words = {word for item in command.contents for word in parts(item)}
+    words = {word for item in command.contents for word in split_item(item)}
     here = words | {*state.bench.stations[command.station].labware}
     found: list[Event] = []
     for question in state.interventions.open_about(*get_args(WhereItStands)):
         motions = [e for e in question.motions if isinstance(e, Carrying | Needs)]
-        asked = {*places(motions), hand_of(question.module), *state.bench.searched.get(question.id, ())}
+        asked = {
+            *list_places(motions),
+            name_hand(question.module),
+            *state.bench.searched.get(question.id, ()),
+        }
         about = {e.labware for e in motions if e.labware} | {*question.labware}
         if command.station in asked or about & here:
             found.append(_withdraw(question.id, command.by))
@@ -264,7 +268,7 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
     for name in command.stations:
         if name not in state.bench.stations:
             wrong = wrong or Rejection("no_station", f"There is no station {local(name)}.")
-        elif must_say(state, name):
+        elif must_describe(state, name):
             wrong = wrong or Rejection(
                 "touched",
                 f"At {local(name)} something may have been at work that this log does not know: it is not "
@@ -312,11 +316,11 @@ def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
     busy = find_strange_motion(state, workcell_of(name))
     if busy:
         return _refuse_in_motion(busy)
-    words = {LabwareId(word) for item in command.contents for word in parts(item)}
+    words = {LabwareId(word) for item in command.contents for word in split_item(item)}
     meant = words | {*bench.stations[name].labware}
     for action in state.actions.open.values():
         motions = list_carried(action.effects)
-        reached = places(motions) | ({hand_of(action.module)} if motions else set())
+        reached = list_places(motions) | ({name_hand(action.module)} if motions else set())
         held = [item for item in meant if item in bench.labware and bench.labware[item].moving == action.id]
         if name not in reached and not held:
             continue
@@ -332,7 +336,7 @@ def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
 
 
 def _refuse_asked_first(state: LabState, action: Action) -> Rejection:
-    question = state.interventions.about(action.id)
+    question = state.interventions.find_about(action.id)
     which = question.id if question is not None else "the question about it"
     return Rejection(
         "asked_first",
@@ -382,7 +386,7 @@ def finish_round(state: LabState, by: str, note: str) -> Decision:
 def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
     for run in list(state.runs.active.values()):
         what = "was ended: what its steps did behind the end of a log that lost its tail is not known"
-        if not under_way(run):
+        if not has_open_action(run):
             yield from record_end(state, run, RunCancelled(run.id), what)
         elif run.status != RunStatus.CANCELLING or not run.stay:
             yield RunCancelling(run.id, stay=True)
@@ -392,5 +396,5 @@ def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
     for question in state.interventions.open_about(*get_args(WhereItStands)):
         yield _withdraw(question.id, by)
     for item in [item for item in state.bench.labware.values() if item.maybe]:
-        yield from removal(state.bench, item.id, "", GONE, f"not found on the round ({by})")
+        yield from remove_labware(state.bench, item.id, "", GONE, f"not found on the round ({by})")
     yield BenchCompared(by, note)

@@ -40,24 +40,24 @@ class SignRecords(Command, frozen=True):
 
 @decides(SignRun)
 def sign_run(state: LabState, command: SignRun) -> Decision:
-    if (refused := _no_signer(state, command.by)) is not None:
+    if (refused := _check_signer(state, command.by)) is not None:
         return refused
     if state.runs.get(command.run) is not None:
-        return _not_ended("run", command.run, "runs")
+        return _refuse_not_ended("run", command.run, "runs")
     return [make_from(RunSigned, command)]
 
 
 @decides(SignRecords)
 def sign_records(state: LabState, command: SignRecords) -> Decision:
-    if (refused := _no_signer(state, command.by)) is not None:
+    if (refused := _check_signer(state, command.by)) is not None:
         return refused
     if command.subject in (*state.experiments.open, *state.campaigns.open):
         where = "experiments" if command.kind == "experiment" else "campaign show"
-        return _not_ended(command.kind, command.subject, where)
+        return _refuse_not_ended(command.kind, command.subject, where)
     return [make_from(RecordsSigned, command)]
 
 
-def _no_signer(state: LabState, by: str) -> Rejection | None:
+def _check_signer(state: LabState, by: str) -> Rejection | None:
     if state.users.is_open:
         return Rejection(
             "no_users",
@@ -70,7 +70,7 @@ def _no_signer(state: LabState, by: str) -> Rejection | None:
     return None
 
 
-def _not_ended(kind: str, name: str, where: str) -> Rejection:
+def _refuse_not_ended(kind: str, name: str, where: str) -> Rejection:
     return Rejection(
         "not_ended",
         f"The {kind} {name} has not ended: its record is not complete.",

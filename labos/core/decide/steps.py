@@ -15,11 +15,11 @@ from labos.core.actions import (
     EffectsDone,
 )
 from labos.core.branches import is_inert
-from labos.core.canonical import canonical
-from labos.core.conditions import by_key, holds
+from labos.core.canonical import encode_canonical
+from labos.core.conditions import holds, sort_results_by_key
 from labos.core.decide._base import Command, Decision, decides
 from labos.core.decide.endings import fail_run, give_up
-from labos.core.decide.outcomes import find_carried_off, mark_uncertain, question_about
+from labos.core.decide.outcomes import find_carried_off, make_question, mark_uncertain
 from labos.core.decide.waiting import ask_about_waiting_device
 from labos.core.effects import Requires, Sets, list_carried, list_moved
 from labos.core.expressions import ExpressionError
@@ -28,8 +28,8 @@ from labos.core.interventions import InterventionRequested
 from labos.core.labware import LabwareUncertain
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
-from labos.core.rules import NODE_AWAY_S, due_at, find_give_up_time, find_standstill_time
-from labos.core.runs import FAILED, RunState, RunStatus, results_of
+from labos.core.rules import NODE_AWAY_S, find_due_time, find_give_up_time, find_standstill_time
+from labos.core.runs import FAILED, RunState, RunStatus, find_results
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
 from labos.core.topics import FailedStep
@@ -48,7 +48,7 @@ def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None:
         return []
-    due, missed = due_at(state, action), find_give_up_time(state, action)
+    due, missed = find_due_time(state, action), find_give_up_time(state, action)
     if due is not None and command.now > due:
         step = state.runs.plan_of(state.runs.active[action.run]).steps[action.step]
         return doubt(state, action, f"it did not end within {step.timeout_s:g} s")
@@ -69,7 +69,7 @@ def doubt(
         seen = find_carried_off(state, action)
         moves = [move for move in list_moved(action.effects) if move.labware not in seen]
         maybe = [mark_uncertain(action, effect, why) for effect in moves]
-    return [*events, *maybe, question_about(state, action, why, maybe)]
+    return [*events, *maybe, make_question(state, action, why, maybe)]
 
 
 # -- reactions -----------------------------------------------------------------------------------
@@ -83,7 +83,7 @@ def check_result(state: LabState, event: ActionSucceeded) -> Iterator[Event]:
     if run is None or plan is None or expected is None:
         return
     try:
-        if holds(expected, by_key(plan, results_of(plan, run)), event.result):
+        if holds(expected, sort_results_by_key(plan, find_results(plan, run)), event.result):
             return
         why = f"expected {expected.text}, the result is {_shorten(event.result)}"
     except ExpressionError as error:
@@ -155,7 +155,7 @@ def _describe_failure(step: PlanStep, event: ActionFailed | ActionRejected | Ste
 
 
 def _shorten(result: Any) -> str:
-    text = canonical(result).decode()
+    text = encode_canonical(result).decode()
     return text if len(text) <= 200 else f"{text[:199]}…"
 
 

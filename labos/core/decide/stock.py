@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
 
-from labos.core.bench import Station, arrival, count_taking, parts
+from labos.core.bench import Station, add_arrival, count_taking, split_item
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
 from labos.core.effects import list_carried
@@ -20,7 +20,7 @@ from labos.core.ids import (
     RunId,
     StationName,
     local,
-    owner_parts,
+    split_owner,
 )
 from labos.core.labware import (
     LabwareChanged,
@@ -136,9 +136,9 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
         return Rejection("not_accepted", f"{name} is a {spec.kind}: nothing is loaded there.")
-    kind = parts(command.labware)[0]
+    kind = split_item(command.labware)[0]
     if not spec.admits(kind):
-        return Rejection("not_accepted", f"{name} {spec.why_not(kind)}.")
+        return Rejection("not_accepted", f"{name} {spec.explain_refusal(kind)}.")
     shelves = list_vacant(state.bench, command.station) if command.station in state.bench.shelves else None
     room = spec.capacity - found.count if shelves is None else len(shelves)
     if not room and found.labware:
@@ -184,11 +184,11 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
 
 
 def _place(state: LabState, command: LoadStation, places: Sequence[StationName]) -> Iterator[Event]:
-    kind, lid = parts(command.labware)
+    kind, lid = split_item(command.labware)
     for place in places:
         item = state.bench.next_id
         plate = LabwarePlaced(item, "", kind, place, SHARED, lot=command.lot)
-        yield from arrival(state.bench, plate, lid)
+        yield from add_arrival(state.bench, plate, lid)
         for variable in (*command.set, *command.unset):
             yield LabwareChanged(item, "", variable, variable in command.set)
 
@@ -229,7 +229,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     stands = state.bench.labware
     events: list[Event] = [LabwareRemoved(item, "", stands[item].station, why) for item in named]
     if count:
-        throws = functools.partial(_throws, waste=command.station)
+        throws = functools.partial(_throws_into, waste=command.station)
         awaited = _find_waiting(state, throws) if waste and found.full else ()
         events.append(StationUnloaded(command.station, count, awaited))
     return [*withdraw_answered(state, events, command.by), *events]
@@ -259,7 +259,7 @@ def _takes(step: PlanStep, stack: StationName) -> bool:
     return any(what.stock == stack for what in list_carried(step.effects))
 
 
-def _throws(step: PlanStep, waste: StationName) -> bool:
+def _throws_into(step: PlanStep, waste: StationName) -> bool:
     return any(what.filled == waste for what in list_carried(step.effects))
 
 
@@ -281,7 +281,7 @@ def _expect_free_of_doubt(state: LabState, name: StationName) -> Station | Rejec
 
 def _find_owner_alive(state: LabState, owner: Owner) -> str:
     """The run or experiment that owns labware, if it has not ended; else empty."""
-    kind, name = owner_parts(owner)
+    kind, name = split_owner(owner)
     if kind == "run" and state.runs.get(RunId(name)) is not None:
         return f"run {name}"
     if kind == "experiment" and ExperimentId(name) in state.experiments.open:

@@ -20,7 +20,7 @@ from labos.core.approvals import (
 from labos.core.campaigns import (
     Terms,
 )
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides
 from labos.core.decide.batches import SubmitRuns, list_new, name_run
 from labos.core.decide.campaigns import (
@@ -36,11 +36,11 @@ from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.policy import (
     Submission,
-    demand_of,
-    demand_of_choices,
-    reasons_for,
+    find_service,
+    list_reasons,
     refuse_priority,
-    service_of,
+    sum_demand,
+    sum_demand_of_choices,
 )
 from labos.core.decide.runs import SubmitRun, submit_run
 from labos.core.experiments import ExperimentStarted
@@ -48,7 +48,7 @@ from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
-from labos.core.users import LABOS, ON_BEHALF, person_of
+from labos.core.users import LABOS, ON_BEHALF, find_person
 
 
 class ApplyPolicy(Command, frozen=True):
@@ -94,7 +94,7 @@ def name_both_actors(command: Command, actor: str) -> Command:
     changed: dict[str, Any] = {}
     for name in command.__struct_fields__:
         value = getattr(command, name)
-        if name == "by" and value == person_of(actor):
+        if name == "by" and value == find_person(actor):
             changed[name] = actor
         elif isinstance(value, Command):
             changed[name] = name_both_actors(value, actor)
@@ -112,7 +112,7 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
     if isinstance(command, SubmitRuns):
         return _each_of_batch(state, command, decision, actor)
     if isinstance(command, ApplyPolicy):
-        return _not_by_program(state, actor) or decision
+        return _check_policy_actor(state, actor) or decision
     events = list(decision)
     if not events:
         return events  # it is known already
@@ -178,9 +178,9 @@ def _hold_each(
             yield from () if request is None else (request,)
 
 
-def _not_by_program(state: LabState, actor: str) -> Rejection | None:
+def _check_policy_actor(state: LabState, actor: str) -> Rejection | None:
     """Why a policy is not changed: no program lets its own submissions go on."""
-    service = service_of(state, actor)
+    service = find_service(state, actor)
     if not service:
         return None
     return Rejection("no_person", f"{service} is a program, and changes no policy.", "Ask an admin to do it.")
@@ -195,12 +195,14 @@ def _request_for_run(
         **pins,
         **{f"file:{name}": value for plan in command.plans for name, value in plan.files.items()},
         "plan": event.plan,
-        **({"choices": digest(canonical(list(event.choices)))} if event.choices else {}),
-        "payload": _digest_of(event.payload),
+        **({"choices": digest(encode_canonical(list(event.choices)))} if event.choices else {}),
+        "payload": _make_digest(event.payload),
         **({"experiment": event.experiment} if event.experiment else {}),
     }
-    asked = Submission(event.user, command.plan.workcell, demand_of_choices(command.plans), command.propose)
-    why = reasons_for(state, asked, actor, parts=parts)
+    asked = Submission(
+        event.user, command.plan.workcell, sum_demand_of_choices(command.plans), command.propose
+    )
+    why = list_reasons(state, asked, actor, parts=parts)
     return _request(state, event.run, "run", event.workflow, asked, actor, why, parts, [event.priority])
 
 
@@ -210,7 +212,7 @@ def _request_for_campaign(
     name = f"C{state.campaigns.named + 1}"
     demand = msgspec.structs.replace(command.demand, rows=command.rows)
     asked = Submission(command.user, command.workcell, demand, command.propose, command.terms)
-    why = reasons_for(state, asked, actor)
+    why = list_reasons(state, asked, actor)
     return _request_for_table(state, name, command, asked, actor, why)
 
 
@@ -222,7 +224,7 @@ def _request_for_table(
     actor: str,
     why: tuple[Why, ...],
 ) -> ApprovalRequested | None:
-    parts = {"workflow": of.definition, "table": of.table, "terms": _digest_of(of.terms)}
+    parts = {"workflow": of.definition, "table": of.table, "terms": _make_digest(of.terms)}
     return _request(state, name, "campaign", of.name, asked, actor, why, parts, [], of.terms)
 
 
@@ -231,10 +233,10 @@ def _request_for_experiment(
 ) -> ApprovalRequested | None:
     event = next(event for event in events if isinstance(event, ExperimentStarted))
     plan = command.closing
-    demand = demand_of([plan] if plan is not None else [])
+    demand = sum_demand([plan] if plan is not None else [])
     asked = Submission(command.user, plan.workcell if plan is not None else "", demand, command.propose)
-    why = reasons_for(state, asked, actor)
-    parts = {"closing": event.closing, "parking": digest(canonical(list(event.parking)))}
+    why = list_reasons(state, asked, actor)
+    parts = {"closing": event.closing, "parking": digest(encode_canonical(list(event.parking)))}
     return _request(
         state, event.experiment, "experiment", event.name, asked, actor, why, parts, [event.priority]
     )
@@ -246,7 +248,7 @@ def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Even
     campaign = state.campaigns.open[command.campaign]
     waiting = state.approvals.open.get(campaign.id)
     if waiting is not None and waiting.kind == "campaign":
-        parts = {**waiting.parts, "terms": _digest_of(command.terms)}
+        parts = {**waiting.parts, "terms": _make_digest(command.terms)}
         asked = Submission(campaign.user, campaign.workcell, waiting.demand)
         again = _request(
             *(state, campaign.id, "campaign", campaign.name, asked, waiting.by, waiting.why),
@@ -257,11 +259,11 @@ def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Even
         return events
     demand = Demand(rows=campaign.rows)
     asked = Submission(campaign.user, campaign.workcell, demand, False, command.terms, campaign.terms)
-    why = reasons_for(state, asked, actor)
+    why = list_reasons(state, asked, actor)
     parts = {
         "workflow": campaign.definition,
         "table": campaign.table,
-        "terms": _digest_of(command.terms),
+        "terms": _make_digest(command.terms),
     }
     request = _request(
         state, campaign.id, "amendment", campaign.name, asked, actor, why, parts, [], command.terms
@@ -273,16 +275,16 @@ def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> lis
     """A campaign waits for an approval before a row that does something dangerous, if nobody knew of that
     when it was submitted, or approved."""
     campaign = state.campaigns.open[command.campaign]
-    dangers = demand_of_choices((command.plan, *command.others)).dangers
+    dangers = sum_demand_of_choices((command.plan, *command.others)).dangers
     if not dangers or campaign.danger_seen or not any(isinstance(e, RunSubmitted) for e in events):
         return events
     demand = Demand(dangers=dangers, rows=campaign.rows)
     asked = Submission(campaign.user, campaign.workcell, demand, False, campaign.terms)
-    why = tuple(why for why in reasons_for(state, asked, campaign.user) if why.code == "dangerous")
+    why = tuple(why for why in list_reasons(state, asked, campaign.user) if why.code == "dangerous")
     parts = {
         "workflow": campaign.definition,
         "table": campaign.table,
-        "terms": _digest_of(campaign.terms),
+        "terms": _make_digest(campaign.terms),
     }
     request = _request(
         state, campaign.id, "campaign", campaign.name, asked, campaign.user, why, parts, [], campaign.terms
@@ -321,7 +323,7 @@ def _request(
     """The event that has a submission wait; None if nothing says that it has to."""
     if not why:
         return None
-    past = state.approvals.last("campaign" if kind == "amendment" else kind, name)  # type: ignore[arg-type]
+    past = state.approvals.find_last("campaign" if kind == "amendment" else kind, name)  # type: ignore[arg-type]
     was = past.parts if past is not None else {}
     changed = sorted(
         part for part in {*parts, *was} if parts.get(part) != was.get(part) and part not in UNCOMPARED
@@ -332,7 +334,7 @@ def _request(
         name=name,
         user=asked.user,
         by=actor,
-        digest=digest(canonical([subject, kind, name, asked.user, parts, also])),
+        digest=digest(encode_canonical([subject, kind, name, asked.user, parts, also])),
         why=why,
         parts=parts,
         demand=asked.demand,
@@ -346,8 +348,8 @@ UNCOMPARED = ("plan", "choices", "experiment")
 """Parts that follow from others, or are others each time."""
 
 
-def _digest_of(values: Terms | dict[str, Any]) -> str:
+def _make_digest(values: Terms | dict[str, Any]) -> str:
     try:
-        return digest(canonical(values))
+        return digest(encode_canonical(values))
     except (ValueError, TypeError, OverflowError, RecursionError):
         return ""  # it cannot be recorded, and is refused for that

@@ -33,10 +33,10 @@ from labos.core.ids import (
     workcell_of,
 )
 from labos.core.lab import WHOLE_LAB
-from labos.core.roles import role_for
+from labos.core.roles import find_role_for
 from labos.core.state import LabState
 from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, LostExperiment
-from labos.core.users import Role, person_of
+from labos.core.users import Role, find_person
 
 ANYWHERE = ""
 """In place of a workcell: a role in any of them is enough."""
@@ -57,11 +57,11 @@ class Target(msgspec.Struct, frozen=True):
     owner_only: bool = False
 
 
-def in_lab(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
+def require_in_lab(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
     return lambda state, command: (Target(needs, (WHOLE_LAB,)),)
 
 
-def anywhere(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
+def require_anywhere(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
     """For what belongs to no workcell any more: the role in one of them is enough."""
     return lambda state, command: (Target(needs, (ANYWHERE,)),)
 
@@ -91,7 +91,7 @@ def find_workcell_target(state: LabState, command: Any) -> Iterable[Target]:
     return (Target("operator", (command.workcell,)),)
 
 
-def the_run(state: LabState, name: str) -> Target:
+def target_run(state: LabState, name: str) -> Target:
     run = state.runs.get(name)
     if run is None:  # it will be refused for that
         return Target("submitter", (ANYWHERE,))
@@ -99,10 +99,10 @@ def the_run(state: LabState, name: str) -> Target:
 
 
 def find_run_target(state: LabState, command: Any) -> Iterable[Target]:
-    return (the_run(state, command.run),)
+    return (target_run(state, command.run),)
 
 
-def the_experiment(state: LabState, name: str, *, owner_only: bool = False) -> Target:
+def target_experiment(state: LabState, name: str, *, owner_only: bool = False) -> Target:
     experiment = state.experiments.open.get(ExperimentId(name))
     if experiment is None:
         return Target("submitter", (ANYWHERE,))
@@ -117,7 +117,7 @@ def the_experiment(state: LabState, name: str, *, owner_only: bool = False) -> T
 
 
 def find_experiment_target(state: LabState, command: Any) -> Iterable[Target]:
-    return (the_experiment(state, command.experiment),)
+    return (target_experiment(state, command.experiment),)
 
 
 def find_campaign_target(state: LabState, command: Any) -> Iterable[Target]:
@@ -128,7 +128,7 @@ def find_campaign_target(state: LabState, command: Any) -> Iterable[Target]:
     return (Target("submitter", (campaign.workcell,), campaign.user, f"The campaign {name}"),)
 
 
-def the_labware(state: LabState, name: LabwareId) -> Target:
+def target_labware(state: LabState, name: LabwareId) -> Target:
     item = state.bench.labware.get(name)
     if item is None:
         return Target("submitter", (ANYWHERE,))
@@ -153,32 +153,32 @@ def owner_of(state: LabState, item: Labware) -> str:
 
 def find_label_target(state: LabState, command: labware.NameBarcode) -> Iterable[Target]:
     """What is shared is everybody's to use, but not to call by another name."""
-    target = the_labware(state, command.labware)
+    target = target_labware(state, command.labware)
     yield target if target.owner else msgspec.structs.replace(target, needs="operator")
 
 
 def list_plate_targets(state: LabState, command: labware.RegisterSamples) -> Iterable[Target]:
-    return [the_labware(state, plate.labware) for plate in command.plates]
+    return [target_labware(state, plate.labware) for plate in command.plates]
 
 
 def list_handover_targets(state: LabState, command: handover.HandOver) -> Iterable[Target]:
-    target = the_labware(state, command.labware)
+    target = target_labware(state, command.labware)
     kind, _, name = command.to.partition(":")
     if kind == "experiment":
-        yield the_experiment(state, name)
+        yield target_experiment(state, name)
     yield msgspec.structs.replace(target, needs="operator") if command.force else target
 
 
 def list_submission_targets(state: LabState, command: runs.SubmitRun) -> Iterable[Target]:
     if command.experiment:
-        yield the_experiment(state, command.experiment, owner_only=True)
+        yield target_experiment(state, command.experiment, owner_only=True)
     for plan in command.plans:
-        yield Target(role_for(plan), (plan.workcell,))
+        yield Target(find_role_for(plan), (plan.workcell,))
 
 
 def find_start_target(state: LabState, command: experiments.StartExperiment) -> Iterable[Target]:
     plan = command.closing
-    yield Target(role_for(plan), (plan.workcell,)) if plan else Target("submitter", (ANYWHERE,))
+    yield Target(find_role_for(plan), (plan.workcell,)) if plan else Target("submitter", (ANYWHERE,))
 
 
 def find_file_target(state: LabState, command: lab.ApplyWorkcell) -> Iterable[Target]:
@@ -189,7 +189,7 @@ def find_file_target(state: LabState, command: lab.ApplyWorkcell) -> Iterable[Ta
 def find_named_target(state: LabState, command: Any) -> Iterable[Target]:
     """A module, a workcell or the whole lab; or an experiment."""
     if ExperimentId(command.target) in state.experiments.open:
-        yield the_experiment(state, command.target)
+        yield target_experiment(state, command.target)
     else:
         known = ModuleName(command.target) in state.modules.by_name
         yield Target("operator", (workcell_of(ModuleName(command.target)) if known else command.target,))
@@ -201,11 +201,11 @@ def list_question_targets(state: LabState, command: interventions.ResolveInterve
         yield Target("submitter", (ANYWHERE,))
         return
     if question.kind == "lost_experiment":
-        target = the_experiment(state, question.subject)
+        target = target_experiment(state, question.subject)
     elif isinstance(question.topic, Approval):
         target = Target("operator", cells_of(state, question.topic.about))
     elif question.run and state.runs.get(question.run) is not None:
-        target = the_run(state, RunId(question.run))
+        target = target_run(state, RunId(question.run))
     elif question.module:
         target = Target("operator", (workcell_of(ModuleName(question.module)),))
     else:
@@ -229,8 +229,8 @@ def cells_of(state: LabState, subject: str) -> tuple[str, ...]:
     if campaign is not None:
         return (campaign.workcell,)
     if ExperimentId(subject) in state.experiments.open:
-        return the_experiment(state, subject).cells
-    return the_run(state, subject).cells
+        return target_experiment(state, subject).cells
+    return target_run(state, subject).cells
 
 
 def find_new_booking_target(state: LabState, command: bookings.MakeBooking) -> Iterable[Target]:
@@ -246,7 +246,7 @@ def list_changed_booking_targets(state: LabState, command: bookings.ChangeBookin
 def _find_role_to_book(state: LabState, command: bookings.MakeBooking | bookings.ChangeBooking) -> Role:
     """For others, for maintenance, and again and again only an operator books; an admin also where others
     have booked."""
-    terms, who = command.terms, person_of(command.by)
+    terms, who = command.terms, find_person(command.by)
     group = state.shares.group_of.get(who, "")
     own = (terms.user == who) if terms.user else bool(terms.group) and terms.group == group
     if command.force:
@@ -258,7 +258,7 @@ def find_booking_target(state: LabState, command: Any) -> Iterable[Target]:
     booking = state.bookings.open.get(command.booking)
     if booking is None:
         return (Target("submitter", (ANYWHERE,)),)
-    owner = booking.user or person_of(booking.by)
+    owner = booking.user or find_person(booking.by)
     return (Target("submitter", (booking.cell,), owner, f"The booking {booking.id}"),)
 
 

@@ -39,7 +39,7 @@ def teach_location(state: LabState, command: TeachLocation) -> Decision:
             "Wait until its action has ended.",
         )
     kind, where = command.labware_type, local(command.station)
-    general = module.pose_of(command.station)
+    general = module.find_pose(command.station)
     if kind and general is None:
         return Rejection(
             "no_pose",
@@ -47,7 +47,7 @@ def teach_location(state: LabState, command: TeachLocation) -> Decision:
             "could differ from.",
             "Teach the station first, without a labware type.",
         )
-    last = module.pose_of(command.station, kind) if kind else general
+    last = module.find_pose(command.station, kind) if kind else general
     last = general if last is None else last
     if not command.pose or not all(map(math.isfinite, command.pose)):
         return Rejection("bad_pose", "A pose is one finite number or more.")

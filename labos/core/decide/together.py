@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from labos.core.actions import ActionRequested
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import StartStep, request_action
 from labos.core.decide.inputs import fill_inputs, name_returned_files
@@ -14,7 +14,7 @@ from labos.core.effects import find_labware_used
 from labos.core.ids import LabwareId
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
-from labos.core.runs import RunState, results_of
+from labos.core.runs import RunState, find_results
 from labos.core.state import LabState
 from labos.core.together import find_together
 
@@ -70,16 +70,16 @@ def find_wish(state: LabState, run: RunState, index: int) -> bytes | None:
     same wish can be carried out together. None if it cannot be told."""
     plan = state.runs.plan_of(run)
     step = plan.steps[index]
-    args = fill_inputs(plan, results_of(plan, run), step.args)
+    args = fill_inputs(plan, find_results(plan, run), step.args)
     given = args if isinstance(args, str) else name_returned_files(plan, step, args)
-    return None if isinstance(given, str) else canonical([step.module, step.action, *given])
+    return None if isinstance(given, str) else encode_canonical([step.module, step.action, *given])
 
 
 def find_planned_wish(plan: Plan, step: PlanStep) -> bytes | None:
     """The same by the plan alone; None if it depends on results of earlier steps."""
     if any(isinstance(value, Mapping) and "$result" in value for value in step.args.values()):
         return None
-    return canonical([step.module, step.action, step.args, _list_files(plan, step.args)])
+    return encode_canonical([step.module, step.action, step.args, _list_files(plan, step.args)])
 
 
 def _list_files(plan: Plan, args: Mapping[str, Any]) -> dict[str, str]:

@@ -41,7 +41,7 @@ class AddUser(Command, frozen=True):
     role: Role | None = None
     scope: str = WHOLE_LAB
 
-    def parts(self) -> Sequence[Command]:
+    def list_parts(self) -> Sequence[Command]:
         return () if self.role is None else (GrantRole(user_subject(self.user), self.role, self.scope),)
 
 
@@ -97,11 +97,11 @@ class RevokeRole(Command, frozen=True):
 @decides(AddUser)
 def add_user(state: LabState, command: AddUser) -> Decision:
     known = state.users.known
-    wrong = _bad_id("user", command.user, list(known))
+    wrong = _check_id("user", command.user, list(known))
     if wrong:
         return wrong
     if known:
-        wrong = _bad_scope(state, command.scope)
+        wrong = _check_scope(state, command.scope)
         granted = () if command.role is None else (_grant(command.user, command.role, command.scope),)
         return wrong or [UserAdded(command.user, command.kind), *granted]
     if command.kind == "service":
@@ -131,7 +131,7 @@ def disable_user(state: LabState, command: DisableUser) -> Decision:
         return refuse_unknown_user(command.user)
     if user.disabled:
         return []
-    return _last_admin(state, command.user) or [UserDisabled(command.user)]
+    return _check_last_admin(state, command.user) or [UserDisabled(command.user)]
 
 
 @decides(EnableUser)
@@ -144,13 +144,13 @@ def enable_user(state: LabState, command: EnableUser) -> Decision:
 
 @decides(AddGroup)
 def add_group(state: LabState, command: AddGroup) -> Decision:
-    return _bad_id("group", command.group, list(state.shares.groups)) or [GroupAdded(command.group)]
+    return _check_id("group", command.group, list(state.shares.groups)) or [GroupAdded(command.group)]
 
 
 @decides(RemoveGroup)
 def remove_group(state: LabState, command: RemoveGroup) -> Decision:
     if command.group not in state.shares.groups:
-        return _no_group(command.group)
+        return _refuse_unknown_group(command.group)
     return _remove(state, command.group)
 
 
@@ -164,7 +164,7 @@ def _remove(state: LabState, group: str) -> Iterator[Event]:
 @decides(AddMember)
 def add_member(state: LabState, command: AddMember) -> Decision:
     if command.group not in state.shares.groups:
-        return _no_group(command.group)
+        return _refuse_unknown_group(command.group)
     if command.user not in state.users.known:
         return refuse_unknown_user(command.user)
     present = state.shares.group_of.get(command.user)
@@ -182,7 +182,7 @@ def add_member(state: LabState, command: AddMember) -> Decision:
 @decides(RemoveMember)
 def remove_member(state: LabState, command: RemoveMember) -> Decision:
     if command.group not in state.shares.groups:
-        return _no_group(command.group)
+        return _refuse_unknown_group(command.group)
     if state.shares.group_of.get(command.user) != command.group:
         return []
     return [MemberRemoved(command.group, command.user)]
@@ -190,23 +190,23 @@ def remove_member(state: LabState, command: RemoveMember) -> Decision:
 
 @decides(GrantRole)
 def grant_role(state: LabState, command: GrantRole) -> Decision:
-    wrong = _bad_subject(state, command.subject) or _bad_scope(state, command.scope)
+    wrong = _check_subject(state, command.subject) or _check_scope(state, command.scope)
     if wrong:
         return wrong
     if state.users.roles.get(command.subject, {}).get(command.scope) == command.role:
         return []
     kind, _, name = command.subject.partition(":")
     if kind == "user" and command.scope == WHOLE_LAB:  # it takes the place of the role held there
-        wrong = _last_admin(state, name)
+        wrong = _check_last_admin(state, name)
     return wrong or [RoleGranted(command.subject, command.role, command.scope)]
 
 
 @decides(RevokeRole)
 def revoke_role(state: LabState, command: RevokeRole) -> Decision:
     if command.scope not in state.users.roles.get(command.subject, {}):
-        return _bad_subject(state, command.subject) or []
+        return _check_subject(state, command.subject) or []
     kind, _, name = command.subject.partition(":")
-    last = _last_admin(state, name) if kind == "user" and command.scope == WHOLE_LAB else None
+    last = _check_last_admin(state, name) if kind == "user" and command.scope == WHOLE_LAB else None
     return last or [RoleRevoked(command.subject, command.scope)]
 
 
@@ -214,11 +214,11 @@ def refuse_unknown_user(name: str) -> Rejection:
     return Rejection("no_user", f"There is no user {name!r} who may act.", "List them: labos user list")
 
 
-def _no_group(name: str) -> Rejection:
+def _refuse_unknown_group(name: str) -> Rejection:
     return Rejection("no_group", f"There is no group {name!r}.", "List them: labos group list")
 
 
-def _bad_id(what: str, name: str, known: list[str]) -> Rejection | None:
+def _check_id(what: str, name: str, known: list[str]) -> Rejection | None:
     if not _ID.fullmatch(name) or name.casefold() in TAKEN:
         return Rejection(
             "bad_id",
@@ -232,16 +232,16 @@ def _bad_id(what: str, name: str, known: list[str]) -> Rejection | None:
     return None
 
 
-def _bad_subject(state: LabState, subject: str) -> Rejection | None:
+def _check_subject(state: LabState, subject: str) -> Rejection | None:
     kind, _, name = subject.partition(":")
     if kind == "user":
         return None if name in state.users.known else refuse_unknown_user(name)
     if kind == "group":
-        return None if name in state.shares.groups else _no_group(name)
+        return None if name in state.shares.groups else _refuse_unknown_group(name)
     return Rejection("no_subject", f"A role cannot be given to {subject!r}.", "Say user:ID or group:NAME.")
 
 
-def _bad_scope(state: LabState, scope: str) -> Rejection | None:
+def _check_scope(state: LabState, scope: str) -> Rejection | None:
     if scope == WHOLE_LAB or scope in state.lab.workcells:
         return None
     return Rejection(
@@ -251,9 +251,9 @@ def _bad_scope(state: LabState, scope: str) -> Rejection | None:
     )
 
 
-def _last_admin(state: LabState, user: str) -> Rejection | None:
+def _check_last_admin(state: LabState, user: str) -> Rejection | None:
     """Why a user must stay admin of the lab; None if there is another one."""
-    if state.users.admins() != [user]:
+    if state.users.list_admins() != [user]:
         return None
     return Rejection(
         "last_admin",

@@ -17,7 +17,7 @@ from labos.core.actions import Action, ActionFailed, ActionStatus, EffectsDone
 from labos.core.bench import Station
 from labos.core.decide._base import Decision, Report, decides
 from labos.core.decide.actions import FinishAction, finish
-from labos.core.decide.outcomes import effect_events, mark_uncertain
+from labos.core.decide.outcomes import list_effect_events, mark_uncertain
 from labos.core.decide.steps import doubt
 from labos.core.effects import Carrying, list_carried, list_moved
 from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
@@ -84,7 +84,7 @@ def is_disturbed(state: LabState, action: Action) -> bool:
         other.id != action.id
         and other.status in (ActionStatus.REQUESTED, ActionStatus.ACCEPTED)
         and {*list_end_stations(other.effects)} & {*action.looks}
-        for other in state.actions.within(workcell_of(action.module))
+        for other in state.actions.list_in_cell(workcell_of(action.module))
     )
 
 
@@ -134,7 +134,7 @@ def _count_others(state: LabState, action: Action, effect: Carrying, station: St
     least = most = known
     item = bench.labware.get(effect.labware)
     most += bench.haunted.get(place, 0) - bool(item is not None and place in item.maybe)
-    for other in state.actions.within(workcell_of(action.module)):
+    for other in state.actions.list_in_cell(workcell_of(action.module)):
         for motion in list_carried(other.effects) if other.id != action.id else ():
             # Labware of a move whose end nobody knows is uncertain already; what came off a stack is not.
             if motion.stock or other.status == ActionStatus.REPORTED:
@@ -157,7 +157,7 @@ def _refute(
     ids = (action.id, action.run, action.step, action.module, action.attempt)
     narrow = {event.labware: event for event in maybe}
     yield ActionFailed(*ids, why, done, "operational")
-    for event in effect_events(state, action, done, why):
+    for event in list_effect_events(state, action, done, why):
         yield narrow.get(event.labware, event) if isinstance(event, LabwareUncertain) else event
 
 

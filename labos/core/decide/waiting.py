@@ -47,7 +47,7 @@ def withdraw_waiting(state: LabState, event: ActionEvent | NodeLeft | NodeStateC
     continue."""
     if isinstance(event, NodeStateChanged) and event.status == "ERROR":
         return
-    for question in state.interventions.all_about(event.module):
+    for question in state.interventions.list_about(event.module):
         if isinstance(question.topic, DeviceWaits):
             why = _GOES_ON.get(type(event), "its action has ended")
             yield InterventionResolved(question.id, "withdrawn", "labos", why)
@@ -63,7 +63,7 @@ _GOES_ON: dict[type[Event], str] = {
 def withdraw_action_questions(state: LabState, event: ActionEvent) -> Iterator[Event]:
     """The questions about an action are withdrawn when its node reports the outcome; a question about planned
     work is answered with the outcome, which a simulated person reports through the node."""
-    for question in state.interventions.all_about(event.action):
+    for question in state.interventions.list_about(event.action):
         if isinstance(question.topic, PlannedWork) and isinstance(event, ActionSucceeded | ActionFailed):
             done = "done" if isinstance(event, ActionSucceeded) else "not_done"
             yield InterventionResolved(question.id, done, question.module)

@@ -16,16 +16,16 @@ from labos.core.state import LabState
 from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, SecondPerson, Topic
 
 
-def outer_windows(plan: Plan) -> list[Window]:
+def list_outer_windows(plan: Plan) -> list[Window]:
     """The windows whose clock another run starts."""
     return [window for step in plan.steps for window in step.windows if window.of]
 
 
-def anchors_of(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple[Anchor, ...] | Rejection:
+def find_anchors(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple[Anchor, ...] | Rejection:
     """The steps' ends that the plan's windows mean: of the last completed run of a workflow, or of
     the run with that id, in the same experiment."""
     found: dict[tuple[str, str], Anchor] = {}
-    for window in outer_windows(plan):
+    for window in list_outer_windows(plan):
         named = (window.of, window.of_step)
         if named in found:
             continue
@@ -62,7 +62,7 @@ def _choose_run(past: dict[RunId, EndTimes], of: str) -> RunId | None:
     return next((run for run in reversed(past) if past[run].workflow == of), None)
 
 
-def clock_of(run: RunState, plan: Plan, window: Window) -> tuple[str, str]:
+def find_clock(run: RunState, plan: Plan, window: Window) -> tuple[str, str]:
     """The run (empty: its own) and the step that started a window's clock."""
     if window.anchor is not None:
         return "", plan.steps[window.anchor].key
@@ -71,9 +71,9 @@ def clock_of(run: RunState, plan: Plan, window: Window) -> tuple[str, str]:
     return (anchor.run if anchor else window.of), window.of_step
 
 
-def lateness(run: RunState, plan: Plan, step: int, window: Window) -> str:
+def describe_lateness(run: RunState, plan: Plan, step: int, window: Window) -> str:
     """Which step is too late after what, without a full stop."""
-    other, anchor = clock_of(run, plan, window)
+    other, anchor = find_clock(run, plan, window)
     whose = f" of run {other}" if other else ""
     within = window.within_s or 0.0
     return f"step {plan.steps[step].key!r} did not start within {within:g} s of the end of {anchor!r}{whose}"
@@ -91,7 +91,7 @@ def ask_about_breach(state: LabState, run: RunState, step: int, what: str) -> li
     ]
 
 
-def questions_of(state: LabState, run: RunId, *topics: type[Topic]) -> list[InterventionId]:
+def list_questions(state: LabState, run: RunId, *topics: type[Topic]) -> list[InterventionId]:
     """The open questions of these types about a run."""
     return [q.id for q in state.interventions.find_by_run(run) if isinstance(q.topic, topics)]
 
@@ -101,12 +101,12 @@ def questions_of(state: LabState, run: RunId, *topics: type[Topic]) -> list[Inte
 
 def withdraw_late_questions(state: LabState, event: RunResumed) -> Iterator[Event]:
     """When a person resumes a run, the questions about its late steps are withdrawn."""
-    for name in questions_of(state, event.run, LateStep):
+    for name in list_questions(state, event.run, LateStep):
         yield InterventionResolved(name, "withdrawn", "labos", "the run was resumed")
 
 
 def withdraw_run_questions(state: LabState, event: RunStarted | RunEnd) -> Iterator[Event]:
     """When a run starts or ends, the questions about it and its steps are withdrawn."""
     why = "the run has begun" if isinstance(event, RunStarted) else "the run has ended"
-    for name in questions_of(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson, Approval):
+    for name in list_questions(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson, Approval):
         yield InterventionResolved(name, "withdrawn", "labos", why)

@@ -13,30 +13,30 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from labos.core.words import Keep, fields_of_words
+from labos.core.words import Keep, find_fields_of_words
 
 S = TypeVar("S", bound=msgspec.Struct)
 
 
-def words_in(command: msgspec.Struct) -> Iterator[tuple[str, str]]:
+def list_words(command: msgspec.Struct) -> Iterator[tuple[str, str]]:
     """The texts that a person may have written into a command, each with its field."""
-    for name, _ in _own_words(type(command)):
+    for name, _ in _find_own_words(type(command)):
         if text := getattr(command, name):
             yield text, name
-    for name in _holders(type(command)):
+    for name in _find_holders(type(command)):
         value = getattr(command, name)
         for part in value if isinstance(value, tuple) else (value,):
-            yield from words_in(part)
+            yield from list_words(part)
 
 
 def refer_to_words(command: S, keep: Keep) -> S:
     """The command with a reference in the place of each text that a person wrote."""
     changed: dict[str, Any] = {}
-    for name, own in _own_words(type(command)):
+    for name, own in _find_own_words(type(command)):
         text = getattr(command, name)
         if text and text != own and not text.isspace():
             changed[name] = keep(text)
-    for name in _holders(type(command)):
+    for name in _find_holders(type(command)):
         value = getattr(command, name)
         if isinstance(value, tuple):
             changed[name] = tuple(refer_to_words(part, keep) for part in value)
@@ -46,25 +46,27 @@ def refer_to_words(command: S, keep: Keep) -> S:
 
 
 @cache
-def _own_words(kind: type[msgspec.Struct]) -> tuple[tuple[str, Any], ...]:
+def _find_own_words(kind: type[msgspec.Struct]) -> tuple[tuple[str, Any], ...]:
     """The fields that hold words, and the value of each when it is empty."""
-    named = fields_of_words(kind)
+    named = find_fields_of_words(kind)
     return tuple((each.name, each.default) for each in msgspec.structs.fields(kind) if each.name in named)
 
 
 @cache
-def _holders(kind: type[msgspec.Struct]) -> tuple[str, ...]:
+def _find_holders(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """The fields in which something with words stands."""
     hints = typing.get_type_hints(kind)
-    return tuple(name for name in kind.__struct_fields__ if any(map(_holds_words, _structs(hints[name]))))
+    return tuple(
+        name for name in kind.__struct_fields__ if any(map(_holds_words, _list_structs(hints[name])))
+    )
 
 
 @cache
 def _holds_words(kind: type[msgspec.Struct]) -> bool:
-    return bool(fields_of_words(kind) or _holders(kind))
+    return bool(find_fields_of_words(kind) or _find_holders(kind))
 
 
-def _structs(hint: Any) -> list[type[msgspec.Struct]]:
+def _list_structs(hint: Any) -> list[type[msgspec.Struct]]:
     if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
         return [hint]
-    return [found for inner in typing.get_args(hint) for found in _structs(inner)]
+    return [found for inner in typing.get_args(hint) for found in _list_structs(inner)]

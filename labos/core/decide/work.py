@@ -19,7 +19,7 @@ from labos.core.interventions import (
     InterventionRequested,
 )
 from labos.core.model import PlanStep
-from labos.core.rules import lab_ns
+from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
@@ -51,13 +51,13 @@ def ask_for_work(
     return state.interventions.ask(
         PlannedWork(run=run.id, module=step.module, action=action),
         f"{local(step.module)}, please: {what or step.action} ({step.key!r} of {run.id}).",
-        now + lab_ns(state, within_s),
+        now + convert_lab_s(state, within_s),
     )
 
 
 def find_work(state: LabState, action: Action) -> Intervention | None:
     """The inbox entry of an action, if it is planned work."""
-    question = state.interventions.about(action.id)
+    question = state.interventions.find_about(action.id)
     return question if question is not None and isinstance(question.topic, PlannedWork) else None
 
 

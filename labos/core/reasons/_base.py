@@ -28,12 +28,12 @@ Key = Literal["run", "module", "station", "zone", "access", "quota", "cell", "ne
 """The kinds of keys whose change may end a wait."""
 
 
-def code_of(name: str) -> str:
+def make_code(name: str) -> str:
     """The code of a reason's type: ``ModuleBusy`` is ``module_busy``."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
-class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=code_of):
+class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
     """Why a step does not start. In ``SENTENCE`` and ``REMEDY`` stand names of fields."""
 
     SENTENCE: ClassVar[str]

@@ -50,7 +50,7 @@ async def sign_out(call: Call) -> Response:
 
 
 async def get_identity(call: Call) -> signing.Identity:
-    return await signing.identity_of(call)
+    return await signing.find_identity(call)
 
 
 async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:

@@ -24,7 +24,7 @@ from labos.http.method import Method
 from labos.http.operation import Call, Operation, declare
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
-from labos.services.proposals import ChangedPart, differences, sentence
+from labos.services.proposals import ChangedPart, describe_waiting, list_differences
 from labos.spec.policy import parse_policy
 
 
@@ -137,25 +137,25 @@ async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     names = [name for name in state.approvals.open if name not in call.hidden]
     begin = names.index(query.after) + 1 if query.after in names else 0
     shown = names[begin : begin + query.limit]
-    found = [_view(state, state.approvals.open[name]) for name in shown]
+    found = [_make_view(state, state.approvals.open[name]) for name in shown]
     await call.kernel.flush()
     return Proposals(found, begin + query.limit < len(names))
 
 
 async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     state = call.kernel.state
-    proposal = _proposal(call, path)
-    view = _view(state, proposal)
+    proposal = _find_proposal(call, path)
+    view = _make_view(state, proposal)
     await call.kernel.flush()
     parts = call.service.parts
-    changed = await asyncio.to_thread(differences, parts.store, parts.blobs, state, proposal)
+    changed = await asyncio.to_thread(list_differences, parts.store, parts.blobs, state, proposal)
     return ProposalDetail(view, changed)
 
 
 async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     """The forecast assumes that the submission is approved now, without changes. This does not approve it. An
     experiment cannot be forecast, because its application decides while it runs."""
-    found = await forecast_proposal(call.service, _proposal(call, path))
+    found = await forecast_proposal(call.service, _find_proposal(call, path))
     return msgspec.structs.replace(found, forecast=hide_others(found.forecast, call))
 
 
@@ -163,8 +163,8 @@ async def approve_proposal(call: Call, path: OfProposal, body: ApprovalTerms) ->
     """Only the submission with this digest can be approved: the request is refused if the submission has
     changed since the operator looked at it. An operator approves; the policy says whether it may be the
     submitting user. A program cannot approve."""
-    proposal = _proposal(call, path)
-    priority, terms = _changes(call, proposal, body)
+    proposal = _find_proposal(call, path)
+    priority, terms = _read_changes(call, proposal, body)
     command = ApproveProposal(
         subject=proposal.subject,
         digest=body.digest,
@@ -179,7 +179,7 @@ async def approve_proposal(call: Call, path: OfProposal, body: ApprovalTerms) ->
     return ProposalAnswer(proposal.subject, digest)
 
 
-def _changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[int | None, Terms | None]:
+def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[int | None, Terms | None]:
     """What the operator wants otherwise than it was asked for. Raises BadInput."""
     if proposal.kind in ("run", "experiment") and (body.deadline, body.runs, body.lab_time_s) == (None,) * 3:
         return body.priority, None
@@ -190,14 +190,14 @@ def _changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[int |
         lab_time_s=body.lab_time_s,
         consumables=body.consumables,
     )
-    asked = _terms(call.kernel.state, proposal) or Terms()
+    asked = _find_terms(call.kernel.state, proposal) or Terms()
     terms = amend_terms(asked, wanted, call.kernel.clock.now_ns())
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
 
 
 async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -> ProposalAnswer:
     """The submission is cancelled. If it is a change of a campaign, the campaign continues unchanged."""
-    proposal = _proposal(call, path)
+    proposal = _find_proposal(call, path)
     digest = proposal.digest
     await call.kernel.execute(RefuseProposal(proposal.subject, body.by, body.comment), body.by)
     return ProposalAnswer(proposal.subject, digest)
@@ -212,12 +212,12 @@ async def get_policy(call: Call) -> PolicyView:
 
 async def apply_policy(call: Call, body: PolicyText) -> PolicyReference:
     """Submissions that wait already continue to wait."""
-    found = await call.service.beside(len(body.text), parse_policy, body.text, body.name)
+    found = await call.service.run_beside(len(body.text), parse_policy, body.text, body.name)
     await call.kernel.execute(ApplyPolicy(found.digest, found.policy), body.by)
     return PolicyReference(found.digest)
 
 
-def _proposal(call: Call, path: OfProposal) -> Proposal:
+def _find_proposal(call: Call, path: OfProposal) -> Proposal:
     """Raises NotFound."""
     found = call.kernel.state.approvals.open.get(path.subject)
     if found is None or path.subject in call.hidden:
@@ -227,12 +227,12 @@ def _proposal(call: Call, path: OfProposal) -> Proposal:
     return found
 
 
-def _view(state: LabState, proposal: Proposal) -> ProposalView:
-    said = sentence(state, proposal.subject)
-    return make_from(ProposalView, proposal, sentence=said, terms=_terms(state, proposal))
+def _make_view(state: LabState, proposal: Proposal) -> ProposalView:
+    said = describe_waiting(state, proposal.subject)
+    return make_from(ProposalView, proposal, sentence=said, terms=_find_terms(state, proposal))
 
 
-def _terms(state: LabState, proposal: Proposal) -> Terms | None:
+def _find_terms(state: LabState, proposal: Proposal) -> Terms | None:
     """The terms of a campaign as they would be; None for what has none."""
     campaign = state.campaigns.open.get(CampaignId(proposal.subject))
     return proposal.terms or (campaign.terms if campaign is not None else None)

@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
 from labos.core.recurrence import DAY_NS
-from labos.core.words import put_into_text, references_in
+from labos.core.words import list_references, put_into_text
 from labos.http.bookings import (
     BookingCancel,
     BookingCancelled,
@@ -22,31 +22,31 @@ from labos.http.bookings import (
     LinkQuery,
     NewBooking,
     OfBooking,
-    bookings_of,
-    calendar,
     change_terms,
-    target_of,
-    terms_of,
-    the_booking,
-    view,
+    find_booking,
+    find_target,
+    make_calendar,
+    make_terms,
+    make_view,
+    select_bookings,
 )
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, declare
-from labos.services.shown import texts_of
+from labos.services.shown import read_texts
 
 MEDIA_TYPE = "text/calendar"
 
 
 async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
     """The bookings that have not ended, in the order of their next times."""
-    views = [view(booking) for booking in bookings_of(call.service, query.target)]
+    views = [make_view(booking) for booking in select_bookings(call.service, query.target)]
     found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
     await call.kernel.flush()
     return found
 
 
 async def get_booking(call: Call, path: OfBooking) -> BookingView:
-    found = view(the_booking(call.kernel.state, path.booking))
+    found = make_view(find_booking(call.kernel.state, path.booking))
     await call.kernel.flush()
     return found
 
@@ -56,30 +56,30 @@ async def make_booking(call: Call, body: NewBooking) -> BookingView:
     booking at that time, the request is refused, unless an admin forces it. A booking for maintenance cannot
     be overridden."""
     state, now = call.kernel.state, call.kernel.clock.now_ns()
-    target, terms = target_of(call.service, body.target), terms_of(state, body)
+    target, terms = find_target(call.service, body.target), make_terms(state, body)
     events = await call.kernel.execute(MakeBooking(target, terms, body.by, now, body.force), body.by)
-    return view(the_booking(call.kernel.state, events[0].booking), events[0].over)  # type: ignore[attr-defined]
+    return make_view(find_booking(call.kernel.state, events[0].booking), events[0].over)  # type: ignore[attr-defined]
 
 
 async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> BookingView:
     """Fields that are left out do not change. If only the beginning is given, the end moves by the same
     time."""
-    booking, now = the_booking(call.kernel.state, path.booking), call.kernel.clock.now_ns()
+    booking, now = find_booking(call.kernel.state, path.booking), call.kernel.clock.now_ns()
     terms = change_terms(call.kernel.state, booking, body)
     events = await call.kernel.execute(ChangeBooking(booking.id, terms, body.by, now, body.force), body.by)
-    return view(the_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
+    return make_view(find_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
 
 
 async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> BookingCancelled:
     """Everybody may then use that time, also if it has begun."""
-    the_booking(call.kernel.state, path.booking)
+    find_booking(call.kernel.state, path.booking)
     await call.kernel.execute(CancelBooking(path.booking, body.by, body.why, body.begins_at), body.by)
     return BookingCancelled(path.booking, body.begins_at)
 
 
 async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
     """Each time of each booking, also of repeated ones."""
-    found = calendar(call.service, query, call.kernel.clock.now_ns())
+    found = make_calendar(call.service, query, call.kernel.clock.now_ns())
     await call.kernel.flush()
     return found
 
@@ -87,14 +87,14 @@ async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
 async def export_calendar(call: Call, query: LinkQuery) -> Response:
     """All bookings as iCalendar (RFC 5545). A calendar program subscribes to it with a token of scope
     `viewer` in the address."""
-    from labos.services.ical import ical  # a large library, which most labs never use
+    from labos.services.ical import encode_ical  # a large library, which most labs never use
 
-    bookings = bookings_of(call.service, query.target)
+    bookings = select_bookings(call.service, query.target)
     await call.kernel.flush()
-    named = references_in("\n".join(booking.why for booking in bookings).encode())
-    texts = await asyncio.to_thread(texts_of, call.service.parts.store, named)
+    named = list_references("\n".join(booking.why for booking in bookings).encode())
+    texts = await asyncio.to_thread(read_texts, call.service.parts.store, named)
     shown = [msgspec.structs.replace(each, why=put_into_text(each.why, texts)) for each in bookings]
-    found = ical(call.kernel.state, shown)
+    found = encode_ical(call.kernel.state, shown)
     headers = {"cache-control": "private, max-age=300"}
     return Response(found, media_type=MEDIA_TYPE, headers=headers)
 

@@ -34,26 +34,26 @@ from labos.http.bodies import (
     NewCampaign,
     SharesFile,
 )
-from labos.http.campaigns import CampaignView, amend_terms, submit_campaign, view_of
+from labos.http.campaigns import CampaignView, amend_terms, make_view, submit_campaign
 from labos.http.cloning import clone_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, declare
 from labos.http.queries import OfCampaign
-from labos.services.proposals import sentence
-from labos.services.shares import ledger
+from labos.services.proposals import describe_waiting
+from labos.services.shares import make_ledger
 from labos.spec.shares import parse_shares
 
 
 async def list_campaigns(call: Call) -> Campaigns:
     state = call.kernel.state
-    found = [view_of(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden]
+    found = [make_view(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden]
     await call.kernel.flush()
     return Campaigns(found)
 
 
 async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
-    found = view_of(call.kernel.state, _open_campaign(call, path))
+    found = make_view(call.kernel.state, _open_campaign(call, path))
     await call.kernel.flush()
     return found
 
@@ -62,7 +62,7 @@ async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     """The campaign is checked row by row. If a row cannot be carried out, nothing is submitted, and `details`
     of the problem lists each fault with its row."""
     name, estimate = await submit_campaign(call.service, body, call.key)
-    told = CampaignSubmission(name, estimate, sentence(call.kernel.state, name))
+    told = CampaignSubmission(name, estimate, describe_waiting(call.kernel.state, name))
     return wire.answer(told, 200 if body.dry_run else 201)
 
 
@@ -92,7 +92,7 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
     campaign = _open_campaign(call, path)
     terms = amend_terms(campaign.terms, body, call.kernel.clock.now_ns())
     await call.kernel.execute(AmendCampaign(campaign.id, terms), body.by)
-    return CampaignTerms(campaign.id, campaign.terms, sentence(call.kernel.state, campaign.id))
+    return CampaignTerms(campaign.id, campaign.terms, describe_waiting(call.kernel.state, campaign.id))
 
 
 async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Response:
@@ -101,7 +101,7 @@ async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Respons
     original, except the deadline: the copy has none."""
     call.expect_seen(path.campaign)
     name, estimate = await clone_campaign(call.service, path.campaign, body, body.by, call.key)
-    told = CampaignSubmission(name, estimate, sentence(call.kernel.state, name))
+    told = CampaignSubmission(name, estimate, describe_waiting(call.kernel.state, name))
     return wire.answer(told, 200 if body.dry_run else 201)
 
 
@@ -113,13 +113,13 @@ async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> Cam
 
 
 async def list_shares(call: Call) -> Shares:
-    accounts = ledger(call.kernel.state, call.kernel.clock.now_ns())
+    accounts = make_ledger(call.kernel.state, call.kernel.clock.now_ns())
     await call.kernel.flush()
     return Shares(accounts)
 
 
 async def apply_shares(call: Call, body: SharesFile) -> SharesReference:
-    found = await call.service.beside(len(body.text), parse_shares, body.text, body.name)
+    found = await call.service.run_beside(len(body.text), parse_shares, body.text, body.name)
     await call.kernel.execute(ApplyShares(found.digest, found.groups, found.users), body.by)
     return SharesReference(found.digest)
 

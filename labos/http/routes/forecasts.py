@@ -8,13 +8,13 @@ from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId
 from labos.core.lengths import Drift, find_drifts
-from labos.core.users import person_of
+from labos.core.users import find_person
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
-from labos.http.placing import loads_of
+from labos.http.placing import make_loads
 from labos.planning.lab_forecast import LabForecast
 from labos.services.times import parse_due
 from labos.spec.findings import Finding
@@ -54,12 +54,12 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     """Nothing is submitted or stored. The run counts as approved."""
     service = call.service
     service.expect_role(body.user, "submitter")  # before anything is planned
-    workcell = await service.workcell_for(body.workflow, body.workcell)
-    loads = loads_of(service, body.place, workcell, body.user)
+    workcell = await service.find_workcell_for(body.workflow, body.workcell)
+    loads = make_loads(service, body.place, workcell, body.user)
     compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
     run = SubmitRun(
         compiled.plan,
-        person_of(body.user),
+        find_person(body.user),
         body.payload,
         ExperimentId(body.experiment),
         body.priority,

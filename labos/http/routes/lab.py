@@ -17,7 +17,7 @@ from labos.http.operation import Call, Operation, declare
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
 from labos.runtime.stop import StopReport
-from labos.services.inventory import Inventory, inventory
+from labos.services.inventory import Inventory, count_inventory
 from labos.services.times import iso_time
 
 
@@ -35,7 +35,7 @@ async def get_health(call: Call) -> Health:
         simulated=parts.simulated,
         pace=lab.pace,
         broken_drivers=dict(parts.broken_drivers),
-        log_check=LogCheckView(**check.view()) if check is not None else None,
+        log_check=LogCheckView(**check.make_view()) if check is not None else None,
     )
 
 
@@ -48,7 +48,7 @@ async def get_inventory(call: Call) -> Inventory:
     """Levels and lots of all resources, the content of stacks, the room in waste stations, and in `runs_out`
     the first run that would have too little. Times are in UTC nanoseconds."""
     now = call.kernel.clock.now_ns()
-    found = inventory(call.kernel.state, now, iso_time(now)[:10])
+    found = count_inventory(call.kernel.state, now, iso_time(now)[:10])
     await call.kernel.flush()
     return found
 

@@ -31,9 +31,9 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
         return call.kernel.durable > query.after
 
     if query.wait and not is_there():
-        await call.service.feed.until(is_there, query.wait, each_s=0.01)
+        await call.service.feed.wait_until(is_there, query.wait, each_s=0.01)
     wanted = msgspec.structs.replace(
-        _log_query(query),
+        _make_log_query(query),
         last=query.last or None,
         upto=query.upto or None,
         since_ns=query.since or None,
@@ -41,7 +41,9 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
     )
     if query.stored:
         call.request.scope[STORED] = True
-    return wire.answer_encoded(await call.service.tail.page(wanted, stored=query.stored, viewer=call.viewer))
+    return wire.answer_encoded(
+        await call.service.tail.read_page(wanted, stored=query.stored, viewer=call.viewer)
+    )
 
 
 async def follow_events(call: Call, query: EventFilter) -> Response:
@@ -51,8 +53,8 @@ async def follow_events(call: Call, query: EventFilter) -> Response:
     larger groups, at least once a second. A client that falls more than 1 MB behind is disconnected; its last
     message has the type `dropped`, and an `id` at which it can continue. A client that reads nothing for 30 s
     is also disconnected. The stream ends with the client's session or token."""
-    wanted = _log_query(query)
-    known = wire.header(call.request, "last-event-id")
+    wanted = _make_log_query(query)
+    known = wire.read_header(call.request, "last-event-id")
     if known.isascii() and known.isdecimal() and int(known[:20]) <= WHOLE_NUMBERS[1]:
         wanted = msgspec.structs.replace(wanted, after=int(known))
     if await _hand_over(call, wanted, stored=query.stored):
@@ -70,7 +72,7 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
             yield piece
     finally:
         if shown is not None and end is not None:
-            call.api.ends.over(shown, end)
+            call.api.ends.forget_stream(shown, end)
 
 
 async def get_file(call: Call, path: OfFile) -> Response:
@@ -86,12 +88,12 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
     if viewers is None or connection is None:
         return False
     shown, durable = call.who.credential, call.kernel.durable
-    key, lasts_s = (shown.key, call.api.ends.lasts_s(shown)) if shown is not None else ("", 0.0)
+    key, lasts_s = (shown.key, call.api.ends.find_length_s(shown)) if shown is not None else ("", 0.0)
     follow = Follow(query, key, lasts_s, stored, call.viewer)
     return bool(await connection.give_away(lambda s: viewers.take_over(s, follow, durable)))
 
 
-def _log_query(query: EventFilter) -> LogQuery:
+def _make_log_query(query: EventFilter) -> LogQuery:
     return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream))
 
 

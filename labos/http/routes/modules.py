@@ -32,7 +32,7 @@ from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, replenish
-from labos.http.teaching import locations, teach
+from labos.http.teaching import make_locations, teach
 from labos.http.workcells import WorkcellChange, apply_workcell
 
 
@@ -66,7 +66,7 @@ async def replenish_resource(call: Call, path: OfModule, body: Replenishment) ->
 async def list_locations(call: Call, path: OfModule) -> Locations:
     """Version 0 is the pose of the workcell file. Poses for particular labware types are under `types`."""
     name = call.service.module(path.module)
-    return Locations(locations(call.kernel.state.modules.by_name[name]))
+    return Locations(make_locations(call.kernel.state.modules.by_name[name]))
 
 
 async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersion:

@@ -29,23 +29,23 @@ from labos.http.people import (
     Revocation,
     UserList,
     UserView,
-    group_view,
-    group_views,
-    user_view,
-    user_views,
+    list_group_views,
+    list_user_views,
+    make_group_view,
+    make_user_view,
 )
 from labos.http.queries import OfGroup, OfUser
 
 
 async def list_users(call: Call) -> UserList:
     state = call.kernel.state
-    found = UserList(user_views(state), state.users.is_open)
+    found = UserList(list_user_views(state), state.users.is_open)
     await call.kernel.flush()
     return found
 
 
 async def get_user(call: Call, path: OfUser) -> UserView:
-    found = user_view(call.kernel.state, path.user)
+    found = make_user_view(call.kernel.state, path.user)
     await call.kernel.flush()
     return found
 
@@ -73,11 +73,11 @@ async def enable_user(call: Call, path: OfUser, body: By) -> UserView:
 
 async def _change_user(call: Call, command: AddUser | DisableUser | EnableUser, by: str) -> UserView:
     await call.kernel.execute(command, by)
-    return user_view(call.kernel.state, command.user)
+    return make_user_view(call.kernel.state, command.user)
 
 
 async def list_groups(call: Call) -> GroupList:
-    found = GroupList(group_views(call.kernel.state))
+    found = GroupList(list_group_views(call.kernel.state))
     await call.kernel.flush()
     return found
 
@@ -90,7 +90,7 @@ async def add_group(call: Call, body: NewGroup) -> GroupView:
 async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
     """Its members are then in no group, and its roles are removed. The answer lists the remaining groups."""
     await call.kernel.execute(RemoveGroup(path.group), body.by)
-    return GroupList(group_views(call.kernel.state))
+    return GroupList(list_group_views(call.kernel.state))
 
 
 async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
@@ -104,7 +104,7 @@ async def remove_member(call: Call, path: OfGroup, body: Membership) -> GroupVie
 
 async def _change_group(call: Call, command: Command, group: str, by: str) -> GroupView:
     await call.kernel.execute(command, by)
-    return group_view(call.kernel.state, group)
+    return make_group_view(call.kernel.state, group)
 
 
 async def grant_role(call: Call, body: Grant) -> GrantView:

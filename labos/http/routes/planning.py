@@ -8,20 +8,20 @@ import msgspec
 
 from labos.core.approvals import ApprovalRequested, Demand
 from labos.core.decide import Rejection, decide
-from labos.core.decide.policy import demand_of_choices
+from labos.core.decide.policy import sum_demand_of_choices
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ExperimentId, RunId, local
 from labos.core.model import MAIN
 from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.core.users import person_of
+from labos.core.users import find_person
 from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
-from labos.http.placing import loads_of
+from labos.http.placing import make_loads
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
 from labos.services.times import parse_due
@@ -115,17 +115,17 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted or stored."""
     service, state = call.service, call.kernel.state
     service.expect_role(body.user, "submitter")  # before anything is planned
-    workcell = await service.workcell_for(body.workflow, body.workcell)
-    loads = loads_of(service, body.place, workcell, body.user)
+    workcell = await service.find_workcell_for(body.workflow, body.workcell)
+    loads = make_loads(service, body.place, workcell, body.user)
     compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
     plan = compiled.plan
     command = SubmitRun(
         plan,
-        person_of(body.user),
+        find_person(body.user),
         body.payload,
         ExperimentId(body.experiment),
         body.priority,
-        service.pins_of(body.workflow, *compiled.plans),
+        service.list_pins(body.workflow, *compiled.plans),
         propose=body.propose,
         others=compiled.others,
         due_at=parse_due(body.due, call.kernel.clock.now_ns()),
@@ -150,7 +150,7 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         workflow=plan.workflow,
         workcell=plan.workcell,
         steps=steps,
-        demand=demand_of_choices(compiled.plans),
+        demand=sum_demand_of_choices(compiled.plans),
         approval=tuple(why.text for event in asked for why in event.why),
         refusal=refusal,
         warnings=compiled.findings,

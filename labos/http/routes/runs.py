@@ -37,7 +37,7 @@ from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
-from labos.services.proposals import sentence
+from labos.services.proposals import describe_waiting
 
 
 async def list_runs(call: Call, query: RunsQuery) -> Runs:
@@ -51,7 +51,7 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
     await call.kernel.flush()
     over = await _read_ends(call, query) if query.ended else []
     names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
-    stories = [await call.service.story(name) for name in names]
+    stories = [await call.service.read_story(name) for name in names]
     return Runs(
         runs=[make_from(RunDetail, story) for story in stories if story.campaign not in call.hidden],
         position=shown[-1].position if shown else query.after,
@@ -69,7 +69,7 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
 
 
 async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
-    story = await call.service.story(path.run, query.wait)
+    story = await call.service.read_story(path.run, query.wait)
     if story.campaign in call.hidden:
         raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
     return make_from(RunDetail, story)
@@ -88,14 +88,14 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
         propose=body.propose,
         due=body.due,
     )
-    return RunSubmission(run, findings, sentence(call.kernel.state, run))
+    return RunSubmission(run, findings, describe_waiting(call.kernel.state, run))
 
 
 async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
     """The runs are queued in one step: all of them, or none. So the first one starts when the lab knows the
     last one."""
     runs, findings = await submit_batch(call.service, body, call.key)
-    approvals = (sentence(call.kernel.state, run) for run in runs)
+    approvals = (describe_waiting(call.kernel.state, run) for run in runs)
     return RunsSubmission(runs, findings, tuple(filter(None, approvals)))
 
 
@@ -135,7 +135,7 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
         parking=body.parking,
         propose=body.propose,
     )
-    return ExperimentReference(experiment, sentence(call.kernel.state, experiment))
+    return ExperimentReference(experiment, describe_waiting(call.kernel.state, experiment))
 
 
 async def resume_experiment(

@@ -63,7 +63,7 @@ class ErasureReference(msgspec.Struct, frozen=True):
 
 async def list_erasures(call: Call) -> Erasures:
     waiting = call.kernel.state.erasures.open
-    found = Erasures([_view(name, each) for name, each in waiting.items()])
+    found = Erasures([_make_view(name, each) for name, each in waiting.items()])
     await call.kernel.flush()
     return found
 
@@ -96,7 +96,7 @@ def _find_erasure(call: Call, name: str) -> Erasure:
     return found
 
 
-def _view(name: str, asked: Erasure) -> ErasureView:
+def _make_view(name: str, asked: Erasure) -> ErasureView:
     return make_from(ErasureView, asked, erasure=name)
 
 

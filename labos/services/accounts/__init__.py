@@ -1,7 +1,7 @@
 """Who signs in, and with what: passwords, tokens of programs, sessions of browsers, identity providers."""
 
 from labos.services.accounts.accounts import Accounts, Credential, Need, allows
-from labos.services.accounts.secrets import HOME, SESSION, TOKEN, digest_of, make_secret
+from labos.services.accounts.secrets import HOME, SESSION, TOKEN, make_digest, make_secret
 
 __all__ = [
     "HOME",
@@ -11,6 +11,6 @@ __all__ = [
     "Credential",
     "Need",
     "allows",
-    "digest_of",
+    "make_digest",
     "make_secret",
 ]

@@ -14,7 +14,7 @@ from labos.clock import Clock
 from labos.errors import BadInput, NotFound, NotSignedIn, TooManyTries
 from labos.ports import AccountStore, Person, Session, Token
 from labos.services.accounts.passwords import Passwords, check_password
-from labos.services.accounts.secrets import SESSION, TOKEN, digest_of, make_id, make_secret
+from labos.services.accounts.secrets import SESSION, TOKEN, make_digest, make_id, make_secret
 from labos.services.accounts.tries import Tries
 
 Need = Literal["viewer", "submitter", "operator", "admin"]
@@ -74,7 +74,7 @@ class Accounts:
 
     async def find(self, secret: str) -> Credential:
         """Whose secret it is. Raises NotSignedIn."""
-        digest = digest_of(secret)
+        digest = make_digest(secret)
         known, fresh_until = self._known.get(digest, (None, 0.0))
         now = self._clock.monotonic()
         if known is None or now >= fresh_until:
@@ -84,25 +84,25 @@ class Accounts:
                 del self._known[next(iter(self._known))]
             self._known[digest] = known, now + FRESH_S
         if known.until <= self._clock.now_ns():
-            raise NotSignedIn(f"The {known.how} has expired.", remedy=_again(known.how))
+            raise NotSignedIn(f"The {known.how} has expired.", remedy=_explain_sign_in(known.how))
         if not self._is_active(known.user):
             raise NotSignedIn(f"The user {known.user} is disabled.", remedy="Ask an admin of the lab.")
         await self._note_use(known, now)
         return known
 
     async def _find(self, secret: str, digest: bytes) -> Credential:
-        key = _key(digest)
+        key = _make_key(digest)
         if secret.startswith(SESSION):
             session = await self._ask(self._store.session, digest)
             if session is None:
-                raise NotSignedIn("The session has ended.", remedy=_again("session"))
+                raise NotSignedIn("The session has ended.", remedy=_explain_sign_in("session"))
             return Credential(session.user, "session", "admin", key, session.expires_at)
         token = await self._ask(self._store.token, digest) if secret.startswith(TOKEN) else None
         if token is None:
-            raise NotSignedIn("The token is not one of this lab.", remedy=_again("token"))
+            raise NotSignedIn("The token is not one of this lab.", remedy=_explain_sign_in("token"))
         if token.revoked_at:
-            raise NotSignedIn(f"The token {token.id} was revoked.", remedy=_again("token"))
-        return Credential(token.user, "token", _scope(token.scope), key, token.expires_at, token.id)
+            raise NotSignedIn(f"The token {token.id} was revoked.", remedy=_explain_sign_in("token"))
+        return Credential(token.user, "token", _parse_scope(token.scope), key, token.expires_at, token.id)
 
     async def _note_use(self, credential: Credential, now: float) -> None:
         id_ = credential.token
@@ -137,13 +137,13 @@ class Accounts:
             await self.end_session(before)
         secret, now = make_secret(SESSION), self._clock.now_ns()
         session = Session(user, how, now, now + int(SESSION_S * _SECOND))
-        await self._ask(self._store.add_session, session, digest_of(secret))
+        await self._ask(self._store.add_session, session, make_digest(secret))
         return secret, session
 
     async def end_session(self, secret: str) -> None:
-        digest = digest_of(secret)
+        digest = make_digest(secret)
         await self._ask(self._store.end_session, digest)
-        self._forget(lambda credential: credential.key == _key(digest))
+        self._forget(lambda credential: credential.key == _make_key(digest))
 
     # -- tokens --------------------------------------------------------------------------------
 
@@ -161,7 +161,7 @@ class Accounts:
             )
         secret = make_secret(TOKEN)
         token = Token(make_id(), user, label, scope, now, now + int(days * 86400 * _SECOND))
-        await self._ask(self._store.add_token, token, digest_of(secret))
+        await self._ask(self._store.add_token, token, make_digest(secret))
         return secret, token
 
     async def tokens(self, user: str = "") -> list[Token]:
@@ -250,13 +250,13 @@ def _has_key(key: str, credential: Credential) -> bool:
     return credential.key == key
 
 
-def _key(digest: bytes) -> str:
+def _make_key(digest: bytes) -> str:
     return digest.hex()[:16]
 
 
-def _again(how: str) -> str:
+def _explain_sign_in(how: str) -> str:
     return "Sign in again." if how == "session" else "Sign in with `labos login`, or make a new token."
 
 
-def _scope(text: str) -> Need:
+def _parse_scope(text: str) -> Need:
     return next((need for need in NEEDS if need == text), "viewer")

@@ -25,8 +25,8 @@ from labos.services.accounts.oidc import (
     ProviderClient,
     ProviderTokens,
     ask_provider,
-    auth_of,
-    wrong,
+    make_auth,
+    make_refusal,
 )
 
 MOST_DEVICES = 100
@@ -77,7 +77,7 @@ class CommandLineSignIn:
         told = self.provider.told.command_line
         return told.days if told is not None else 0.0
 
-    def _client(self, port: int = 0) -> ProviderClient:
+    def _make_client(self, port: int = 0) -> ProviderClient:
         told = self.provider.told
         if told.command_line is None:
             raise NotFound(
@@ -88,17 +88,17 @@ class CommandLineSignIn:
         return ProviderClient(
             told.command_line.client_id,
             told.secret_of_command_line,
-            way_back_of(told.lab, port),
+            make_return_url(told.lab, port),
         )
 
     async def begin(self, port: int) -> AuthorizationRequest:
         """Where a browser goes; it comes back to a port of the computer on which it runs. Raises NotFound,
         NotSignedIn."""
-        return await self.provider.begin(self._client(port))
+        return await self.provider.begin(self._make_client(port))
 
     async def begin_device(self) -> tuple[AuthorizationRequest, Shown]:
         """What is to be typed in, and where. Raises NotFound, NotSignedIn, TooManyTries."""
-        client, now = self._client(), self.provider.clock.monotonic()
+        client, now = self._make_client(), self.provider.clock.monotonic()
         known = await self.provider.discover()
         if not known.device_authorization_endpoint:
             raise NotFound(
@@ -116,7 +116,7 @@ class CommandLineSignIn:
                 known.device_authorization_endpoint,
                 Shown,
                 data=form,
-                auth=auth_of(client),
+                auth=make_auth(client),
             )
         state, browser = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         interval = max(shown.interval, 1.0)
@@ -131,49 +131,49 @@ class CommandLineSignIn:
         if device is None:
             return await self.provider.finish(answer, browser, by_command_line=True)
         if not hmac.compare_digest(device.browser.encode(), browser.encode()):
-            raise wrong("another command line has begun")
+            raise make_refusal("another command line has begun")
         now = self.provider.clock.monotonic()
         if now >= device.until:
             del self._devices[answer["state"]]
-            raise wrong("nobody has typed the code in")
+            raise make_refusal("nobody has typed the code in")
         if now < device.next:
             return RetryAfter(device.next - now)
         device.next = now + device.interval
         return await self._ask(answer["state"], device)
 
     async def _ask(self, state: str, device: DeviceSignIn) -> ProviderClaims | RetryAfter:
-        client, known = self._client(), await self.provider.discover()
+        client, known = self._make_client(), await self.provider.discover()
         form = {"grant_type": GRANT, "device_code": device.shown.device_code, "client_id": client.id}
-        async with httpx.AsyncClient(timeout=TIMEOUT_S, auth=auth_of(client)) as http:
+        async with httpx.AsyncClient(timeout=TIMEOUT_S, auth=make_auth(client)) as http:
             try:
                 found = await http.post(known.token_endpoint, data=form)
             except httpx.HTTPError:
                 return RetryAfter(device.interval)  # RFC 8628, 3.5: it is asked again
-        if found.status_code == 400 and (error := _error_in(found.content)) in PENDING:
+        if found.status_code == 400 and (error := _find_error(found.content)) in PENDING:
             if error == "slow_down":
                 device.interval += 5.0
                 device.next += 5.0
             return RetryAfter(device.interval)
         # From here on it is good no more: two command lines cannot get a token by one code.
         if self._devices.pop(state, None) is None:
-            raise wrong("nobody went there from here, or too long ago")
+            raise make_refusal("nobody went there from here, or too long ago")
         if found.status_code != 200:
-            raise wrong(f"the provider says {_error_in(found.content)[:100]!r}")
+            raise make_refusal(f"the provider says {_find_error(found.content)[:100]!r}")
         try:
             tokens = msgspec.json.decode(found.content, type=ProviderTokens)
         except (msgspec.MsgspecError, UnicodeDecodeError):
-            raise wrong("it gives no id token") from None
+            raise make_refusal("it gives no id token") from None
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             return await self.provider.claims_of(http, known, tokens, client)
 
 
-def way_back_of(lab: str, port: int) -> str:
+def make_return_url(lab: str, port: int) -> str:
     """Where a browser comes back to the command line that signs in to a lab. The lab's name is a part of it:
     a command line that was led to another lab's sign-in does not wait there (RFC 9700, 4.4)."""
     return f"http://127.0.0.1:{port}/login/{urlsplit(lab).netloc.lower().replace(':', '-')}"
 
 
-def _error_in(content: bytes) -> str:
+def _find_error(content: bytes) -> str:
     try:
         found: Any = msgspec.json.decode(content)
     except (msgspec.MsgspecError, UnicodeDecodeError):

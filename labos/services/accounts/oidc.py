@@ -154,17 +154,17 @@ class Provider:
         only on which it was sent. Raises NotSignedIn."""
         pending = self._pending.pop(answer.get("state", ""), None)
         if pending is None or self.clock.monotonic() - pending.since >= PENDING_S:
-            raise wrong("nobody went there from here, or too long ago")
+            raise make_refusal("nobody went there from here, or too long ago")
         if not hmac.compare_digest(pending.browser.encode(), browser.encode()):
-            raise wrong("another browser went there")
+            raise make_refusal("another browser went there")
         if by_command_line is (pending.client == self._browsers):
-            raise wrong("somebody else went there")
+            raise make_refusal("somebody else went there")
         known = await self.discover()
         said = answer.get("iss", "")
         if said != known.issuer and (said or known.authorization_response_iss_parameter_supported):
-            raise wrong(f"the answer is of {said[:100]!r}")
+            raise make_refusal(f"the answer is of {said[:100]!r}")
         if "error" in answer or not answer.get("code"):
-            raise wrong(f"the provider says {answer.get('error', 'nothing')[:100]!r}")
+            raise make_refusal(f"the provider says {answer.get('error', 'nothing')[:100]!r}")
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             tokens = await self._exchange(http, known, answer["code"], pending)
             return await self.claims_of(http, known, tokens, pending.client, pending.nonce)
@@ -191,7 +191,7 @@ class Provider:
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             found = await ask_provider(http, "GET", address, ProviderMetadata)
         if found.issuer != self.told.issuer:
-            raise wrong(f"{address} is of {found.issuer[:100]!r}, not of {self.told.issuer!r}")
+            raise make_refusal(f"{address} is of {found.issuer[:100]!r}, not of {self.told.issuer!r}")
         self._known, self._keys = (found, now + KNOWN_S), None
         return found
 
@@ -207,10 +207,10 @@ class Provider:
             "code_verifier": pending.verifier,
         }
         return await ask_provider(
-            http, "POST", known.token_endpoint, ProviderTokens, data=form, auth=auth_of(client)
+            http, "POST", known.token_endpoint, ProviderTokens, data=form, auth=make_auth(client)
         )
 
-    async def _keys_of(self, http: httpx.AsyncClient, known: ProviderMetadata) -> KeySet:
+    async def _fetch_keys(self, http: httpx.AsyncClient, known: ProviderMetadata) -> KeySet:
         from joserfc.errors import JoseError
         from joserfc.jwk import KeySet
 
@@ -219,7 +219,7 @@ class Provider:
             try:
                 self._keys = KeySet.import_key_set(told)
             except (JoseError, ValueError, KeyError, TypeError) as error:
-                raise wrong(f"its keys cannot be read ({type(error).__name__})") from None
+                raise make_refusal(f"its keys cannot be read ({type(error).__name__})") from None
         return self._keys
 
     async def _verify(
@@ -243,7 +243,7 @@ class Provider:
         )
         fresh = self._keys is None
         for _ in range(1 if fresh else 2):  # it may have changed its keys since
-            keys = await self._keys_of(http, known)
+            keys = await self._fetch_keys(http, known)
             try:
                 found = jwt.decode(token, keys, algorithms=allowed)
                 rules.validate(found.claims)
@@ -251,11 +251,11 @@ class Provider:
             except (JoseError, ValueError) as error:
                 reason, self._keys = error, None
         else:
-            raise wrong(f"its id token is not valid ({type(reason).__name__}: {reason})")
+            raise make_refusal(f"its id token is not valid ({type(reason).__name__}: {reason})")
         claims = dict(found.claims)
         others = isinstance(claims["aud"], list) and len(claims["aud"]) > 1
         if others and claims.get("azp") != client:
-            raise wrong("its id token is for somebody else")
+            raise make_refusal("its id token is for somebody else")
         return claims
 
     async def _with_user_info(
@@ -266,7 +266,7 @@ class Provider:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
             more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
             if more.get("sub") != claims["sub"]:
-                raise wrong("it tells of somebody else")
+                raise make_refusal("it tells of somebody else")
             claims = {**more, **claims}
         groups = claims.get(self.told.groups_claim, [])
         return ProviderClaims(
@@ -282,25 +282,25 @@ async def ask_provider(http: httpx.AsyncClient, method: str, url: str, kind: typ
     try:
         answer = await http.request(method, url, **options)
     except httpx.HTTPError as error:
-        raise wrong(f"{url} does not answer ({type(error).__name__})") from None
+        raise make_refusal(f"{url} does not answer ({type(error).__name__})") from None
     if answer.status_code != 200:
         try:
             why = str(answer.json().get("error", ""))[:100]
         except (ValueError, AttributeError):
             why = ""
-        raise wrong(f"{url} answers {answer.status_code} {why}".rstrip())
+        raise make_refusal(f"{url} answers {answer.status_code} {why}".rstrip())
     try:
         return msgspec.json.decode(answer.content, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError):
-        raise wrong(f"{url} answers something else") from None
+        raise make_refusal(f"{url} answers something else") from None
 
 
-def auth_of(client: ProviderClient) -> httpx.BasicAuth | None:
+def make_auth(client: ProviderClient) -> httpx.BasicAuth | None:
     """How a client that has a secret shows it."""
     return httpx.BasicAuth(client.id, client.secret) if client.secret else None
 
 
-def wrong(why: str) -> NotSignedIn:
+def make_refusal(why: str) -> NotSignedIn:
     """The refusal, which is written down too."""
     _log.warning("sign_in_refused", by="identity provider", why=why)
     return NotSignedIn(f"The identity provider has not signed anybody in: {why}.", remedy=AGAIN)

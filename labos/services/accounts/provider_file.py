@@ -65,15 +65,15 @@ class ProviderFile(Part):
     @property
     def secret(self) -> str:
         """The client's secret; empty for a public client. Raises BadInput."""
-        return _value_of(self.client_secret)
+        return _read_value(self.client_secret)
 
     @property
     def secret_of_command_line(self) -> str:
         """As ``secret``, for the client of `labos login`."""
-        return _value_of(self.command_line.client_secret if self.command_line is not None else None)
+        return _read_value(self.command_line.client_secret if self.command_line is not None else None)
 
 
-def _value_of(secret: Secret | None) -> str:
+def _read_value(secret: Secret | None) -> str:
     try:
         return secret.value() if secret is not None else ""
     except Undelivered as error:

@@ -14,7 +14,7 @@ def make_secret(prefix: str) -> str:
     return prefix + secrets.token_urlsafe(32)
 
 
-def digest_of(secret: str) -> bytes:
+def make_digest(secret: str) -> bytes:
     """What is kept of a secret. It is random, so that no slower hash is needed."""
     return hashlib.sha256(secret.encode()).digest()
 

@@ -27,16 +27,16 @@ class Tries:
         wait = max(self._wait(key, most, now) for key, most in keys)
         if wait <= 0:
             for key, _ in keys:
-                self._times(key).append(now)
+                self._find_times(key).append(now)
         return wait
 
     def _wait(self, key: tuple[str, ...], most: int, now: float) -> float:
-        times = self._times(key)
+        times = self._find_times(key)
         while times and times[0] <= now - WITHIN_S:
             times.popleft()
         return times[-most] + WITHIN_S - now if len(times) >= most else 0.0
 
-    def _times(self, key: tuple[str, ...]) -> deque[float]:
+    def _find_times(self, key: tuple[str, ...]) -> deque[float]:
         """The times of a key; of too many keys the one that was used least recently is forgotten."""
         found = self._seen.setdefault(key, deque())
         self._seen.move_to_end(key)

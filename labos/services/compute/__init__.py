@@ -6,10 +6,10 @@ from labos.services.compute._sent import ComputesOnce, MemoryRecord, PlaceUnavai
 from labos.services.compute._work import (
     Measured,
     Returned,
-    code_digest,
+    digest_code,
+    digest_value,
     do_nothing,
     return_marked,
-    value_digest,
 )
 
 __all__ = [
@@ -24,9 +24,9 @@ __all__ = [
     "PlaceUnavailable",
     "Returned",
     "SendingRecord",
-    "code_digest",
+    "digest_code",
+    "digest_value",
     "do_nothing",
     "open_place",
     "return_marked",
-    "value_digest",
 ]

@@ -13,7 +13,7 @@ import msgspec
 from labos.errors import BadInput, LabosError
 from labos.services.compute._places import open_place
 from labos.services.compute._sent import ComputesOnce, MemoryRecord, PlaceUnavailable, SendingRecord
-from labos.services.compute._work import Measured, code_digest, encode, measure, name_of, value_digest
+from labos.services.compute._work import Measured, digest_code, digest_value, encode, make_name, measure
 
 MOST_WAITING = 64
 """So many computations are waited for at once; others stand in line."""
@@ -86,9 +86,9 @@ class Computing:
         """Begin a computation; its future gives what ``then`` makes of it, and raises ComputeFailed after
         ``failed`` was told of it, PlaceUnavailable after ``unavailable`` was. ``sent`` gives what the log has
         of an attempt at a place that asks before it sends again. Raises NotFound, BadInput."""
-        self._executor(where)  # a place that cannot be had is said at once
+        self._find_executor(where)  # a place that cannot be had is said at once
         given = dict(named or {})
-        arguments = value_digest({"args": list(args), "named": given})
+        arguments = digest_value({"args": list(args), "named": given})
 
         def compute() -> Any:
             try:
@@ -120,9 +120,9 @@ class Computing:
         arguments: str,
         sent: Callable[[int], SendingRecord],
     ) -> Computed:
-        name, deaths, errors = name_of(function), 0, 0
+        name, deaths, errors = make_name(function), 0, 0
         while True:
-            executor = self._executor(where)
+            executor = self._find_executor(where)
             try:
                 if isinstance(executor, ComputesOnce):
                     attempt = sent(deaths + errors + 1)
@@ -142,12 +142,12 @@ class Computing:
                     again = errors <= self._attempts.after_error and not isinstance(error, BadInput)
                 if not again:
                     raise ComputeFailed(
-                        name, where, deaths + errors, error, code=code_digest(function), arguments=arguments
+                        name, where, deaths + errors, error, code=digest_code(function), arguments=arguments
                     ) from error
             else:
-                return Computed(name, code_digest(function), arguments, where, deaths + errors + 1, measured)
+                return Computed(name, digest_code(function), arguments, where, deaths + errors + 1, measured)
 
-    def _executor(self, where: str) -> Executor:
+    def _find_executor(self, where: str) -> Executor:
         with self._lock:
             if where not in self._open:
                 self._open[where] = open_place(where, self._configured.get(where))

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.errors import BadInput
 
 
@@ -65,13 +65,13 @@ def do_nothing() -> None:
     """What a group of tasks may begin with."""
 
 
-def name_of(function: Callable[..., Any]) -> str:
+def make_name(function: Callable[..., Any]) -> str:
     """Module and name of a function."""
     module = getattr(function, "__module__", "") or ""
     return f"{module}.{getattr(function, '__qualname__', type(function).__qualname__)}".lstrip(".")
 
 
-def code_digest(function: Callable[..., Any]) -> str:
+def digest_code(function: Callable[..., Any]) -> str:
     """SHA-256 of the file in which a function is written, as others of that file may be called by it; of its
     bytecode where there is no file, as in a notebook; empty for what is not written in Python."""
     try:
@@ -82,19 +82,19 @@ def code_digest(function: Callable[..., Any]) -> str:
     except (OSError, TypeError):
         pass
     code = getattr(function, "__code__", None)
-    return hashlib.sha256(_bytes_of(code)).hexdigest() if isinstance(code, CodeType) else ""
+    return hashlib.sha256(_encode_code(code)).hexdigest() if isinstance(code, CodeType) else ""
 
 
-def _bytes_of(code: CodeType) -> bytes:
+def _encode_code(code: CodeType) -> bytes:
     """Instructions, names and constants; no addresses, which differ from process to process."""
     parts = [code.co_code, repr(code.co_names).encode(), repr(code.co_varnames).encode()]
     for constant in code.co_consts:
-        inner = _bytes_of(constant) if isinstance(constant, CodeType) else repr(constant).encode()
+        inner = _encode_code(constant) if isinstance(constant, CodeType) else repr(constant).encode()
         parts.append(inner)
     return b"\0".join(parts)
 
 
-def value_digest(value: Any) -> str:
+def digest_value(value: Any) -> str:
     """SHA-256 of a value: of its canonical JSON if it has one, else of its pickle."""
     return hashlib.sha256(encode(value)[1]).hexdigest()
 
@@ -103,7 +103,7 @@ def encode(value: Any) -> tuple[str, bytes]:
     """A value as bytes, and their form: json or pickle. Raises BadInput for what has neither."""
     if _is_json(value):
         try:
-            return "json", canonical(value)
+            return "json", encode_canonical(value)
         except (TypeError, ValueError, OverflowError, RecursionError):
             pass  # numbers that are not finite, and the like
     try:

@@ -132,7 +132,7 @@ def send_once(
     pause, begun = patience.first_s, time.monotonic()
     while True:
         try:
-            with _without_repetitions(client):
+            with _stop_repetitions(client):
                 return ask(what, send)
         except GlobusUnreachable as error:
             cause = error.__cause__
@@ -149,7 +149,7 @@ def send_once(
 
 
 @contextmanager
-def _without_repetitions(client: Any) -> Iterator[None]:
+def _stop_repetitions(client: Any) -> Iterator[None]:
     # The SDK's own `tune` does not take the setting back after an error.
     config = client.retry_config
     before, config.max_retries = config.max_retries, 0

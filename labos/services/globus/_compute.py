@@ -91,26 +91,26 @@ class GlobusExecutor(ComputesOnce, Executor):
         """What a function returns. Raises its error, WorkerLost, GlobusError."""
         known = sent.find_own("sent")
         if known is None:
-            task = self._task_in_doubt(sent) if sent.find_own("sending") is not None else ""
+            task = self._find_task_in_doubt(sent) if sent.find_own("sending") is not None else ""
             with self._lock:
                 known = sent.find_own("sent")  # another thread may have sent it meanwhile
                 if known is None:
                     known = self._adopt(sent, task) if task else self._send(sent, function, args, named)
-        mark, returned = self._result(known["task"])
+        mark, returned = self._fetch_result(known["task"])
         if mark != sent.mark:
             raise GlobusFailed(
                 f"The task {known['task']} of {SERVICE} was taken for that of {sent.mark}, but it is {mark}."
             )
         return returned.value()
 
-    def _task_in_doubt(self, sent: SendingRecord) -> str:
+    def _find_task_in_doubt(self, sent: SendingRecord) -> str:
         """The task that a program which was killed has sent under this mark, without hearing of it; empty if
         there is none. A task says its mark when it ends."""
         with self._lock:
-            strays = self._group(sent).strays
+            strays = self._find_group(sent).strays
         for task in sorted(strays):
             try:
-                mark, _ = self._result(task)
+                mark, _ = self._fetch_result(task)
             except WorkerLost:
                 continue  # nothing is left of it
             if mark == sent.mark:
@@ -118,7 +118,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         return ""
 
     def _adopt(self, sent: SendingRecord, task: str) -> dict[str, Any]:
-        group = self._group(sent)
+        group = self._find_group(sent)
         group.own.add(task)
         return sent.keep("sent", {"task": task, "task_group": group.id})
 
@@ -126,40 +126,40 @@ class GlobusExecutor(ComputesOnce, Executor):
         self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> dict[str, Any]:
         """One after the other, so that at most one task is in doubt."""
-        group = self._group(sent)
+        group = self._find_group(sent)
         sent.keep("sending", {"endpoint": self._endpoint, "task_group": group.id})
-        batch = self._batch(return_marked, sent.mark, function, args, named)
+        batch = self._make_batch(return_marked, sent.mark, function, args, named)
         batch["task_group_id"] = group.id
 
         def send() -> str:
-            return _only_task(self._sending.submit(self._endpoint, batch))
+            return _find_only_task(self._sending.submit(self._endpoint, batch))
 
         def find() -> str | None:
-            return min(self._tasks_of(group.id) - group.own - group.strays, default=None)
+            return min(self._list_tasks(group.id) - group.own - group.strays, default=None)
 
         task = send_once(SERVICE, self._sending, self._patience, send, find)
         return self._adopt(sent, task)
 
-    def _group(self, sent: SendingRecord) -> _Group:
+    def _find_group(self, sent: SendingRecord) -> _Group:
         """The group of an experiment's tasks, which begins with one that does nothing."""
         if (group := self._groups.get(sent.of)) is not None:
             return group
         name = f"task group at {self._endpoint}"
         known = sent.find_shared(name)
         if known is None:
-            batch = self._batch(do_nothing)
+            batch = self._make_batch(do_nothing)
             answer = wait_for(SERVICE, self._patience, lambda: self._sending.submit(self._endpoint, batch))
-            opened = {"task_group": str(answer["task_group_id"]), "task": _only_task(answer)}
+            opened = {"task_group": str(answer["task_group_id"]), "task": _find_only_task(answer)}
             known = sent.keep_shared(name, {"endpoint": self._endpoint, **opened})
         own = {str(known["task"]), *sent.all_known("task")}
-        there = wait_for(SERVICE, self._patience, lambda: self._tasks_of(known["task_group"]))
+        there = wait_for(SERVICE, self._patience, lambda: self._list_tasks(known["task_group"]))
         group = self._groups[sent.of] = _Group(known["task_group"], own, there - own)
         return group
 
-    def _tasks_of(self, group: str) -> set[str]:
+    def _list_tasks(self, group: str) -> set[str]:
         return {str(task["id"]) for task in self._asked.get_task_group(group)["tasks"]}
 
-    def _batch(self, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
+    def _make_batch(self, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
         if function not in self._functions:
             code = self._forms.pack_buffers([self._forms.serialize(function)])
             told = {"function_name": function.__name__, "function_code": code, "serialized": True}
@@ -174,7 +174,7 @@ class GlobusExecutor(ComputesOnce, Executor):
             ) from error
         return {"create_queue": False, "tasks": {self._functions[function]: [payload]}}
 
-    def _result(self, task: str) -> tuple[str, Returned]:
+    def _fetch_result(self, task: str) -> tuple[str, Returned]:
         """The mark of a task and what came of it. Raises WorkerLost, GlobusFailed, GlobusError."""
 
         def look() -> dict[str, Any] | None:
@@ -200,6 +200,6 @@ class _Group:
         self.id, self.own, self.strays = id_, own, strays
 
 
-def _only_task(answer: Any) -> str:
+def _find_only_task(answer: Any) -> str:
     ((task,),) = answer["tasks"].values()
     return str(task)

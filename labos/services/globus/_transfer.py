@@ -31,7 +31,7 @@ class GlobusPlace(msgspec.Struct, frozen=True):
     path: str
 
     @classmethod
-    def of(cls, url: str) -> GlobusPlace:
+    def parse(cls, url: str) -> GlobusPlace:
         """That of ``globus://<collection>/<path>``. Raises BadInput."""
         parts = urlsplit(url)
         if parts.scheme != SCHEME or not parts.netloc or len(parts.path) < 2:

@@ -42,7 +42,7 @@ def send(book: Book, contact: Contact, message: Notification) -> None:
         _post(contact, message)
 
 
-def way(contact: Contact) -> str:
+def make_way_key(contact: Contact) -> str:
     """What several messages share when their server cannot be reached."""
     return contact.webhook or "smtp"
 
@@ -64,7 +64,7 @@ def mail(smtp: Smtp, address: str, message: Notification) -> EmailMessage:
     return letter
 
 
-def body(message: Notification) -> dict[str, Any]:
+def make_body(message: Notification) -> dict[str, Any]:
     """The message as a webhook's JSON."""
     notice = message.notice
     return {
@@ -94,9 +94,9 @@ def _mail(smtp: Smtp, address: str, message: Notification) -> None:
                 server.login(smtp.user, smtp.password.value())
             server.send_message(letter)
     except (smtplib.SMTPRecipientsRefused, smtplib.SMTPDataError) as error:
-        raise Undelivered(f"{name} refused the message: {_words(error, address)}.") from None
+        raise Undelivered(f"{name} refused the message: {_describe_error(error, address)}.") from None
     except (smtplib.SMTPException, OSError, ValueError) as error:
-        why = f"{name} cannot be used: {_words(error, address)}."
+        why = f"{name} cannot be used: {_describe_error(error, address)}."
         raise Undelivered(why, unreachable=True, remedy="Check `smtp:` in the contacts file.") from None
 
 
@@ -107,12 +107,12 @@ def _connect(smtp: Smtp) -> smtplib.SMTP:
     return smtplib.SMTP(smtp.host, smtp.port, timeout=TIMEOUT_S)
 
 
-def _words(error: Exception, address: str) -> str:
+def _describe_error(error: Exception, address: str) -> str:
     """What went wrong, without the address that it went wrong for."""
-    return _server_error(error).replace(address, "the address").rstrip(".")
+    return _describe_server_error(error).replace(address, "the address").rstrip(".")
 
 
-def _server_error(error: Exception) -> str:
+def _describe_server_error(error: Exception) -> str:
     if isinstance(error, smtplib.SMTPRecipientsRefused):
         code, text = next(iter(error.recipients.values()))
         return f"{code} {text.decode(errors='replace')}"
@@ -131,7 +131,7 @@ def _post(contact: Contact, message: Notification) -> None:
     # Only the host is named in errors: the path of a webhook is often its password.
     host = httpx.URL(contact.webhook).host
     try:
-        answer = httpx.post(contact.webhook, json=body(message), headers=headers, timeout=TIMEOUT_S)
+        answer = httpx.post(contact.webhook, json=make_body(message), headers=headers, timeout=TIMEOUT_S)
     except (httpx.HTTPError, httpx.InvalidURL) as error:
         why = f"The webhook at {host} cannot be reached: {str(error) or type(error).__name__}."
         raise Undelivered(why, unreachable=True) from None

@@ -28,14 +28,14 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _CLOCK = re.compile(r"([01]?\d|2[0-3]):([0-5]\d)")
 
 
-def _minutes(value: object) -> int:
+def _parse_minutes(value: object) -> int:
     match = _CLOCK.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         raise ValueError("a time of day is written as '22:00'")
     return int(match[1]) * 60 + int(match[2])
 
 
-def _zone(name: str) -> str:
+def _check_zone(name: str) -> str:
     try:
         ZoneInfo(name)
     except (ValueError, OSError, LookupError):
@@ -43,19 +43,19 @@ def _zone(name: str) -> str:
     return name
 
 
-def _address(text: str) -> str:
+def _check_address(text: str) -> str:
     if not re.fullmatch(r"[^\s@<>,]+@[^\s@<>,]+", text):
         raise ValueError(f"{text!r} is no e-mail address")
     return text
 
 
-def _web(text: str) -> str:
+def _check_web_address(text: str) -> str:
     if not re.match(r"https?://[^/\s]+", text):
         raise ValueError("a webhook begins with https:// or http://")
     return text
 
 
-TimeOfDay = Annotated[int, BeforeValidator(_minutes)]
+TimeOfDay = Annotated[int, BeforeValidator(_parse_minutes)]
 ContactName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_\-]*$", max_length=64)]
 
 
@@ -66,7 +66,7 @@ class Secret(Part):
     file: str = ""
 
     @model_validator(mode="after")
-    def _one(self) -> Secret:
+    def _check_one(self) -> Secret:
         if bool(self.env) == bool(self.file):
             raise ValueError("a secret is in `env:` or in `file:`, one of them")
         return self
@@ -95,7 +95,7 @@ class Smtp(Part):
     security: Literal["starttls", "tls", "none"] = "starttls"
     user: str = ""
     password: Secret | None = None
-    sender: Annotated[str, AfterValidator(_address)]
+    sender: Annotated[str, AfterValidator(_check_address)]
 
 
 class Quiet(Part):
@@ -110,12 +110,12 @@ class Quiet(Part):
 class Contact(Part):
     """Somebody who is told: by e-mail or by a webhook. ``about`` are the topics they care for."""
 
-    email: Annotated[str, AfterValidator(_address)] = ""
-    webhook: Annotated[str, AfterValidator(_web)] = ""
+    email: Annotated[str, AfterValidator(_check_address)] = ""
+    webhook: Annotated[str, AfterValidator(_check_web_address)] = ""
     token: Secret | None = None
     about: list[Topic] = list(TOPICS)
     quiet: Quiet | None = None
-    timezone: Annotated[str, AfterValidator(_zone)] | None = None
+    timezone: Annotated[str, AfterValidator(_check_zone)] | None = None
 
     @property
     def channel(self) -> str:
@@ -134,7 +134,7 @@ class Book(Part):
     long a module may be away before anybody is told."""
 
     labos: Literal[1] = 1
-    timezone: Annotated[str, AfterValidator(_zone)] | None = None
+    timezone: Annotated[str, AfterValidator(_check_zone)] | None = None
     module_grace: Annotated[Seconds, Field(ge=0)] = 60.0
     smtp: Smtp | None = None
     contacts: dict[ContactName, Contact] = Field(min_length=1)
@@ -144,7 +144,7 @@ class Book(Part):
     def levels(self) -> list[EscalationLevel]:
         return self.escalation or [EscalationLevel(notify=list(self.contacts))]
 
-    def zone(self, contact: Contact) -> tzinfo | None:
+    def find_zone(self, contact: Contact) -> tzinfo | None:
         """The contact's time zone, else the lab's; None for the machine's."""
         name = contact.timezone or self.timezone
         return ZoneInfo(name) if name else None
@@ -166,7 +166,7 @@ def _check(book: Book, source: Source, report: FindingList) -> None:
     """What no single value shows."""
 
     def error(message: str, path: Path_, remedy: str) -> None:
-        report.error(message, source.place(path), field=source.field(path), remedy=remedy)
+        report.error(message, source.place(path), field=source.name_field(path), remedy=remedy)
 
     for name, contact in book.contacts.items():
         path: Path_ = ("contacts", name)

@@ -73,7 +73,7 @@ def read_event(event: Event, head: Envelope) -> Notice | SettledNotice | None:
     """The notice that follows from an event, or what it settles."""
     match event:
         case InterventionRequested():
-            return _question(event, head)
+            return _make_question_notice(event, head)
         case InterventionResolved():
             return SettledNotice(intervention_key(event.intervention), describe(event, head))
         case InterventionOverdue():
@@ -131,7 +131,7 @@ def report_kernel_gone(head: Envelope, before: int, epoch: int) -> Notice:
     return Notice(head.id, head.position, head.recorded_at, "kernel", "", title, text)
 
 
-def _question(event: InterventionRequested, head: Envelope) -> Notice:
+def _make_question_notice(event: InterventionRequested, head: Envelope) -> Notice:
     planned = event.kind == PlannedWork.KIND
     lines = [event.text, "", "When it is done:" if planned else "Answer with one of:"]
     if planned:

@@ -14,7 +14,7 @@ from labos.core.lab import KernelStarted, LabCreated
 from labos.core.registry import Event
 from labos.errors import StoreError, Undelivered
 from labos.ports import LogQuery
-from labos.services.log import Log, event_of
+from labos.services.log import Log, decode_event
 from labos.services.notify import channels
 from labos.services.notify.contacts import Book
 from labos.services.notify.notices import (
@@ -75,21 +75,21 @@ class Notifier:
     # -- life --------------------------------------------------------------------------------
 
     def start(self) -> None:
-        self._thread = threading.Thread(target=self._live, name="labos-notifier", daemon=True)
+        self._thread = threading.Thread(target=self._send_until_closed, name="labos-notifier", daemon=True)
         self._thread.start()
 
     def wake(self) -> None:
         """There is something to read. May be called from any thread, and never waits."""
         self._awake.set()
 
-    def kernel_stopped(self, why: str) -> None:
+    def on_kernel_stopped(self, why: str) -> None:
         """The kernel has failed. Perhaps because its database is frozen: then that is to be told, and not
         waited for."""
         self._dead = why or "for a reason that it did not give"
         self._hang_up()
         self._awake.set()
 
-    def kernel_closed(self) -> None:
+    def on_kernel_closed(self) -> None:
         """The kernel has ended in order, its nodes with it."""
         self._dead = ""
         now = self.clock.now_ns()
@@ -98,7 +98,7 @@ class Notifier:
         )
         self._note_closed()
 
-    def kernel_lives(self) -> None:
+    def on_kernel_lives(self) -> None:
         self._dead = ""
 
     def begin_close(self) -> None:
@@ -124,7 +124,7 @@ class Notifier:
         if epoch:
             self.outbox.keep(closed=epoch)
 
-    def _live(self) -> None:
+    def _send_until_closed(self) -> None:
         failures = 0
         while True:
             self._awake.clear()
@@ -155,13 +155,13 @@ class Notifier:
         if self._dead:
             self._tell_of_death()
         self.send_due()
-        return self.outbox.next_at()
+        return self.outbox.find_next_time()
 
     def read(self) -> None:
         """Take the log's news into the outbox. Raises StoreError."""
         head = self.log.head()
         if head.lab != self._names[0] and head.position:
-            self._names = (head.lab, self._lab_name())
+            self._names = (head.lab, self._find_lab_name())
             started = next(iter(self.log.select(LogQuery(types=(KernelStarted.TYPE,), last=1))), None)
             if started is not None:
                 self._started = (started.head.id, started.head.position)
@@ -174,7 +174,7 @@ class Notifier:
             page = list(islice(self.log.select(query), PAGE))
             position = page[-1].head.position if len(page) == PAGE else head.position
             for record in page:
-                self._take_in(event_of(record), record.head)
+                self._take_in(decode_event(record), record.head)
             self.outbox.keep(position=position)
 
     def _read_first(self, upto: int) -> None:
@@ -182,7 +182,7 @@ class Notifier:
         waiting: dict[str, Notice] = {}
         epoch = 0
         for record in self.log.select(LogQuery(upto=upto, types=TYPES)):
-            event = event_of(record)
+            event = decode_event(record)
             if isinstance(event, KernelStarted):
                 epoch = event.epoch
             item = read_event(event, record.head)
@@ -243,9 +243,9 @@ class Notifier:
                 if due.at <= now and waiting.id not in self._sent:
                     self._send(waiting, {})
 
-    def _lab_name(self) -> str:
+    def _find_lab_name(self) -> str:
         created = next(iter(self.log.select(LogQuery(types=(LabCreated.TYPE,)))), None)
-        event = event_of(created) if created is not None else None
+        event = decode_event(created) if created is not None else None
         name = event.name if isinstance(event, LabCreated) else "lab"
         return f"{name}, simulated" if self.simulated else name
 
@@ -254,7 +254,7 @@ class Notifier:
     def send_due(self) -> None:
         """Try what is due once; a server that cannot be reached is tried once for all."""
         unreachable: dict[str, str] = {}
-        for delivery in self.outbox.due(self.clock.now_ns()):
+        for delivery in self.outbox.list_due(self.clock.now_ns()):
             if delivery.contact not in self.book.contacts:
                 why = "the contacts file has no such contact any more"
                 self.outbox.mark_failed(delivery, why, self.clock.now_ns(), None, tried=False)
@@ -270,11 +270,11 @@ class Notifier:
     def _send(self, delivery: Delivery, unreachable: dict[str, str]) -> str:
         """Send one message; returns why it was not taken, if it was not."""
         contact = self.book.contacts[delivery.contact]
-        way = channels.way(contact)
+        way = channels.make_way_key(contact)
         if way in unreachable:
             return unreachable[way]
         try:
-            channels.send(self.book, contact, self._message(delivery))
+            channels.send(self.book, contact, self._make_message(delivery))
         except Undelivered as error:
             if error.unreachable:
                 unreachable[way] = str(error)
@@ -287,7 +287,7 @@ class Notifier:
         self.outbox.mark_sent(delivery, self.clock.now_ns())
         self._sent.discard(delivery.id)
 
-    def _message(self, delivery: Delivery) -> channels.Notification:
+    def _make_message(self, delivery: Delivery) -> channels.Notification:
         """The message with people's words put in; the outbox has references, as they may be erased."""
         notice = delivery.notice
         try:

@@ -75,7 +75,7 @@ class Outbox:
                 uri = f"{path.absolute().as_uri()}?mode=ro"
                 self._db = sqlite3.connect(uri, uri=True, timeout=5, isolation_level=None)
         except (OSError, sqlite3.Error) as error:
-            raise self._unavailable(error) from None
+            raise self._make_unavailable_error(error) from None
 
     def close(self) -> None:
         self._db.close()
@@ -85,7 +85,7 @@ class Outbox:
     def note(self, name: str) -> int | None:
         """A number that was kept: ``position`` (the log is read up to there), ``epoch`` (the last
         kernel's), ``closed`` (the last epoch that ended in order)."""
-        rows = self._rows("SELECT value FROM note WHERE name = ?", (name,))
+        rows = self._read_rows("SELECT value FROM note WHERE name = ?", (name,))
         return int(rows[0][0]) if rows else None
 
     def keep(self, **notes: int) -> None:
@@ -106,7 +106,7 @@ class Outbox:
 
     def is_open(self, key: str) -> bool:
         """Whether people were told of this, or will be, and it is not settled."""
-        return bool(self._rows("SELECT 1 FROM notice WHERE key = ? AND settled IS NULL", (key,)))
+        return bool(self._read_rows("SELECT 1 FROM notice WHERE key = ? AND settled IS NULL", (key,)))
 
     def _add(self, notice: Notice, dues: Sequence[Due]) -> None:
         body = msgspec.json.encode(notice)
@@ -135,13 +135,13 @@ class Outbox:
 
     # -- what is to be sent ------------------------------------------------------------------
 
-    def due(self, now: int) -> list[Delivery]:
+    def list_due(self, now: int) -> list[Delivery]:
         """What may be sent now, oldest first."""
-        return self._deliveries("WHERE state = 'waiting' AND try_at <= ? ORDER BY try_at, level", (now,))
+        return self._read_deliveries("WHERE state = 'waiting' AND try_at <= ? ORDER BY try_at, level", (now,))
 
-    def next_at(self) -> int | None:
+    def find_next_time(self) -> int | None:
         """When something is to be sent next."""
-        rows = self._rows("SELECT min(try_at) FROM delivery WHERE state = 'waiting'", ())
+        rows = self._read_rows("SELECT min(try_at) FROM delivery WHERE state = 'waiting'", ())
         return None if rows[0][0] is None else int(rows[0][0])
 
     def mark_sent(self, delivery: Delivery, now: int) -> None:
@@ -171,7 +171,7 @@ class Outbox:
 
     # -- questions ---------------------------------------------------------------------------
 
-    def deliveries(self, contact: str = "", *, waiting: bool = False, last: int = 50) -> list[Delivery]:
+    def list_deliveries(self, contact: str = "", *, waiting: bool = False, last: int = 50) -> list[Delivery]:
         """The last messages, sent or not, in order."""
         wheres, values = ["1"], []
         if contact:
@@ -179,7 +179,7 @@ class Outbox:
             values.append(contact)
         if waiting:
             wheres.append("state = 'waiting'")
-        found = self._deliveries(
+        found = self._read_deliveries(
             f"WHERE {' AND '.join(wheres)} ORDER BY due_at DESC, level DESC, contact LIMIT ?", (*values, last)
         )
         return found[::-1]
@@ -197,20 +197,20 @@ class Outbox:
 
     # -- inside ------------------------------------------------------------------------------
 
-    def _deliveries(self, tail: str, values: tuple[object, ...]) -> list[Delivery]:
-        rows = self._rows(
+    def _read_deliveries(self, tail: str, values: tuple[object, ...]) -> list[Delivery]:
+        rows = self._read_rows(
             "SELECT body, contact, level, due_at, try_at, state, attempts, done_at, error"
             f" FROM delivery JOIN notice USING (event) {tail}",
             values,
         )
         return [Delivery(msgspec.json.decode(row[0], type=Notice), *row[1:]) for row in rows]
 
-    def _rows(self, query: str, values: tuple[object, ...]) -> list[tuple[Any, ...]]:
+    def _read_rows(self, query: str, values: tuple[object, ...]) -> list[tuple[Any, ...]]:
         try:
             with self._turn, closing(self._db.execute(query, values)) as cursor:
                 return cursor.fetchall()
         except sqlite3.Error as error:
-            raise self._unavailable(error) from None
+            raise self._make_unavailable_error(error) from None
 
     def _keep(self, notes: dict[str, int]) -> None:
         for name, value in notes.items():
@@ -228,9 +228,9 @@ class Outbox:
                     raise
                 self._db.execute("COMMIT")
             except sqlite3.Error as error:
-                raise self._unavailable(error) from None
+                raise self._make_unavailable_error(error) from None
 
-    def _unavailable(self, error: Exception) -> StoreUnavailable:
+    def _make_unavailable_error(self, error: Exception) -> StoreUnavailable:
         words = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
         return StoreUnavailable(
             f"The notifications in {self.path} are not available: {words}.",

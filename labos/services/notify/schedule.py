@@ -50,7 +50,7 @@ def find_audible_time(book: Book, contact: Contact, at: int, *, urgent: bool) ->
     quiet = contact.quiet
     if quiet is None or (urgent and quiet.urgent == "pass"):
         return at
-    return end_of_quiet(quiet, book.zone(contact), at)
+    return end_of_quiet(quiet, book.find_zone(contact), at)
 
 
 def end_of_quiet(quiet: Quiet, zone: tzinfo | None, at: int) -> int:

@@ -26,14 +26,14 @@ from typing import Protocol
 import msgspec
 
 from labos.core.envelope import Envelope, Record
-from labos.core.merkle import Tree, inclusion_ranges, leaf_hash, proof_of
+from labos.core.merkle import Tree, hash_leaf, list_inclusion_ranges, make_proof
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.runs import RunSubmitted
-from labos.core.words import references_in
+from labos.core.words import list_references
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.ports import BlobStore
 from labos.services.log import Log
-from labos.services.signatures import BEGINS, ENDS, SIGNED, Kind, runs_of
+from labos.services.signatures import BEGINS, ENDS, SIGNED, Kind, list_runs
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import encode_rotations
 from labos.services.trust.notes import Note
@@ -134,13 +134,13 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
     digests: dict[str, None] = {}
     for record in records:
         index = record.head.position - 1
-        proof = proof_of(inclusion_ranges(index, tree.size), tree.hash_of)
+        proof = make_proof(list_inclusion_ranges(index, tree.size), tree.hash_of)
         line = ProvenEvent(
             msgspec.Raw(record.envelope), msgspec.Raw(record.payload), tuple(each.hex() for each in proof)
         )
         lines.append(msgspec.json.encode(line) + b"\n")
         digests.update(dict.fromkeys(find_needed_blobs(record.head.type, record.payload)))
-    words = _words(log, records) if beside.words else b""
+    words = _encode_words(log, records) if beside.words else b""
     about = AboutBundle(
         WITH_WORDS if words else FORMAT if kind == "run" else FORMAT_OF_SEVERAL,
         records[0].head.lab,
@@ -164,9 +164,9 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
     return _pack(files), about
 
 
-def _words(log: Log, records: Iterable[Record]) -> bytes:
+def _encode_words(log: Log, records: Iterable[Record]) -> bytes:
     """What people wrote into records, as far as it was not erased."""
-    named = dict.fromkeys(name for record in records for name in references_in(record.payload))
+    named = dict.fromkeys(name for record in records for name in list_references(record.payload))
     found = log.words_of(named) if named else {}
     standing = [found[name] for name in named if name in found and not found[name].is_erased]
     return b"".join(
@@ -180,17 +180,17 @@ def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], t
     signatures under any of them, and plans that stand in other streams. And the runs."""
     found: dict[int, Record] = {}
     plans: dict[str, list[Record]] = {}
-    runs = dict.fromkeys(runs_of(log, subject, head.size))
+    runs = dict.fromkeys(list_runs(log, subject, head.size))
     hashes = []
     for record in log.read(0, head.size):
-        hashes.append(leaf_hash(record.envelope))
+        hashes.append(hash_leaf(record.envelope))
         kind, stream = record.head.type, record.head.stream
         if kind in PLANS:
             plans.setdefault(stream, []).append(record)
-        if stream == subject or stream in runs or signs(kind, record.payload, {subject, *runs}):
+        if stream == subject or stream in runs or is_signature(kind, record.payload, {subject, *runs}):
             found[record.head.position] = record
     tree = Tree(hashes)
-    if tree.size != head.size or tree.root() != head.root:
+    if tree.size != head.size or tree.compute_root() != head.root:
         raise LogDamaged(
             f"The log is not the one whose checkpoint of size {head.size} was signed.",
             position=tree.size,
@@ -213,7 +213,7 @@ def belongs_to(submission: bytes, subject: str) -> bool:
     return subject in (found.get("experiment"), found.get("campaign"))
 
 
-def signs(kind: str, payload: bytes, names: Container[str]) -> bool:
+def is_signature(kind: str, payload: bytes, names: Container[str]) -> bool:
     """Whether an event is a signature under one of these."""
     if kind not in SIGNED:
         return False

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from labos.core.envelope import Record
-from labos.core.merkle import Edge, leaf_hash
+from labos.core.merkle import Edge, hash_leaf
 from labos.errors import BadInput
 from labos.services.log import Log
 from labos.services.trust.notes import Note, SigningKey
@@ -46,18 +46,18 @@ def sign_tree(head: TreeHead, key: SigningKey) -> Note:
     return Note(head.text, (key.sign(head.text),))
 
 
-def leaves(records: Iterable[Record]) -> Iterator[bytes]:
-    return (leaf_hash(record.envelope) for record in records)
+def iterate_leaves(records: Iterable[Record]) -> Iterator[bytes]:
+    return (hash_leaf(record.envelope) for record in records)
 
 
-def roots_at(log: Log, sizes: Iterable[int]) -> dict[int, bytes]:
+def compute_roots_at(log: Log, sizes: Iterable[int]) -> dict[int, bytes]:
     """The roots of the log's tree at some sizes; those that the log does not reach are left out. Reads the
     log from its beginning. Raises StoreUnavailable, LogDamaged."""
     wanted = sorted(set(sizes))
     edge = Edge()
-    found = {0: edge.root()} if 0 in wanted else {}
+    found = {0: edge.compute_root()} if 0 in wanted else {}
     for record in log.read(0, wanted[-1] if wanted else 0):
-        edge.add(leaf_hash(record.envelope))
+        edge.add(hash_leaf(record.envelope))
         if edge.size in wanted:
-            found[edge.size] = edge.root()
+            found[edge.size] = edge.compute_root()
     return found

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.errors import BadInput
 from labos.services.log import Log
-from labos.services.trust.checkpoints import TreeHead, parse_tree_head, roots_at
+from labos.services.trust.checkpoints import TreeHead, compute_roots_at, parse_tree_head
 from labos.services.trust.keys import TrustedKeys
 from labos.services.trust.notes import MOST_BYTES, SIGNED, parse_note
 
@@ -46,7 +46,7 @@ def read_tree_heads(path: Path, trusted: TrustedKeys) -> list[TreeHead]:
         except OSError as error:
             raise BadInput(f"{file} cannot be read: {error}.", remedy="Name another file.") from None
         head = parse_tree_head(note.text)
-        if not trusted.signers(note, head):
+        if not trusted.find_signers(note, head):
             raise BadInput(
                 f"{file} is signed by no key that is known here.",
                 remedy="Give the public key that signed it: --public-key FILE.",
@@ -60,7 +60,7 @@ def read_tree_heads(path: Path, trusted: TrustedKeys) -> list[TreeHead]:
 def compare(log: Log, heads: Sequence[TreeHead]) -> CheckpointComparison:
     """Compare the log with checkpoints, the smallest first. Raises LogDamaged, StoreUnavailable."""
     end = log.head().position
-    roots = roots_at(log, [head.size for head in heads])
+    roots = compute_roots_at(log, [head.size for head in heads])
     agrees_to = 0
     for head in heads:
         if head.size > end:

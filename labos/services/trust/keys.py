@@ -46,7 +46,7 @@ class SigningKeys:
 
     def create(self, name: str, *, witness: bool = False) -> PublicKey:
         """Make a key pair. Raises Refused if there is one, BadInput for a name that cannot be."""
-        path = self._file(witness)
+        path = self._find_file(witness)
         if path.exists():
             raise Refused(
                 f"This lab has a key already: {path}.",
@@ -61,7 +61,7 @@ class SigningKeys:
 
     def read_signing_key(self, *, witness: bool = False) -> SigningKey:
         """The private key. Raises NotFound if there is none, BadInput if it cannot be read."""
-        path = self._file(witness)
+        path = self._find_file(witness)
         made = "labos key create --witness" if witness else "labos key create"
         try:
             tighten([self.folder, path], "the lab's private keys")
@@ -71,11 +71,11 @@ class SigningKeys:
         except (OSError, UnicodeDecodeError) as error:
             raise BadInput(f"The key {path} cannot be read: {error}.", remedy="Put it right.") from None
 
-    def public(self) -> list[PublicKey]:
+    def list_public_keys(self) -> list[PublicKey]:
         """The public keys that this lab has signed with, the oldest first. Raises BadInput."""
         return read_public_keys(self.folder / PUBLIC_FILE) if (self.folder / PUBLIC_FILE).exists() else []
 
-    def rotations(self) -> tuple[Note, ...]:
+    def read_rotations(self) -> tuple[Note, ...]:
         """The notes by which each key named its successor. Raises BadInput."""
         try:
             return parse_rotations((self.folder / ROTATION_FILE).read_bytes())
@@ -89,14 +89,14 @@ class SigningKeys:
         fresh = make_key(old.name, SIGNS, secrets.token_bytes(32))
         text = f"{ROTATION}\n{size}\n{old.public.text}\n{fresh.public.text}\n{time}\n"
         note = Note(text, (old.sign(text), fresh.sign(text)))
-        known = [each.text for each in self.public()] + [fresh.public.text]
+        known = [each.text for each in self.list_public_keys()] + [fresh.public.text]
         # The private key last: until then the old one signs, which the notes do not forbid up to here.
-        replace_file(self.folder / ROTATION_FILE, encode_rotations((*self.rotations(), note)))
+        replace_file(self.folder / ROTATION_FILE, encode_rotations((*self.read_rotations(), note)))
         replace_file(self.folder / PUBLIC_FILE, "".join(f"{each}\n" for each in known).encode())
-        replace_file(self._file(False), fresh.text.encode() + b"\n")
+        replace_file(self._find_file(False), fresh.text.encode() + b"\n")
         return note
 
-    def _file(self, witness: bool) -> Path:
+    def _find_file(self, witness: bool) -> Path:
         return self.folder / (WITNESS_FILE if witness else SIGNING_FILE)
 
 
@@ -109,10 +109,10 @@ class TrustedKeys:
         self.keys = list(given)
         self._ended: dict[str, int] = {}
         for note in rotations:
-            size, old, fresh = _rotation(note)
+            size, old, fresh = _parse_rotation(note)
             if old not in self.keys:
                 continue  # it proves nothing if the old one is not trusted
-            if note.signers([old, fresh]) != [old, fresh]:
+            if note.find_signers([old, fresh]) != [old, fresh]:
                 raise BadInput(
                     f"A change of the key {old.name} is not signed by both keys.",
                     remedy="Ask the lab for its public key, by another way than this file.",
@@ -125,13 +125,13 @@ class TrustedKeys:
         """The keys whose word counts about one lab: no lab speaks for another, and no witness for a lab."""
         return [key for key in self.keys if key.name == origin and key.kind == SIGNS]
 
-    def signers(self, note: Note, head: TreeHead) -> list[PublicKey]:
+    def find_signers(self, note: Note, head: TreeHead) -> list[PublicKey]:
         """Those of its lab's keys that have signed a checkpoint. Raises BadInput."""
-        signed = note.signers(self.list_for(head.origin))
+        signed = note.find_signers(self.list_for(head.origin))
         return [key for key in signed if head.size <= self._ended.get(key.text, head.size)]
 
 
-def _rotation(note: Note) -> tuple[int, PublicKey, PublicKey]:
+def _parse_rotation(note: Note) -> tuple[int, PublicKey, PublicKey]:
     lines = note.text.splitlines()
     if len(lines) != 5 or lines[0] != ROTATION or not lines[1].isdecimal():
         raise BadInput("This is no change of a key.", remedy="Take the file rotation.notes of the lab.")

@@ -46,7 +46,7 @@ class PublicKey(msgspec.Struct, frozen=True):
     @property
     def text(self) -> str:
         """As people hand it on: ``name+id+key``."""
-        return f"{self.name}+{self.id.hex()}+{_base64(bytes([self.kind]) + self.raw)}"
+        return f"{self.name}+{self.id.hex()}+{_encode_base64(bytes([self.kind]) + self.raw)}"
 
     def verifies(self, text: bytes, signature: bytes) -> bool:
         if self.kind == COSIGNS:
@@ -77,7 +77,9 @@ class SigningKey(msgspec.Struct, frozen=True):
     @property
     def text(self) -> str:
         """As it is kept in a file."""
-        return f"{_PRIVATE}{self.name}+{self.public.id.hex()}+{_base64(bytes([self.kind]) + self.seed)}"
+        return (
+            f"{_PRIVATE}{self.name}+{self.public.id.hex()}+{_encode_base64(bytes([self.kind]) + self.seed)}"
+        )
 
     def sign(self, text: str, time_s: int = 0) -> NoteSignature:
         """Sign a text; ``time_s`` (UTC, since 1970) is for a cosignature."""
@@ -101,7 +103,7 @@ class NoteSignature(msgspec.Struct, frozen=True):
 
     @property
     def line(self) -> str:
-        return f"{_DASH}{self.name} {_base64(self.key_id + self.raw)}\n"
+        return f"{_DASH}{self.name} {_encode_base64(self.key_id + self.raw)}\n"
 
     def is_by(self, key: PublicKey) -> bool:
         return (self.name, self.key_id) == (key.name, key.id)
@@ -126,7 +128,7 @@ class Note(msgspec.Struct, frozen=True):
         by_key = {(each.name, each.key_id): each for each in (*self.signatures, *more)}
         return Note(self.text, tuple(by_key.values()))
 
-    def signers(self, keys: Iterable[PublicKey]) -> list[PublicKey]:
+    def find_signers(self, keys: Iterable[PublicKey]) -> list[PublicKey]:
         """Those of the keys that have signed this. Signatures by other keys are passed over. Raises
         BadInput if a signature bears the id of one of the keys and is not its own."""
         found = []
@@ -151,21 +153,21 @@ def make_key(name: str, kind: int, seed: bytes) -> SigningKey:
 
 def parse_public_key(text: str) -> PublicKey:
     """The key that ``name+id+key`` stands for. Raises BadInput."""
-    name, key_id, kind, raw = _parts(text.strip(), "public")
+    name, key_id, kind, raw = _split_key(text.strip(), "public")
     key = PublicKey(name, kind, raw)
     if key.id != key_id:
-        raise _no_key("public", "its id does not follow from its name and key")
+        raise _make_key_error("public", "its id does not follow from its name and key")
     return key
 
 
 def parse_signing_key(text: str) -> SigningKey:
     """The key that a file of ``labos key`` holds. Raises BadInput."""
     if not text.startswith(_PRIVATE):
-        raise _no_key("private", f"it does not begin with {_PRIVATE}")
-    name, key_id, kind, seed = _parts(text.removeprefix(_PRIVATE).strip(), "private")
+        raise _make_key_error("private", f"it does not begin with {_PRIVATE}")
+    name, key_id, kind, seed = _split_key(text.removeprefix(_PRIVATE).strip(), "private")
     key = SigningKey(name, kind, seed)
     if key.public.id != key_id:
-        raise _no_key("private", "its id does not follow from its name and key")
+        raise _make_key_error("private", "its id does not follow from its name and key")
     return key
 
 
@@ -205,19 +207,19 @@ def _encode_cosigned(text: bytes, time_s: int) -> bytes:
     return b"cosignature/v1\ntime %d\n" % time_s + text
 
 
-def _parts(text: str, what: str) -> tuple[str, bytes, int, bytes]:
+def _split_key(text: str, what: str) -> tuple[str, bytes, int, bytes]:
     pieces = text.split("+", 2)
     if len(pieces) != 3:
-        raise _no_key(what, "it does not have the form name+id+key")
+        raise _make_key_error(what, "it does not have the form name+id+key")
     name, key_id, value = pieces
     _check_name(name)
     try:
         raw = base64.b64decode(value, validate=True)
         found = bytes.fromhex(key_id)
     except (binascii.Error, ValueError) as error:
-        raise _no_key(what, str(error)) from None
+        raise _make_key_error(what, str(error)) from None
     if len(raw) != 33 or raw[0] not in _KINDS or len(found) != 4:
-        raise _no_key(what, "it is of a kind that is not known here")
+        raise _make_key_error(what, "it is of a kind that is not known here")
     return name, found, raw[0], raw[1:]
 
 
@@ -229,9 +231,9 @@ def _check_name(name: str) -> None:
         )
 
 
-def _no_key(what: str, why: str) -> BadInput:
+def _make_key_error(what: str, why: str) -> BadInput:
     return BadInput(f"This is no {what} key: {why}.", remedy="Give one that labos key has made.")
 
 
-def _base64(data: bytes) -> str:
+def _encode_base64(data: bytes) -> str:
     return base64.b64encode(data).decode()

@@ -72,11 +72,11 @@ def place_of(said: str) -> PublishPlace:
     return Folder(Path(said))
 
 
-def name_of(size: int) -> str:
+def name_checkpoint(size: int) -> str:
     """What the checkpoint of a size is called; names sort by size."""
     return f"{size:012d}.note"
 
 
-def newest_in(folder: Path) -> Path | None:
+def find_newest(folder: Path) -> Path | None:
     """The checkpoint of the largest size in a folder."""
     return max(folder.glob("[0-9]" * 12 + ".note"), default=None)

@@ -12,10 +12,10 @@ import msgspec
 from labos.core.campaigns import CampaignCompleted
 from labos.core.canonical import digest
 from labos.core.envelope import Envelope
-from labos.core.merkle import is_included, leaf_hash
+from labos.core.merkle import hash_leaf, is_included
 from labos.core.runs import RunSubmitted
-from labos.core.signatures import RecordsSigned, RunSigned, digest_of_records
-from labos.core.words import Kept, references_in
+from labos.core.signatures import RecordsSigned, RunSigned, make_digest_of_records
+from labos.core.words import Kept, list_references
 from labos.errors import BadInput
 from labos.services.signatures import BEGINS, ENDS, Kind
 from labos.services.times import iso_time
@@ -35,8 +35,8 @@ from labos.services.trust.bundle import (
     ProvenEvent,
     ToldWords,
     belongs_to,
+    is_signature,
     list_plan_streams,
-    signs,
 )
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import TrustedKeys, parse_rotations
@@ -89,7 +89,7 @@ def prove_bundle(path: Path, trust: Trust) -> BundleProof:
     """Check a bundle. Raises BadInput for a file that is none."""
     files = _unpack(path)
     about = _read_about(files, path)
-    note, head = _checkpoint(files)
+    note, head = _parse_checkpoint(files)
     signed, signer = _check_signature(files, note, head, trust)
     inside, events = _check_events(files, head)
     parts = [
@@ -116,19 +116,19 @@ def _unpack(path: Path) -> dict[str, bytes]:
                 raise ValueError("a name stands in it twice")
             return {name: archive.read(name) for name in names}
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-        raise _no_bundle(path, str(error)) from None
+        raise _make_bundle_error(path, str(error)) from None
     except Exception as error:  # zlib.error, EOFError, struct.error: whatever damaged bytes lead to
-        raise _no_bundle(path, f"it cannot be unpacked ({error})") from None
+        raise _make_bundle_error(path, f"it cannot be unpacked ({error})") from None
 
 
 def _read_about(files: dict[str, bytes], path: Path) -> AboutBundle:
     missing = [name for name in (ABOUT, NOTE, EVENTS) if name not in files]
     if missing:
-        raise _no_bundle(path, f"it holds no {', '.join(missing)}")
+        raise _make_bundle_error(path, f"it holds no {', '.join(missing)}")
     try:
         about = _about.decode(files[ABOUT])
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise _no_bundle(path, f"{ABOUT}: {error}") from None
+        raise _make_bundle_error(path, f"{ABOUT}: {error}") from None
     if about.format not in (FORMAT if about.kind == "run" else FORMAT_OF_SEVERAL, WITH_WORDS):
         raise BadInput(
             f"{path} has the format {about.format!r}, which this LabOS does not know.",
@@ -137,7 +137,7 @@ def _read_about(files: dict[str, bytes], path: Path) -> AboutBundle:
     return about
 
 
-def _checkpoint(files: dict[str, bytes]) -> tuple[Note, TreeHead]:
+def _parse_checkpoint(files: dict[str, bytes]) -> tuple[Note, TreeHead]:
     note = parse_note(files[NOTE])
     return note, parse_tree_head(note.text)
 
@@ -147,7 +147,7 @@ def _check_signature(
 ) -> tuple[VerifiedPart, str]:
     try:
         known = TrustedKeys(trust.keys, parse_rotations(files.get(ROTATIONS, b"")))
-        signers = known.signers(note, head)
+        signers = known.find_signers(note, head)
     except BadInput as error:
         return VerifiedPart("signature", 1, error.message, (str(error),)), ""
     if not known.list_for(head.origin):
@@ -166,7 +166,7 @@ def _check_signature(
 def _check_witnesses(note: Note, trust: Trust) -> Iterator[VerifiedPart]:
     for key in trust.witnesses:
         try:
-            cosigned = bool(note.signers([key]))
+            cosigned = bool(note.find_signers([key]))
         except BadInput:
             cosigned = False
         if cosigned:
@@ -212,7 +212,7 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
             faults.append(f"Line {number} of {EVENTS} cannot be read ({error}).")
             continue
         at = event.head.position
-        if not is_included(leaf_hash(envelope), at - 1, head.size, head.root, proof):
+        if not is_included(hash_leaf(envelope), at - 1, head.size, head.root, proof):
             faults.append(f"Position {at}: the event is not in the log that was signed.")
             positions.append(at)
         elif digest(event.payload) != event.head.digest:
@@ -239,16 +239,16 @@ def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
     for event in events:
         by_stream.get(event.head.stream, []).append(event)
     for name, own in by_stream.items():
-        for fault, position in _gaps(name, streams[name], own):
+        for fault, position in _list_gaps(name, streams[name], own):
             faults.append(fault)
             positions += position
-        if name != about.of and not any(_submits(event, about.of) for event in own):
+        if name != about.of and not any(_is_submission(event, about.of) for event in own):
             faults.append(f"The run {name} is none of {about.of}.")
     own = [event for event in events if event.head.stream in streams]
     planned = set(list_plan_streams(own))
     for event in events:
         is_plan = event.head.type in PLANS and event.head.stream in planned
-        if event.head.stream in streams or is_plan or signs(event.head.type, event.payload, streams):
+        if event.head.stream in streams or is_plan or is_signature(event.head.type, event.payload, streams):
             continue
         faults.append(f"Position {event.head.position}: {event.head.type} does not belong to {about.of}.")
         positions.append(event.head.position)
@@ -269,7 +269,7 @@ def _describe_story(about: AboutBundle, own: int) -> str:
     return whole + only
 
 
-def _gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[str, list[int]]]:
+def _list_gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[str, list[int]]]:
     """What is missing of a stream, and where that shows."""
     for number, event in enumerate(own, 1):
         if event.head.version != number:
@@ -284,7 +284,7 @@ def _gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[str, li
         yield f"The end of {name} is missing.", []
 
 
-def _submits(event: _Event, subject: str) -> bool:
+def _is_submission(event: _Event, subject: str) -> bool:
     return event.head.type == RunSubmitted.TYPE and belongs_to(event.payload, subject)
 
 
@@ -303,7 +303,7 @@ def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[
     signed, faults, positions = [], [], []
     names = (about.of, *about.runs)
     for event in events:
-        if not signs(event.head.type, event.payload, names):
+        if not is_signature(event.head.type, event.payload, names):
             continue
         found: RunSigned | RecordsSigned
         if event.head.type == RunSigned.TYPE:
@@ -315,7 +315,7 @@ def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[
             streams, more = {found.subject, *about.runs}, found.runs - len(about.runs)
         own = [each.envelope for each in events if each.head.stream in streams]
         signed.append(f"{found.by} ({found.meaning}{of}, {iso_time(event.head.recorded_at)})")
-        if (more, found.records, found.digest) != (0, len(own), digest_of_records(own)):
+        if (more, found.records, found.digest) != (0, len(own), make_digest_of_records(own)):
             faults.append(f"Position {event.head.position}: {found.by} signed other records than these.")
             positions.append(event.head.position)
     if signed:
@@ -328,7 +328,7 @@ def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[
     erased, or left out: that is no fault."""
     named: dict[str, int] = {}
     for event in events:
-        for reference in references_in(event.payload):
+        for reference in list_references(event.payload):
             named.setdefault(reference, event.head.position)
     faults: list[str] = []
     positions: list[int] = []
@@ -379,5 +379,5 @@ def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> VerifiedP
     return VerifiedPart("files", len(named), told, tuple(faults), tuple(positions))
 
 
-def _no_bundle(path: Path, why: str) -> BadInput:
+def _make_bundle_error(path: Path, why: str) -> BadInput:
     return BadInput(f"{path} is no bundle: {why}.", remedy="Make one with labos bundle ID -o FILE.")

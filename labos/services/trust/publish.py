@@ -7,13 +7,19 @@ from pathlib import Path
 
 import msgspec
 
-from labos.core.merkle import Tree, consistency_ranges, growth_proof, proof_of
+from labos.core.merkle import Tree, list_consistency_ranges, make_growth_proof, make_proof
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
 from labos.services.log import Log
-from labos.services.trust.checkpoints import TreeHead, leaves, parse_tree_head, roots_at, sign_tree
+from labos.services.trust.checkpoints import (
+    TreeHead,
+    compute_roots_at,
+    iterate_leaves,
+    parse_tree_head,
+    sign_tree,
+)
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import Note, NoteSignature, PublicKey, parse_note
-from labos.services.trust.places import Folder, name_of, newest_in, place_of
+from labos.services.trust.places import Folder, find_newest, name_checkpoint, place_of
 from labos.services.trust.timestamp import request_stamp
 from labos.services.trust.tree import Growth, grow, read_tree, store_tree
 from labos.services.trust.witness import ask_witness
@@ -55,16 +61,16 @@ def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
         raise Refused("The log is empty: there is nothing to sign.", remedy="Start the lab first.")
     if not kept.size:
         _check_newest(log, home)
-    head = TreeHead(key.name, growth.after.size, growth.after.root())
+    head = TreeHead(key.name, growth.after.size, growth.after.compute_root())
     store_tree(home, growth.kept)  # before anybody sees the signature: another tree is never signed
     note = _read_signed(home, head).with_signatures(sign_tree(head, key).signatures)
     faults: list[str] = []
     for url in targets.witnesses:
         try:
-            note = note.with_signatures(_cosignatures(url, log, note, growth, targets.witness_keys))
+            note = note.with_signatures(_ask_cosignatures(url, log, note, growth, targets.witness_keys))
         except LabosError as error:
             faults.append(str(error))
-    name = name_of(head.size)
+    name = name_checkpoint(head.size)
     files = {name: note.encode()}
     if targets.stamp:
         try:
@@ -86,7 +92,7 @@ def _read_signed(home: Path, head: TreeHead) -> Note:
     """The checkpoint of this tree as it was signed before, cosignatures included: none of them is lost when
     it is asked for once more."""
     try:
-        found = parse_note((home / FOLDER / name_of(head.size)).read_bytes())
+        found = parse_note((home / FOLDER / name_checkpoint(head.size)).read_bytes())
     except (OSError, BadInput):
         return Note(head.text)
     return found if found.text == head.text else Note(head.text)
@@ -94,11 +100,11 @@ def _read_signed(home: Path, head: TreeHead) -> Note:
 
 def _check_newest(log: Log, home: Path) -> None:
     """Where nothing is remembered of the tree, the lab's own copies still say what was signed."""
-    newest = newest_in(home / FOLDER)
+    newest = find_newest(home / FOLDER)
     if newest is None:
         return
     seen = parse_tree_head(parse_note(newest.read_bytes()).text)
-    if roots_at(log, [seen.size]).get(seen.size) != seen.root:
+    if compute_roots_at(log, [seen.size]).get(seen.size) != seen.root:
         raise LogDamaged(
             f"The log contradicts the checkpoint {newest}: it was rewritten, or its tail was cut off.",
             position=min(seen.size, log.head().position + 1),
@@ -106,23 +112,23 @@ def _check_newest(log: Log, home: Path) -> None:
         )
 
 
-def _cosignatures(
+def _ask_cosignatures(
     url: str, log: Log, note: Note, growth: Growth, keys: Sequence[PublicKey]
 ) -> list[NoteSignature]:
     def proof(old: int) -> list[bytes]:
         if old == growth.before.size:
-            return growth_proof(growth.before, growth.added) if old else []
+            return make_growth_proof(growth.before, growth.added) if old else []
         if not 0 < old < growth.after.size:
             return []
         # It missed some checkpoints, or has seen this one: all leaves are needed.
-        whole = Tree(leaves(log.read(0, growth.after.size)))
-        return proof_of(consistency_ranges(old, growth.after.size), whole.hash_of)
+        whole = Tree(iterate_leaves(log.read(0, growth.after.size)))
+        return make_proof(list_consistency_ranges(old, growth.after.size), whole.hash_of)
 
     found = ask_witness(url, note, growth.before.size, proof)
     if not keys:
         return list(found)
     known = [signature for signature in found if any(signature.is_by(key) for key in keys)]
-    if not known or not Note(note.text, tuple(known)).signers(keys):
+    if not known or not Note(note.text, tuple(known)).find_signers(keys):
         raise BadInput(
             f"The witness {url} has not signed with a key that was given.", remedy="Ask for its key."
         )

@@ -22,7 +22,7 @@ def request_stamp(url: str, text: bytes) -> bytes:
     try:
         from rfc3161_client import PKIStatus, TimestampRequestBuilder, decode_timestamp_response
     except ImportError:
-        raise _no_extra() from None
+        raise _make_extra_error() from None
     request = TimestampRequestBuilder().data(text).nonce(nonce=True).cert_request(cert_request=True).build()
     try:
         answer = httpx.post(url, content=request.as_bytes(), headers=_QUERY, timeout=TIMEOUT_S)
@@ -47,7 +47,7 @@ def read_stamp_time(stamp: bytes, text: bytes, roots: Path) -> datetime:
     try:
         from rfc3161_client import VerificationError, VerifierBuilder, decode_timestamp_response
     except ImportError:
-        raise _no_extra() from None
+        raise _make_extra_error() from None
     from cryptography.x509 import load_pem_x509_certificates
 
     try:
@@ -61,7 +61,7 @@ def read_stamp_time(stamp: bytes, text: bytes, roots: Path) -> datetime:
         ) from None
 
 
-def _no_extra() -> BadInput:
+def _make_extra_error() -> BadInput:
     return BadInput(
         "Time stamps need the package's extra timestamp.", remedy="pip install 'labos-sdl[timestamp]'"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from labos.core.envelope import GENESIS, find_damage
-from labos.core.merkle import Edge, leaf_hash
+from labos.core.merkle import Edge, hash_leaf
 from labos.errors import BadInput, LogDamaged
 from labos.private import make_folder, replace_file
 from labos.services.log import Log
@@ -79,7 +79,7 @@ def grow(log: Log, kept: StoredTree) -> Growth:
     for record in log.read(kept.size, head.position):
         if fault := find_damage(previous, record):
             raise _report_damage(record.head.position, fault)
-        leaf = leaf_hash(record.envelope)
+        leaf = hash_leaf(record.envelope)
         after.add(leaf)
         added.append(leaf)
         previous = record.hash

@@ -64,7 +64,7 @@ class Witness:
         if not known:
             return WitnessReply(404, f"No lab {head.origin} is known here.\n")
         try:
-            signed = note.signers(known)
+            signed = note.find_signers(known)
         except BadInput:
             signed = []
         if not signed:
@@ -78,7 +78,7 @@ class Witness:
         self, old: int, proof: Sequence[bytes], note: Note, head: TreeHead, now_s: int
     ) -> WitnessReply:
         try:
-            seen = self._last_checkpoint(head.origin)
+            seen = self._read_last_checkpoint(head.origin)
         except LabosError as error:
             return WitnessReply(500, f"{error}\n")
         if old != seen.size or (old == head.size and seen.root != head.root):
@@ -88,13 +88,13 @@ class Witness:
                 422, "The proof does not show that this tree continues the one that was seen.\n"
             )
         try:
-            Folder(self._folder).put(_file_of(head.origin), note.encode())
+            Folder(self._folder).put(_name_file(head.origin), note.encode())
         except SystemFailed as error:
             return WitnessReply(500, f"{error}\n")
         return WitnessReply(200, self._key.sign(note.text, now_s).line)
 
-    def _last_checkpoint(self, origin: str) -> TreeHead:
-        path = self._folder / _file_of(origin)
+    def _read_last_checkpoint(self, origin: str) -> TreeHead:
+        path = self._folder / _name_file(origin)
         if not path.exists():
             return TreeHead(origin, 0, EMPTY_ROOT)
         try:
@@ -103,7 +103,7 @@ class Witness:
             raise SystemFailed(f"{path} cannot be read: {error}.") from None
 
 
-def _file_of(origin: str) -> str:
+def _name_file(origin: str) -> str:
     return hashlib.sha256(origin.encode()).hexdigest() + ".note"
 
 

@@ -32,16 +32,16 @@ _NO_SPECS = {
 """Keys that show what a file is instead, and what to do with it."""
 
 
-def kind_of(source: Source) -> tuple[Kind, Dialect]:
+def detect_kind(source: Source) -> tuple[Kind, Dialect]:
     """What a file describes, and in which dialect. Raises SpecError for what is none of ours."""
     found = find_kind(source)
     if found is None:
-        raise no_spec(source)
+        raise make_unknown_error(source)
     return found
 
 
 def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
-    """As ``kind_of``; None for what is none of ours. Raises SpecError for drafts that nobody runs."""
+    """As ``detect_kind``; None for what is none of ours. Raises SpecError for drafts that nobody runs."""
     data = source.data
     own = "labos" in data
     if "labware" in data and "modules" not in data:  # a workcell names its labware files
@@ -66,54 +66,54 @@ def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
     return None
 
 
-def no_spec(source: Source) -> SpecError:
+def make_unknown_error(source: Source) -> SpecError:
     """What a file is that is none of ours."""
     keys = ", ".join(f"`{key}`" for key in list(source.data)[:5])
     why = next((why for key, why in _NO_SPECS.items() if key in source.data), "Check which file was meant.")
     return source.error(f"This is neither a workcell, a workflow nor labware; it holds {keys}.", remedy=why)
 
 
-def workcell_form(source: Source, report: FindingList) -> tuple[Source, Dialect]:
+def convert_workcell(source: Source, report: FindingList) -> tuple[Source, Dialect]:
     """A workcell file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     data = source.data
     if "labos" in data or OWN_KEYS & data.keys():
-        return _own(source), "labos"
-    _doubles(source, report)
+        return _check_own(source), "labos"
+    _warn_of_doubles(source, report)
     if madsci.is_workcell(source):
-        return madsci.workcell(source, report), "madsci"
-    return wei.workcell(source, report), "wei"
+        return madsci.rewrite_workcell(source, report), "madsci"
+    return wei.rewrite_workcell(source, report), "wei"
 
 
-def workflow_form(source: Source, report: FindingList) -> tuple[Source, Dialect]:
+def convert_workflow(source: Source, report: FindingList) -> tuple[Source, Dialect]:
     """A workflow file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     data = source.data
     if "labos" not in data and "flowdef" in data:
-        _doubles(source, report)
-        return wei.workflow(source, report), "wei"
+        _warn_of_doubles(source, report)
+        return wei.rewrite_workflow(source, report), "wei"
     if madsci.is_workflow(source):
-        _doubles(source, report)
-        return madsci.workflow(source, report), "madsci"
-    return _own(source), "labos"
+        _warn_of_doubles(source, report)
+        return madsci.rewrite_workflow(source, report), "madsci"
+    return _check_own(source), "labos"
 
 
-def labware_form(source: Source, report: FindingList) -> tuple[Source, Dialect]:
+def convert_labware(source: Source, report: FindingList) -> tuple[Source, Dialect]:
     """A labware file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     if opentrons.is_labware(source):
-        return opentrons.labware(source, report), "opentrons"
-    return _own(source), "labos"
+        return opentrons.rewrite_labware(source, report), "opentrons"
+    return _check_own(source), "labos"
 
 
-def _own(source: Source) -> Source:
+def _check_own(source: Source) -> Source:
     """LabOS' own files say everything once."""
     if source.doubles:
         raise source.doubles[0]
     return source
 
 
-def _doubles(source: Source, report: FindingList) -> None:
+def _warn_of_doubles(source: Source, report: FindingList) -> None:
     """Foreign programs read with PyYAML, which lets the last one of equal keys win."""
     for double in source.doubles:
-        report.warning(
+        report.add_warning(
             f"{double.message} The last one counts, as in the program that it was written for.",
             Place(double.line, double.column),
             field=double.field,

@@ -35,7 +35,7 @@ class Parameters:
                 self._read(reader.source.data[name], (name,))
                 break
 
-    def form(self, at: Any) -> SourceMapping:
+    def make_form(self, at: Any) -> SourceMapping:
         """As LabOS declares them; those that earlier steps return are none."""
         out = SourceMapping(at)
         for name, entry in self.inputs.items():
@@ -75,22 +75,22 @@ class Parameters:
                 self.files.add(key)
         return key
 
-    def default(self, key: str) -> Any:
+    def find_default(self, key: str) -> Any:
         """The default of an input; None without one."""
         entry = self.inputs.get(key)
         return None if entry is None else entry.get("default")
 
     def _read(self, value: Any, path: Path_) -> None:
         if not isinstance(value, SourceMapping):
-            for index, entry in enumerate(self.reader.sequence(value, path, "the parameters")):
+            for index, entry in enumerate(self.reader.expect_sequence(value, path, "the parameters")):
                 at = (*path, index)
-                self.declare(self.reader.table(entry, at, "A parameter"), at)
+                self.declare(self.reader.expect_table(entry, at, "A parameter"), at)
             return
         for section, entries in value.items():
             if section not in SECTIONS:
                 self.reader.ignore((*path, section))
             elif entries is not None:
-                rows = self.reader.sequence(entries, (*path, section), "the parameters")
+                rows = self.reader.expect_sequence(entries, (*path, section), "the parameters")
                 for index, entry in enumerate(rows):
                     at = (*path, section, index)
-                    self.declare(self.reader.table(entry, at, "A parameter"), at, SECTIONS[section])
+                    self.declare(self.reader.expect_table(entry, at, "A parameter"), at, SECTIONS[section])

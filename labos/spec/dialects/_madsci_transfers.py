@@ -34,50 +34,50 @@ class TransferTemplates:
         for key in KEYS:
             if data.get(key) is None:
                 continue
-            told = self.reader.table(data[key], (key,), f"`{key}`")
-            self._templates(told.get("transfer_templates"), (key, "transfer_templates"))
-            self._overrides(told, (key, OVERRIDES))
-            self._capacity(told, (key, "capacity_cost_config"))
+            told = self.reader.expect_table(data[key], (key,), f"`{key}`")
+            self._read_templates(told.get("transfer_templates"), (key, "transfer_templates"))
+            self._read_overrides(told, (key, OVERRIDES))
+            self._read_capacity(told, (key, "capacity_cost_config"))
             for name in told:
                 if name not in ("transfer_templates", OVERRIDES, "capacity_cost_config"):
                     self.reader.ignore((key, name))
         return self.found
 
-    def _overrides(self, told: SourceMapping, path: Path_) -> None:
-        overrides = self.reader.table(told.get(OVERRIDES), path, f"`{OVERRIDES}`")
-        entries = self.reader.entries
+    def _read_overrides(self, told: SourceMapping, path: Path_) -> None:
+        overrides = self.reader.expect_table(told.get(OVERRIDES), path, f"`{OVERRIDES}`")
+        entries = self.reader.iterate_entries
         for source, rows, at in entries(
             overrides.get("source_overrides"), (*path, "source_overrides"), "`source_overrides`"
         ):
-            self._templates(rows, at, source=source)
+            self._read_templates(rows, at, source=source)
         for key in OF_TARGETS:
             for target, rows, at in entries(overrides.get(key), (*path, key), f"`{key}`"):
-                self._templates(rows, at, target=target)
+                self._read_templates(rows, at, target=target)
         key = "pair_overrides"
         for source, targets, at in entries(overrides.get(key), (*path, key), f"`{key}`"):
             for target, rows, there in entries(targets, at, "The overrides of a source"):
-                self._templates(rows, there, source=source, target=target)
+                self._read_templates(rows, there, source=source, target=target)
         for name in overrides:
             if name not in ("source_overrides", *OF_TARGETS, key):
                 self.reader.ignore((*path, name))
 
-    def _templates(self, rows: object, path: Path_, *, source: str = "", target: str = "") -> None:
+    def _read_templates(self, rows: object, path: Path_, *, source: str = "", target: str = "") -> None:
         if rows is None:
             return
         ends = {"from": source, "to": target}
         for name in (name for name in ends.values() if name and name not in self.places):
-            self.reader.assume(
+            self.reader.warn_of_assumption(
                 path,
                 f"No location is called {name!r}: these transfers are left out.",
                 "Check the name.",
                 key=True,
             )
             return
-        for index, row in enumerate(self.reader.sequence(rows, path, "the templates")):
-            template = self.reader.table(row, (*path, index), "A template")
-            self._template(template, (*path, index), ends)
+        for index, row in enumerate(self.reader.expect_sequence(rows, path, "the templates")):
+            template = self.reader.expect_table(row, (*path, index), "A template")
+            self._read_template(template, (*path, index), ends)
 
-    def _template(self, template: SourceMapping, path: Path_, ends: Mapping[str, str]) -> None:
+    def _read_template(self, template: SourceMapping, path: Path_, ends: Mapping[str, str]) -> None:
         at = self.reader.source.place(path)
         node = template.get("node_name")
         if not isinstance(node, str) or not isinstance(template.get("action"), str):
@@ -102,7 +102,7 @@ class TransferTemplates:
             )
         args = SourceMapping(at)
         for key in ("additional_args", "additional_location_args"):
-            for name, value, _ in self.reader.entries(template.get(key), (*path, key), f"`{key}`"):
+            for name, value, _ in self.reader.iterate_entries(template.get(key), (*path, key), f"`{key}`"):
                 args.put(
                     name,
                     self.places.get(value, value) if key == "additional_location_args" else value,
@@ -118,10 +118,10 @@ class TransferTemplates:
                 way.put(end, place, at, at)
         self.found.put(way, at)
 
-    def _capacity(self, told: SourceMapping, path: Path_) -> None:
-        config = self.reader.table(told.get("capacity_cost_config"), path, "`capacity_cost_config`")
+    def _read_capacity(self, told: SourceMapping, path: Path_) -> None:
+        config = self.reader.expect_table(told.get("capacity_cost_config"), path, "`capacity_cost_config`")
         if config.get("enabled"):
-            self.reader.assume(
+            self.reader.warn_of_assumption(
                 path,
                 "A transfer costs the same however full its target is: what has no room is waited for.",
                 "Give places that are to be avoided a higher `cost:` by a way of their own.",

@@ -9,7 +9,7 @@ from typing import Any
 from labos.spec.dialects._madsci_transfers import KEYS, TransferTemplates
 from labos.spec.dialects._reader import Reader, is_number
 from labos.spec.findings import FindingList
-from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, field_name, plain, read
+from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, make_plain, name_field, read
 
 INTERFACES = {"http": "madsci_rest_node", "https": "madsci_rest_node", "sila": "madsci_sila_node"}
 LOCATIONS_FILE = "locations.yaml"
@@ -40,9 +40,9 @@ def is_workcell(source: Source) -> bool:
     )
 
 
-def workcell(source: Source, report: FindingList) -> Source:
+def rewrite_workcell(source: Source, report: FindingList) -> Source:
     """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
-    return _Workcell(source, report).form()
+    return _Workcell(source, report).make_form()
 
 
 class _Workcell:
@@ -56,22 +56,22 @@ class _Workcell:
         """Stations by the names and ids of their locations."""
         self.moved: dict[str, str] = {}
 
-    def form(self) -> Source:
+    def make_form(self) -> Source:
         data, at = self.data, self.data.at
         out = SourceMapping(at)
-        self._name(out)
+        self._read_name(out)
         for key in ("workcell_manager_description", "workcell_description", "description"):
             if isinstance(data.get(key), str) and "description" not in out:
                 out.take(data, key, "description")
         nodes = "workcell_nodes" if "workcell_nodes" in data else "nodes"
-        for name, url, path in self.reader.entries(data[nodes], (nodes,), f"`{nodes}`"):
-            self._node(name, url, path)
+        for name, url, path in self.reader.iterate_entries(data[nodes], (nodes,), f"`{nodes}`"):
+            self._read_node(name, url, path)
         modules = SourceList(self.source.place((nodes,)))
         for module in self.modules.values():
             modules.put(module, module.at)
         out.put("modules", modules, modules.at, modules.at)
-        self._own_locations()
-        self._locations_beside()
+        self._read_own_locations()
+        self._read_locations_beside()
         locations = SourceMapping(at)
         for name, places in self.taught.items():
             locations.put(name, places, places.at, places.at)
@@ -86,18 +86,20 @@ class _Workcell:
         done.moved = self.moved
         return done
 
-    def _name(self, out: SourceMapping) -> None:
+    def _read_name(self, out: SourceMapping) -> None:
         for key in ("workcell_manager_name", "workcell_name", "manager_name", "name"):
             if isinstance(self.data.get(key), str):
                 out.take(self.data, key, "name")
                 break
         else:
-            self.reader.name(out, SourceMapping())
+            self.reader.take_name(out, SourceMapping())
         if _BAD.search(out["name"]):
             out["name"] = _BAD.sub("_", out["name"])
-            self.reader.assume((), f"The workcell is called {out['name']!r} here.", "Give it another name.")
+            self.reader.warn_of_assumption(
+                (), f"The workcell is called {out['name']!r} here.", "Give it another name."
+            )
 
-    def _node(self, name: str, url: Any, path: Path_) -> None:
+    def _read_node(self, name: str, url: Any, path: Path_) -> None:
         if not isinstance(url, str) or "://" not in url:
             raise self.source.error(
                 f"The node {name!r} has no address.",
@@ -108,22 +110,24 @@ class _Workcell:
         module, config = SourceMapping(at), SourceMapping(at)
         scheme = url.partition("://")[0].lower()
         if scheme not in INTERFACES:
-            self.reader.assume(
+            self.reader.warn_of_assumption(
                 path, f"LabOS does not know how to reach {url!r}.", "Write http:// or sila://."
             )
         config.put("node_url", url, at, at)
         called = _BAD.sub("_", name)
         if called != name:
-            self.reader.assume(path, f"The node {name!r} is called {called!r} here.", "Rename it.", key=True)
+            self.reader.warn_of_assumption(
+                path, f"The node {name!r} is called {called!r} here.", "Rename it.", key=True
+            )
         module.put("name", called, self.source.place(path, key=True), self.source.place(path, key=True))
         module.put("interface", INTERFACES.get(scheme, scheme), at, at)
         module.put("config", config, at, at)
-        self.moved[field_name(path)] = f"modules[{len(self.modules)}]"
+        self.moved[name_field(path)] = f"modules[{len(self.modules)}]"
         self.modules[name] = module
 
     # -- locations ---------------------------------------------------------------------------
 
-    def _own_locations(self) -> None:
+    def _read_own_locations(self) -> None:
         written = SourceMapping(self.data.at)
         for key in ("locations", "location_templates", "representation_templates"):
             for name in (f"location_{key}", key):
@@ -131,10 +135,10 @@ class _Workcell:
                     written.take(self.data, name, key)
         templates: dict[str, SourceMapping] = {}
         for key in ("resource_default_templates", "default_templates"):
-            templates |= self._by_name(Reader(self.source, self.reader.report), self.data, key)
+            templates |= self._sort_by_name(Reader(self.source, self.reader.report), self.data, key)
         self._add(self.reader, written, templates, None)
 
-    def _locations_beside(self) -> None:
+    def _read_locations_beside(self) -> None:
         """``locations.yaml``, or the file that the settings name; its own faults name it."""
         name = self.data.get("location_lab_config_file") or LOCATIONS_FILE
         folder = self.source.folder
@@ -151,23 +155,23 @@ class _Workcell:
     def _add(
         self, reader: Reader, data: SourceMapping, resources: dict[str, SourceMapping], at: Place | None
     ) -> None:
-        templates = self._by_name(reader, data, "location_templates")
-        ways = self._by_name(reader, data, "representation_templates")
+        templates = self._sort_by_name(reader, data, "location_templates")
+        ways = self._sort_by_name(reader, data, "representation_templates")
         if data.get("locations") is None:
             return
         key = "location_locations" if "location_locations" in reader.source.data else "locations"
-        for index, entry in enumerate(reader.sequence(data["locations"], (key,), "the locations")):
+        for index, entry in enumerate(reader.expect_sequence(data["locations"], (key,), "the locations")):
             path = (key, index)
-            location = _Location(reader, reader.table(entry, path, "A location"), path)
+            location = _Location(reader, reader.expect_table(entry, path, "A location"), path)
             location.read(templates, ways, resources)
             self._place(location, at or reader.source.place(path))
 
     @staticmethod
-    def _by_name(reader: Reader, data: SourceMapping, key: str) -> dict[str, SourceMapping]:
+    def _sort_by_name(reader: Reader, data: SourceMapping, key: str) -> dict[str, SourceMapping]:
         if data.get(key) is None:
             return {}
-        rows = reader.sequence(data[key], (key,), "the templates")
-        entries = [reader.table(row, (key, n), "A template") for n, row in enumerate(rows)]
+        rows = reader.expect_sequence(data[key], (key,), "the templates")
+        entries = [reader.expect_table(row, (key, n), "A template") for n, row in enumerate(rows)]
         return {str(entry.get("template_name")): entry for entry in entries}
 
     def _place(self, location: _Location, at: Place) -> None:
@@ -194,7 +198,7 @@ class _Workcell:
         if location.comment:
             station.put("comment", location.comment, at, at)
         self.stations.put(place, station, at, at)
-        self.moved[field_name(location.path)] = f"stations.{place}"
+        self.moved[name_field(location.path)] = f"stations.{place}"
         for node, value in location.ways.items():
             if node in self.modules:
                 self._teach(node, place, value, at, own=own and node == owner)
@@ -246,7 +250,7 @@ class _Location:
         self.kind, self.capacity = "nest", 1
 
     def warn(self, message: str, remedy: str = "Check the name.") -> None:
-        self.reader.assume(self.path, message, remedy)
+        self.reader.warn_of_assumption(self.path, message, remedy)
 
     def read(
         self,
@@ -256,8 +260,8 @@ class _Location:
     ) -> None:
         for key in ("representations", "references", "lookup"):
             if key in self.written:
-                table = self.reader.table(self.written[key], (*self.path, key), f"`{key}`")
-                self.ways |= {node: plain(value) for node, value in table.items()}
+                table = self.reader.expect_table(self.written[key], (*self.path, key), f"`{key}`")
+                self.ways |= {node: make_plain(value) for node, value in table.items()}
         resource = self.written.get("resource_template_name")
         template = self._find(templates, self.written.get("template_name"), "location template")
         if template is not None:
@@ -275,9 +279,9 @@ class _Location:
 
     def _bind(self, template: SourceMapping, ways: dict[str, SourceMapping]) -> None:
         """Which node sees the location how: the roles' defaults, and over them what is written."""
-        bound = self._table(self.written, "node_bindings")
-        over = self._table(self.written, "representation_overrides")
-        for role, name in self._table(template, "representation_templates").items():
+        bound = self._read_table(self.written, "node_bindings")
+        over = self._read_table(self.written, "representation_overrides")
+        for role, name in self._read_table(template, "representation_templates").items():
             node = bound.get(role)
             if not isinstance(node, str):
                 raise self.reader.source.error(
@@ -288,12 +292,12 @@ class _Location:
             defaults = self._find(ways, name, "representation template") or SourceMapping()
             own = over.get(role)
             self.ways[node] = {
-                **plain(defaults.get("default_values") or {}),
-                **plain(own if isinstance(own, SourceMapping) else {}),
+                **make_plain(defaults.get("default_values") or {}),
+                **make_plain(own if isinstance(own, SourceMapping) else {}),
             }
 
-    def _table(self, written: SourceMapping, key: str) -> SourceMapping:
-        return self.reader.table(written.get(key), (*self.path, key), f"`{key}`")
+    def _read_table(self, written: SourceMapping, key: str) -> SourceMapping:
+        return self.reader.expect_table(written.get(key), (*self.path, key), f"`{key}`")
 
     def _hold(self, resources: list[Any]) -> None:
         for resource in (*resources, self.written.get("resource_template_overrides")):

@@ -7,7 +7,7 @@ from typing import Any
 
 from labos.spec.carriers import TRANSFER
 from labos.spec.dialects._madsci_parameters import ALIASES, Parameters
-from labos.spec.dialects._reader import Reader, is_number, places
+from labos.spec.dialects._reader import Reader, find_places, is_number
 from labos.spec.findings import FindingList, near
 from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
@@ -35,9 +35,9 @@ def is_workflow(source: Source) -> bool:
     return bool(tables) and not any("module" in step or "use" in step for step in tables)
 
 
-def workflow(source: Source, report: FindingList) -> Source:
+def rewrite_workflow(source: Source, report: FindingList) -> Source:
     """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
-    return _Workflow(source, report).form()
+    return _Workflow(source, report).make_form()
 
 
 class _Workflow:
@@ -45,20 +45,20 @@ class _Workflow:
         self.reader = reader = Reader(source, report)
         self.source, self.data = source, source.data
         self.parameters = Parameters(reader)
-        rows = reader.sequence(source.data["steps"], ("steps",), "the steps")
-        self.steps = [reader.table(row, ("steps", n), "A step") for n, row in enumerate(rows)]
-        self.names = self._references()
+        rows = reader.expect_sequence(source.data["steps"], ("steps",), "the steps")
+        self.steps = [reader.expect_table(row, ("steps", n), "A step") for n, row in enumerate(rows)]
+        self.names = self._list_references()
         self.pause: tuple[float, int] | None = None
         """Seconds to wait before the next step, and the step after which they begin."""
 
-    def form(self) -> Source:
+    def make_form(self) -> Source:
         data = self.data
         out = SourceMapping(data.at)
         metadata = SourceMapping(data.at)
         for key in METADATA:
             if data.get(key) is not None:
-                metadata = self.reader.table(data[key], (key,), f"`{key}`")
-        self.reader.name(out, metadata)
+                metadata = self.reader.expect_table(data[key], (key,), f"`{key}`")
+        self.reader.take_name(out, metadata)
         if isinstance(data.get("description"), str):
             out.take(data, "description")
         out.put("metadata", metadata, metadata.at, metadata.at)
@@ -73,15 +73,15 @@ class _Workflow:
                 steps.put(form, step.at)
                 last = index
         if self.pause is not None:
-            self.reader.assume(
+            self.reader.warn_of_assumption(
                 ("steps", len(self.steps) - 1),
                 "Nothing comes after the waiting at the end; it is left out.",
                 "Add a step.",
             )
-        parameters = self.parameters.form(data.at)
+        parameters = self.parameters.make_form(data.at)
         if parameters:
-            out.put("parameters", parameters, *places(data, "parameters"))
-        out.put("steps", steps, *places(data, "steps"))
+            out.put("parameters", parameters, *find_places(data, "parameters"))
+        out.put("steps", steps, *find_places(data, "steps"))
         known = {"name", "description", "steps", "workflow_definition_id", *METADATA, *ALIASES}
         for key in data:
             if key not in known:
@@ -90,16 +90,16 @@ class _Workflow:
         done.moved = moved
         return done
 
-    def _references(self) -> list[str]:
+    def _list_references(self) -> list[str]:
         """How each step is referred to: by its name, and its number among equal ones."""
-        names = [self._name(step, n) for n, step in enumerate(self.steps)]
+        names = [self._find_name(step, n) for n, step in enumerate(self.steps)]
         return [
             f"{name}#{names[: n + 1].count(name)}" if names.count(name) > 1 else name
             for n, name in enumerate(names)
         ]
 
     @staticmethod
-    def _name(step: SourceMapping, index: int) -> str:
+    def _find_name(step: SourceMapping, index: int) -> str:
         for key in ("name", "key", "step_key", "action"):
             if isinstance(step.get(key), str) and step[key]:
                 return str(step[key])
@@ -110,7 +110,7 @@ class _Workflow:
     def _step(self, index: int, step: SourceMapping, last: int | None) -> SourceMapping | None:
         path: Path_ = ("steps", index)
         used_key = next((key for key in USED if step.get(key) is not None), "")
-        used = self.reader.table(step.get(used_key), (*path, used_key), f"`{used_key}`")
+        used = self.reader.expect_table(step.get(used_key), (*path, used_key), f"`{used_key}`")
         arguments = self._arguments(index, step, used, used_key)
         node = self._find_named(step, used, "node", (*path, used_key))
         action = self._find_named(step, used, "action", (*path, used_key))
@@ -118,14 +118,14 @@ class _Workflow:
         if action is None:
             raise self.source.error("A step has no action.", path, remedy="Write `action:`.")
         if node is None and action[0] in TRANSFERS:
-            arguments = self._transfer(action[0], arguments, path)
+            arguments = self._read_transfer(action[0], arguments, path)
             action = (TRANSFER, action[1])
         elif node is None:
             self._wait(action[0], arguments, path, last)
             return None
         out = SourceMapping(step.at)
-        name_at = places(step, "name")
-        out.put("name", self._name(step, index), *name_at)
+        name_at = find_places(step, "name")
+        out.put("name", self._find_name(step, index), *name_at)
         if node is not None:
             out.put("module", node[0], *node[1])
         out.put("action", action[0], *action[1])
@@ -147,7 +147,7 @@ class _Workflow:
     ) -> tuple[str, Any] | None:
         """The node or action with its places; a parameter that decides it stands in the payload."""
         if used.get(key) is None:
-            return None if step.get(key) is None else (str(step[key]), places(step, key))
+            return None if step.get(key) is None else (str(step[key]), find_places(step, key))
         parameter = used[key]
         if isinstance(parameter, SourceMapping):
             parameter = self.parameters.declare(parameter, (*path, key))
@@ -157,7 +157,7 @@ class _Workflow:
                 (*path, key),
                 remedy=f"Write `{key}:` itself, or take it from an input.",
             )
-        return self._value(0, parameter, (*path, key)), places(used, key)
+        return self._read_value(0, parameter, (*path, key)), find_places(used, key)
 
     def _arguments(
         self, index: int, step: SourceMapping, used: SourceMapping, used_key: str
@@ -165,20 +165,20 @@ class _Workflow:
         path: Path_ = ("steps", index)
         out = SourceMapping(step.at)
         for key in ARGUMENTS:
-            for name, value, at in self.reader.entries(step.get(key), (*path, key), f"`{key}`"):
+            for name, value, at in self.reader.iterate_entries(step.get(key), (*path, key), f"`{key}`"):
                 if value is not None:
                     self._put(out, name, self._literal(value), at)
         for key in LOCATIONS:
-            for name, value, at in self.reader.entries(step.get(key), (*path, key), f"`{key}`"):
+            for name, value, at in self.reader.iterate_entries(step.get(key), (*path, key), f"`{key}`"):
                 if value is not None:
-                    self._put(out, name, self._location(value, at), at)
-        for name, value, at in self.reader.entries(step.get("files"), (*path, "files"), "`files`"):
-            self._put(out, name, self._value(index, value, at), at)
+                    self._put(out, name, self._read_location(value, at), at)
+        for name, value, at in self.reader.iterate_entries(step.get("files"), (*path, "files"), "`files`"):
+            self._put(out, name, self._read_value(index, value, at), at)
         for group in (*ARGUMENTS, *LOCATIONS):
-            for name, value, at in self.reader.entries(
+            for name, value, at in self.reader.iterate_entries(
                 used.get(group), (*path, used_key, group), f"`{group}`"
             ):
-                self._put(out, name, self._value(index, value, at), at)
+                self._put(out, name, self._read_value(index, value, at), at)
         return out
 
     def _put(self, out: SourceMapping, name: str, value: Any, path: Path_) -> None:
@@ -194,7 +194,7 @@ class _Workflow:
             return f"payload.{value[1:]}"
         return value
 
-    def _location(self, value: Any, path: Path_) -> str:
+    def _read_location(self, value: Any, path: Path_) -> str:
         if isinstance(value, SourceMapping):
             value = value.get("location_name")
         if not isinstance(value, str):
@@ -205,7 +205,7 @@ class _Workflow:
             )
         return value
 
-    def _value(self, index: int, parameter: Any, path: Path_) -> str:
+    def _read_value(self, index: int, parameter: Any, path: Path_) -> str:
         """What an argument refers to: the payload, or what an earlier step returned."""
         if isinstance(parameter, SourceMapping):
             parameter = self.parameters.declare(parameter, path)
@@ -267,7 +267,7 @@ class _Workflow:
 
     # -- what LabOS does otherwise -----------------------------------------------------------
 
-    def _transfer(self, action: str, arguments: SourceMapping, path: Path_) -> SourceMapping:
+    def _read_transfer(self, action: str, arguments: SourceMapping, path: Path_) -> SourceMapping:
         """The arguments of a transfer that names no node, as LabOS writes them."""
         if action == TRANSFER_RESOURCE:
             target = arguments.get("destination_location_id", "where it goes")
@@ -281,15 +281,15 @@ class _Workflow:
         for name, value in arguments.items():
             if name == "await_completion":
                 if value is False:
-                    self.reader.assume(
+                    self.reader.warn_of_assumption(
                         path,
                         "The next step begins when the transfer has ended.",
                         "Leave it out, or say `after:`.",
                     )
                 continue
-            out.put(TRANSFERS[action].get(name, name), value, *places(arguments, name))
+            out.put(TRANSFERS[action].get(name, name), value, *find_places(arguments, name))
         if action == TRANSFER_CONTENTS:
-            self.reader.assume(
+            self.reader.warn_of_assumption(
                 path,
                 "One piece of labware is carried: on a stack, the one on top.",
                 "Repeat the step if the location holds more.",
@@ -306,12 +306,16 @@ class _Workflow:
             )
         seconds: Any = arguments.get("seconds")
         if isinstance(seconds, str) and seconds.startswith("payload."):
-            seconds = self.parameters.default(seconds.removeprefix("payload."))
-            self.reader.assume(path, "The time to wait is the parameter's default.", "Write the seconds.")
+            seconds = self.parameters.find_default(seconds.removeprefix("payload."))
+            self.reader.warn_of_assumption(
+                path, "The time to wait is the parameter's default.", "Write the seconds."
+            )
         if not is_number(seconds) or seconds < 0:
             raise self.source.error("The step does not say how long.", path, remedy="Write `seconds:`.")
         if last is None:
-            self.reader.assume(path, "Nothing is done before the waiting; it is left out.", "Remove it.")
+            self.reader.warn_of_assumption(
+                path, "Nothing is done before the waiting; it is left out.", "Remove it."
+            )
             return
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)
 

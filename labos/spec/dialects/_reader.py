@@ -7,7 +7,7 @@ from pathlib import PurePath
 from typing import Any
 
 from labos.spec.findings import FindingList
-from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, field_name
+from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, name_field
 
 
 class Reader:
@@ -17,14 +17,14 @@ class Reader:
         self.source, self.report = source, report
 
     def ignore(self, path: Path_, why: str = "is not used by LabOS") -> None:
-        self.report.warning(
+        self.report.add_warning(
             f"The key {path[-1]!r} {why}.",
             self.source.place(path, key=True),
-            field=field_name(path),
+            field=name_field(path),
             remedy="It is ignored; remove it if you can.",
         )
 
-    def table(self, value: Any, path: Path_, what: str) -> SourceMapping:
+    def expect_table(self, value: Any, path: Path_, what: str) -> SourceMapping:
         """The value as a table; nothing written counts as an empty one."""
         if isinstance(value, SourceMapping):
             return value
@@ -34,25 +34,25 @@ class Reader:
             f"{what} must be a table of keys and values.", path, remedy="Write `key: value`."
         )
 
-    def row(self, key: str, what: str) -> SourceList:
+    def expect_row(self, key: str, what: str) -> SourceList:
         """A list at the top level, which must be there."""
         if key not in self.source.data:
             raise self.source.error(f"`{key}` is missing.", (key,), remedy=f"Write `{key}:` and {what}.")
-        return self.sequence(self.source.data[key], (key,), what)
+        return self.expect_sequence(self.source.data[key], (key,), what)
 
-    def sequence(self, value: Any, path: Path_, what: str) -> SourceList:
+    def expect_sequence(self, value: Any, path: Path_, what: str) -> SourceList:
         """The value as a list."""
         if isinstance(value, SourceList):
             return value
         remedy = f"Write {what} below it, each with a dash."
         raise self.source.error(f"`{path[-1]}` must be a list.", path, remedy=remedy)
 
-    def assume(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
+    def warn_of_assumption(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
         """Warn of what the file does not say and LabOS takes for granted."""
         place = self.source.place(path, key=key)
-        self.report.warning(message, place, field=field_name(path), remedy=remedy)
+        self.report.add_warning(message, place, field=name_field(path), remedy=remedy)
 
-    def name(self, out: SourceMapping, metadata: SourceMapping) -> None:
+    def take_name(self, out: SourceMapping, metadata: SourceMapping) -> None:
         """The name stands at the root, in the metadata, or is the file's."""
         if isinstance(self.source.data.get("name"), str):
             out.take(self.source.data, "name")
@@ -63,16 +63,16 @@ class Reader:
                 "name", PurePath(self.source.file).stem or "unnamed", self.source.data.at, self.source.data.at
             )
 
-    def entries(self, value: Any, path: Path_, what: str) -> Iterator[tuple[str, Any, Path_]]:
+    def iterate_entries(self, value: Any, path: Path_, what: str) -> Iterator[tuple[str, Any, Path_]]:
         """The entries of a table that may be missing: key, value, path."""
-        for key, item in self.table(value, path, what).items():
+        for key, item in self.expect_table(value, path, what).items():
             yield key, item, (*path, key)
 
     def finish(self, out: SourceMapping) -> Source:
         return Source(self.source.file, out, self.source.digest, self.source.folder)
 
 
-def places(table: SourceMapping, key: str) -> tuple[Place, Place]:
+def find_places(table: SourceMapping, key: str) -> tuple[Place, Place]:
     """Where a key and its value stand; where the table does, if it has none."""
     return table.keys_at.get(key, table.at), table.values_at.get(key, table.at)
 

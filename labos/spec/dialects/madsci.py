@@ -8,7 +8,7 @@ node, action, args, locations, files, use_parameters, data_labels, conditions]``
 
 from __future__ import annotations
 
-from labos.spec.dialects._madsci_workcell import is_workcell, workcell
-from labos.spec.dialects._madsci_workflow import is_workflow, workflow
+from labos.spec.dialects._madsci_workcell import is_workcell, rewrite_workcell
+from labos.spec.dialects._madsci_workflow import is_workflow, rewrite_workflow
 
-__all__ = ["is_workcell", "is_workflow", "workcell", "workflow"]
+__all__ = ["is_workcell", "is_workflow", "rewrite_workcell", "rewrite_workflow"]

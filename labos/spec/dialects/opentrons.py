@@ -21,21 +21,21 @@ def is_labware(source: Source) -> bool:
     return "labos" not in source.data and {"dimensions", "ordering", "wells"} <= source.data.keys()
 
 
-def labware(source: Source, report: FindingList) -> Source:
+def rewrite_labware(source: Source, report: FindingList) -> Source:
     """Rewrite a labware definition. Raises SpecError where its shape is not understood."""
     reader = Reader(source, report)
     data, at = source.data, source.data.at
-    parameters = reader.table(data.get("parameters"), ("parameters",), "`parameters`")
-    metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
+    parameters = reader.expect_table(data.get("parameters"), ("parameters",), "`parameters`")
+    metadata = reader.expect_table(data.get("metadata"), ("metadata",), "`metadata`")
     written = str(parameters.get("loadName") or "labware")
     name = re.sub(r"[^A-Za-z0-9_ ()\-]", "_", written)
     kind = SourceMapping(at)
     if isinstance(metadata.get("displayName"), str):
         kind.take(metadata, "displayName", "description")
-    kind.put("footprint", _footprint(reader), *_spot(source, "dimensions"))
-    wells = _wells(reader, kind["footprint"])
+    kind.put("footprint", _read_footprint(reader), *_find_spot(source, "dimensions"))
+    wells = _read_wells(reader, kind["footprint"])
     if wells is not None:
-        kind.put("wells", wells, *_spot(source, "wells"))
+        kind.put("wells", wells, *_find_spot(source, "wells"))
     version = data.get("version")
     kind.put("source", f"Opentrons, {data.get('namespace', 'unknown')}/{written}, version {version}", at, at)
     types = SourceMapping(at)
@@ -45,46 +45,49 @@ def labware(source: Source, report: FindingList) -> Source:
     return reader.finish(out)
 
 
-def _spot(source: Source, key: str) -> tuple[Any, Any]:
+def _find_spot(source: Source, key: str) -> tuple[Any, Any]:
     return source.place((key,), key=True), source.place((key,))
 
 
-def _number(reader: Reader, table: SourceMapping, key: str, path: tuple[str, ...]) -> float:
+def _read_number(reader: Reader, table: SourceMapping, key: str, path: tuple[str, ...]) -> float:
     value = table.get(key)
     if not is_number(value):
         raise reader.source.error(f"`{key}` is no number.", (*path, key), remedy="Write it in mm or µL.")
     return float(value)  # type: ignore[arg-type]
 
 
-def _footprint(reader: Reader) -> SourceMapping:
+def _read_footprint(reader: Reader) -> SourceMapping:
     path = ("dimensions",)
-    written = reader.table(reader.source.data["dimensions"], path, "`dimensions`")
+    written = reader.expect_table(reader.source.data["dimensions"], path, "`dimensions`")
     out = SourceMapping(written.at)
     for key, name in (
         ("xDimension", "length_mm"),
         ("yDimension", "width_mm"),
         ("zDimension", "height_mm"),
     ):
-        out.put(name, _number(reader, written, key, path), written.at, written.at)
+        out.put(name, _read_number(reader, written, key, path), written.at, written.at)
     return out
 
 
-def _wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | None:
+def _read_wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | None:
     """The grid of wells; None, with a warning, where they stand in no grid with one pitch."""
-    columns = reader.row("ordering", "the columns")
-    written = reader.table(reader.source.data["wells"], ("wells",), "`wells`")
+    columns = reader.expect_row("ordering", "the columns")
+    written = reader.expect_table(reader.source.data["wells"], ("wells",), "`wells`")
     names = [[str(name) for name in column] if isinstance(column, SourceList) else [] for column in columns]
     spots = {
-        name: (_number(reader, well, "x", ("wells", name)), _number(reader, well, "y", ("wells", name)))
+        name: (
+            _read_number(reader, well, "x", ("wells", name)),
+            _read_number(reader, well, "y", ("wells", name)),
+        )
         for name, well in written.items()
         if isinstance(well, SourceMapping)
     }
-    pitch = _pitch(names, spots, footprint["length_mm"])
+    pitch = _measure_pitch(names, spots, footprint["length_mm"])
     volume = 0.0
     if pitch > 0:
-        volume = _number(reader, written[names[0][0]], "totalLiquidVolume", ("wells", names[0][0]))
+        volume = _read_number(reader, written[names[0][0]], "totalLiquidVolume", ("wells", names[0][0]))
     if volume <= 0:
-        reader.assume(
+        reader.warn_of_assumption(
             ("wells",),
             "The wells stand in no grid with one pitch; they are left out.",
             "Write them yourself.",
@@ -105,7 +108,7 @@ def _wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | None:
     return out
 
 
-def _pitch(names: list[list[str]], spots: dict[str, tuple[float, float]], alone: float) -> float:
+def _measure_pitch(names: list[list[str]], spots: dict[str, tuple[float, float]], alone: float) -> float:
     """From one well to the next, in mm; 0 where that differs, ``alone`` for a single well."""
     rows = len(names[0]) if names else 0
     if not rows or any(len(column) != rows or not spots.keys() >= set(column) for column in names):

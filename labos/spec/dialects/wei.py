@@ -10,9 +10,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from labos.spec.dialects._reader import Reader, is_number, places
+from labos.spec.dialects._reader import Reader, find_places, is_number
 from labos.spec.findings import FindingList
-from labos.spec.source import Path_, Source, SourceList, SourceMapping, field_name
+from labos.spec.source import Path_, Source, SourceList, SourceMapping, name_field
 
 WORKCELL_KEYS = {"name", "metadata", "config", "modules", "locations"}
 MODULE_KEYS = {"name", "model", "interface", "config", "active"}
@@ -32,20 +32,20 @@ STEP_KEYS = {"name", "module", "action", "comment"}
 _PARAMETER = re.compile(r"\$(?:([\w\-]+)|\{([\w\-]+)\})")
 
 
-def workcell(source: Source, report: FindingList) -> Source:
+def rewrite_workcell(source: Source, report: FindingList) -> Source:
     """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
     reader = Reader(source, report)
     data = source.data
     out = SourceMapping(data.at)
-    config = reader.table(data.get("config"), ("config",), "`config`")
-    reader.name(out, SourceMapping())
-    out.put("config", config, *places(data, "config"))
-    locations, others = _locations(reader)
+    config = reader.expect_table(data.get("config"), ("config",), "`config`")
+    reader.take_name(out, SourceMapping())
+    out.put("config", config, *find_places(data, "config"))
+    locations, others = _read_locations(reader)
     modules = SourceList(source.place(("modules",)))
-    for index, entry in enumerate(reader.row("modules", "the modules")):
+    for index, entry in enumerate(reader.expect_row("modules", "the modules")):
         path = ("modules", index)
-        module = reader.table(entry, path, "A module")
-        modules.put(_module(reader, module, path, locations), source.place(path))
+        module = reader.expect_table(entry, path, "A module")
+        modules.put(_rewrite_module(reader, module, path, locations), source.place(path))
         told = others.get(str(module["name"]))
         if told is not None:
             modules[-1]["config"].put("representations", told, told.at, told.at)
@@ -57,9 +57,9 @@ def workcell(source: Source, report: FindingList) -> Source:
         for owner, told in nobodys.items():
             left.put(owner, told, told.at, told.at)
         config.put(NOBODYS, left, left.at, left.at)
-    out.put("modules", modules, *places(data, "modules"))
-    out.put("locations", locations, *places(data, "locations"))
-    metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
+    out.put("modules", modules, *find_places(data, "modules"))
+    out.put("locations", locations, *find_places(data, "locations"))
+    metadata = reader.expect_table(data.get("metadata"), ("metadata",), "`metadata`")
     for key in ("description", "info"):
         if isinstance(metadata.get(key), str) and "description" not in out:
             out.take(metadata, key, "description")
@@ -69,11 +69,13 @@ def workcell(source: Source, report: FindingList) -> Source:
     return reader.finish(out)
 
 
-def _module(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> SourceMapping:
+def _rewrite_module(
+    reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping
+) -> SourceMapping:
     if not module.get("name"):
         raise reader.source.error("A module has no name.", (*path, "name"), remedy="Write `- name: …`.")
     out = SourceMapping(module.at)
-    config = reader.table(module.get("config"), (*path, "config"), "`config`")
+    config = reader.expect_table(module.get("config"), (*path, "config"), "`config`")
     for key, value in module.items():
         at = (*path, key)
         if value is None:
@@ -87,34 +89,36 @@ def _module(reader: Reader, module: SourceMapping, path: Path_, locations: Sourc
         elif key == "type" and "interface" not in module:
             out.take(module, key, "interface")
         elif key in ("workcell_coordinates", "location", "coordinates"):
-            _coordinates(reader, out, module, key, at)
+            _rewrite_coordinates(reader, out, module, key, at)
         elif key == "positions":
-            _positions(reader, module, at, locations)
+            _rewrite_positions(reader, module, at, locations)
         elif key in ("comment", "comments", "description"):
             out.take(module, key, "comment")
         else:
             reader.ignore(at)
-    out.put("config", config, *places(module, "config"))
+    out.put("config", config, *find_places(module, "config"))
     return out
 
 
-def _coordinates(reader: Reader, out: SourceMapping, module: SourceMapping, key: str, path: Path_) -> None:
+def _rewrite_coordinates(
+    reader: Reader, out: SourceMapping, module: SourceMapping, key: str, path: Path_
+) -> None:
     value = module[key]
     if isinstance(value, list) and len(value) == 7:
         out.take(module, key, "coordinates")
         return
     count = f"{len(value)} numbers" if isinstance(value, list) else repr(value)
-    reader.report.warning(
+    reader.report.add_warning(
         f"Coordinates are x, y, z and a quaternion, seven numbers; here are {count}.",
         reader.source.place(path),
-        field=field_name(path),
+        field=name_field(path),
         remedy="They are ignored; write seven numbers.",
     )
 
 
-def _positions(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> None:
+def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> None:
     """``positions`` name a module's places without saying whose joints they are."""
-    written = reader.table(module["positions"], path, "`positions`")
+    written = reader.expect_table(module["positions"], path, "`positions`")
     owner = locations.get("workcell")
     if owner is None:
         owner = SourceMapping(written.at)
@@ -131,7 +135,7 @@ def _tell_positions(reader: Reader, modules: SourceList, locations: SourceMappin
     WEI did, and not our name for the place. What the module has of its own goes before them, and nothing but
     zeros was never taught."""
     taught = SourceMapping(modules.at)
-    for index, module in enumerate(reader.row("modules", "the modules")):
+    for index, module in enumerate(reader.expect_row("modules", "the modules")):
         written = module.get("positions") if isinstance(module, SourceMapping) else None
         for name, joints in written.items() if isinstance(written, SourceMapping) else ():
             if isinstance(joints, list) and any(joints) and all(map(is_number, joints)):
@@ -148,55 +152,55 @@ def _tell_positions(reader: Reader, modules: SourceList, locations: SourceMappin
             config.put("representations", told, told.at, told.at)
 
 
-def _locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapping]]:
+def _read_locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapping]]:
     """Joint values by owner and place; and what is written instead of joint values, which the
     module itself may understand: it is told as ``representations``."""
     source = reader.source
-    written = reader.table(source.data.get("locations"), ("locations",), "`locations`")
+    written = reader.expect_table(source.data.get("locations"), ("locations",), "`locations`")
     out = SourceMapping(written.at)
     others: dict[str, SourceMapping] = {}
     for owner, value in written.items():
         path = ("locations", owner)
         kept = SourceMapping(source.place(path))
-        for place, joints in reader.table(value, path, "A manipulator's locations").items():
+        for place, joints in reader.expect_table(value, path, "A manipulator's locations").items():
             if isinstance(joints, list) and all(is_number(joint) for joint in joints):
                 kept.take(value, place)
                 continue
-            at = places(value, place)
+            at = find_places(value, place)
             kept.put(place, SourceList(at[1]), *at)
             if joints is not None:
                 others.setdefault(owner, SourceMapping(at[0])).put(place, joints, *at)
-        out.put(owner, kept, *places(written, owner))
+        out.put(owner, kept, *find_places(written, owner))
     return out, others
 
 
-def workflow(source: Source, report: FindingList) -> Source:
+def rewrite_workflow(source: Source, report: FindingList) -> Source:
     """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
     reader = Reader(source, report)
     data = source.data
     out = SourceMapping(data.at)
-    metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
-    reader.name(out, metadata)
+    metadata = reader.expect_table(data.get("metadata"), ("metadata",), "`metadata`")
+    reader.take_name(out, metadata)
     about = SourceMapping(metadata.at)
     for key in metadata:
         about.take(metadata, key)
     for key in ABOUT:
         if key in data:
             about.take(data, key)
-    out.put("metadata", about, *places(data, "metadata"))
+    out.put("metadata", about, *find_places(data, "metadata"))
     if isinstance(data.get("workcell"), str):
         out.take(data, "workcell")
     if data.get("modules") is not None:
-        out.put("modules", _module_names(reader), *places(data, "modules"))
-    parameters = _parameters(reader)
+        out.put("modules", _list_module_names(reader), *find_places(data, "modules"))
+    parameters = _read_parameters(reader)
     if parameters:
-        out.put("parameters", parameters, *places(data, "parameters"))
+        out.put("parameters", parameters, *find_places(data, "parameters"))
     steps = SourceList(source.place(("flowdef",)))
-    for index, entry in enumerate(reader.row("flowdef", "the steps")):
+    for index, entry in enumerate(reader.expect_row("flowdef", "the steps")):
         path = ("flowdef", index)
-        step = _Step(reader, reader.table(entry, path, "A step"), path, parameters)
-        steps.put(step.form(), source.place(path))
-    out.put("steps", steps, *places(data, "flowdef"))
+        step = _Step(reader, reader.expect_table(entry, path, "A step"), path, parameters)
+        steps.put(step.make_form(), source.place(path))
+    out.put("steps", steps, *find_places(data, "flowdef"))
     known = {"name", "metadata", "modules", "flowdef", "workcell", "parameters"}
     for key in data:
         if key not in known and key not in ABOUT:
@@ -207,8 +211,8 @@ def workflow(source: Source, report: FindingList) -> Source:
     return form
 
 
-def _module_names(reader: Reader) -> SourceList:
-    written = reader.row("modules", "the modules")
+def _list_module_names(reader: Reader) -> SourceList:
+    written = reader.expect_row("modules", "the modules")
     names = SourceList(written.at)
     for index, entry in enumerate(written):
         path = ("modules", index)
@@ -221,15 +225,15 @@ def _module_names(reader: Reader) -> SourceList:
     return names
 
 
-def _parameters(reader: Reader) -> SourceMapping:
+def _read_parameters(reader: Reader) -> SourceMapping:
     """WEI 0.7: ``parameters: [{name, default}]``."""
     value = reader.source.data.get("parameters")
     out = SourceMapping(reader.source.place(("parameters",)))
     if value is None:
         return out
-    for index, entry in enumerate(reader.row("parameters", "the parameters")):
+    for index, entry in enumerate(reader.expect_row("parameters", "the parameters")):
         path = ("parameters", index)
-        entry = reader.table(entry, path, "A parameter")
+        entry = reader.expect_table(entry, path, "A parameter")
         if not isinstance(entry.get("name"), str):
             raise reader.source.error("A parameter has no name.", path, remedy="Write `- name: …`.")
         parameter = SourceMapping(entry.at)
@@ -247,12 +251,12 @@ class _Step:
     def __init__(self, reader: Reader, step: SourceMapping, path: Path_, parameters: SourceMapping) -> None:
         self.reader, self.step, self.path, self.parameters = reader, step, path, parameters
         self.out = SourceMapping(step.at)
-        self.arguments = SourceMapping(places(step, "args")[1])
+        self.arguments = SourceMapping(find_places(step, "args")[1])
 
-    def form(self) -> SourceMapping:
+    def make_form(self) -> SourceMapping:
         step, out = self.step, self.out
         for key, value in step.items():
-            self._entry(key, value, (*self.path, key))
+            self._rewrite_entry(key, value, (*self.path, key))
         if "name" not in out and "action" in out:
             out.take(out, "action", "name")
         if "comment" in out and not isinstance(out["comment"], str):
@@ -260,10 +264,10 @@ class _Step:
         for key in ("module", "action"):
             if key in out:
                 out[key] = self._fill(out[key])
-        out.put("args", self.arguments, *places(step, "args"))
+        out.put("args", self.arguments, *find_places(step, "args"))
         return out
 
-    def _entry(self, key: str, value: Any, at: Path_) -> None:
+    def _rewrite_entry(self, key: str, value: Any, at: Path_) -> None:
         step, out, reader = self.step, self.out, self.reader
         if key in ("args", "files"):
             self._take_arguments(value, at)
@@ -305,7 +309,7 @@ class _Step:
 
     def _take_arguments(self, value: Any, at: Path_) -> None:
         """``args`` and ``files``; nothing written under a name counts as not given."""
-        written = self.reader.table(value, at, f"`{at[-1]}`")
+        written = self.reader.expect_table(value, at, f"`{at[-1]}`")
         for name, item in written.items():
             if name == PLACEHOLDER and (len(written) == 1 or item in ("foo", "bar")):
                 self.reader.ignore((*at, name), "is a placeholder")
@@ -324,9 +328,9 @@ class _Step:
             whole = _PARAMETER.fullmatch(value)
             if whole and (whole[1] or whole[2]) in self.parameters:
                 return f"payload.{whole[1] or whole[2]}"
-            return _PARAMETER.sub(self._reference, value)
+            return _PARAMETER.sub(self._rewrite_reference, value)
         return value
 
-    def _reference(self, found: re.Match[str]) -> str:
+    def _rewrite_reference(self, found: re.Match[str]) -> str:
         name = found[1] or found[2]
         return f"${{payload.{name}}}" if name in self.parameters else found[0]

@@ -14,10 +14,10 @@ import yaml
 
 from labos.client import LabClient
 from labos.settings import TOKEN
-from labos.spec.library import specs_folder
+from labos.spec.library import find_specs_folder
 from tests.apps.together.bench import Bench
 
-APPS = specs_folder() / "apps"
+APPS = find_specs_folder() / "apps"
 PATIENCE_S = 240.0
 """So long a program waits for a lab that is silent, before it has to be started again."""
 

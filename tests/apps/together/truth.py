@@ -14,7 +14,7 @@ from labos.core.registry import decode
 from labos.core.state import LabState
 from labos.node.world import World
 from labos.runtime.ledger import fold
-from labos.services.truth import differences, plates_by_labware
+from labos.services.truth import find_plates_by_labware, list_differences
 from tests.apps.together.bench import Bench
 from tests.apps.together.programs import Program
 from tests.support.lab_process import labos
@@ -32,7 +32,7 @@ def check_bench(bench: Bench, records: Sequence[Record]) -> Counter[str]:
     found: Counter[str] = Counter()
     for cell in bench.cells:
         with bench.world(cell) as world:
-            wrong = differences(world, state, records, cell)
+            wrong = list_differences(world, state, records, cell)
             assert wrong == [], f"{cell}: {wrong}"
             found["wells"] += check_wells(world, cell)
             found["moves"] += check_moves(world, records, cell)
@@ -55,7 +55,7 @@ def check_wells(world: World, cell: str) -> int:
 def check_moves(world: World, records: Sequence[Record], cell: str) -> int:
     """No plate was put down anywhere more often than the log says; returns how often plates were put down."""
     told: dict[str, Counter[str]] = {}
-    plates = plates_by_labware(world, records)
+    plates = find_plates_by_labware(world, records)
     for record in records:
         if not record.head.type.startswith("labware."):
             continue

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from labos.adapter import adapter_class
+from labos.adapter import find_adapter_class
 from labos.bus import open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.model import Description
@@ -36,7 +36,7 @@ async def start_adapter(
     endpoint: str, folder: Path, interface: str, description: Description, config: dict[str, Any]
 ) -> tuple[NodeServer, Any]:
     bus = await open_bus(connect=[endpoint])
-    node = adapter_class(interface, description)(Setup("arm", "cell", config))
+    node = find_adapter_class(interface, description)(Setup("arm", "cell", config))
     journal = await Journal.open(FileJournalFile(folder / "arm.journal"), Uuid7Ids())
     quick = {"idle_poll_s": 0.05, "settle_s": 0.02, "grace_s": 2.0, "heartbeat_s": 0.2}
     files = Files(bus, Keys(LAB).files, folder / "files")

@@ -15,12 +15,12 @@ import pytest
 from labos.adapter import _http
 from labos.adapter._decode import LARGEST_JSON, read_json_text
 from labos.adapter._http import HttpClient, NoResponse, read_json
-from labos.adapter.protobuf import _from_json
+from labos.adapter.protobuf import _parse_json
 from labos.adapter.ros import _table
 from labos.adapter.sila.features import Named, read_feature, unwrap
-from labos.adapter.tcp import _object as tcp_object
-from labos.adapter.wei import _in_header, _unzip
-from labos.adapter.zeromq import _object as zmq_object
+from labos.adapter.tcp import _read_object as tcp_object
+from labos.adapter.wei import _read_header, _unzip
+from labos.adapter.zeromq import _decode_object as zmq_object
 from labos.errors import DeviceError, OutcomeUnknown
 
 DEEP = b"[" * 100_000 + b"]" * 100_000
@@ -118,7 +118,7 @@ def test_headers_and_archives_of_wei() -> None:
     for status, effects in (("StepStatus.SUCCEEDED", "all"), ("failed", "unknown")):
         answer = make_response(b"", {"x-wei-status": status, "x-wei-data": "[" * 50_000})
         with pytest.raises(DeviceError, match="cannot be read as JSON") as caught:
-            _in_header(answer, "x-wei-data")
+            _read_header(answer, "x-wei-data")
         assert caught.value.effects == effects
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -149,7 +149,7 @@ def test_texts_in_answers() -> None:
         _table(deep)
     with pytest.raises(DeviceError, match="no table"):
         _table("(" * 5_000)
-    assert _from_json(deep) == deep
+    assert _parse_json(deep) == deep
 
 
 @pytest.mark.parametrize("inside", ["<DataType>" + "<List><DataType>" * 5_000, "<DataType/>", ""])

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from labos.adapter import _signals, adapter_class
+from labos.adapter import _signals, find_adapter_class
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError
 from labos.node import Setup
@@ -68,7 +68,7 @@ def with_node(port: int, use: Callable[[Any], Awaitable[None]], **config: Any) -
 
     async def main() -> None:
         told = {"opcua_url": f"opc.tcp://127.0.0.1:{port}/", "opcua": MAPPING, "poll_s": 0.1, **config}
-        node = adapter_class("opcua_node", DESCRIPTION)(Setup("plc", "cell", told))
+        node = find_adapter_class("opcua_node", DESCRIPTION)(Setup("plc", "cell", told))
         try:
             await node.connect()
             await use(node)
@@ -119,7 +119,7 @@ def test_an_object_is_nothing_to_epics() -> None:
     mapping = {"actions": {name: {"start": {"pv": "X", "object": "Y"}} for name in NAMES}}
 
     async def main() -> None:
-        node = adapter_class("epics_node", DESCRIPTION)(Setup("plc", "cell", {"epics": mapping}))
+        node = find_adapter_class("epics_node", DESCRIPTION)(Setup("plc", "cell", {"epics": mapping}))
         with pytest.raises(DeviceError, match="`object` is for methods of OPC UA"):
             await node.connect()
 

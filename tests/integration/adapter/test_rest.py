@@ -11,7 +11,7 @@ import pytest
 
 from labos.core.model import ActionSpec, Arg, Description
 from labos.settings import free_port
-from labos.spec.rest import flaw_in
+from labos.spec.rest import find_flaw
 from tests.integration.adapter.bench import ROOT, Bench, bench
 from tests.integration.adapter.sealer import Sealer
 from tests.integration.bus.contract import until
@@ -349,7 +349,7 @@ def test_the_device_is_killed_in_mid_action(tmp_path: Path, mapping: dict[str, A
 
 
 def test_what_a_mapping_lacks_is_said() -> None:
-    assert flaw_in({"outcome": {}}) == "neither `action` nor `actions` says how an action is started"
-    assert flaw_in({"action": {"path": "/a"}, "job": {}}) == "job.path: is missing"
-    assert "is not known here" in flaw_in({"action": {"path": "/a", "body": 1}})
-    assert flaw_in(PAPER) == ""
+    assert find_flaw({"outcome": {}}) == "neither `action` nor `actions` says how an action is started"
+    assert find_flaw({"action": {"path": "/a"}, "job": {}}) == "job.path: is missing"
+    assert "is not known here" in find_flaw({"action": {"path": "/a", "body": 1}})
+    assert find_flaw(PAPER) == ""

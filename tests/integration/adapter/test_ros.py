@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from labos.adapter import describe_foreign
-from labos.adapter._png import png
+from labos.adapter._png import encode_png
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError
 from labos.node.server import NodeServer
@@ -114,7 +114,7 @@ def test_a_goal_and_a_picture(foreign: RosProcess, tmp_path: Path) -> None:
         await here.idle()
         await here.start("a3", "take_picture")
         (image,) = (await here.outcome("a3")).result["files"].values()
-        assert here.blobs.get(image["sha256"]) == png(
+        assert here.blobs.get(image["sha256"]) == encode_png(
             bytes([3, 2, 1, 6, 5, 4]), width=2, height=1, encoding="rgb8", step=6
         )
 
@@ -240,12 +240,12 @@ def test_the_adapter_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path
 
 
 def test_raw_pictures_become_png() -> None:
-    made = png(bytes([9, 8, 7, 0, 6, 5, 4, 0]), width=1, height=2, encoding="bgr8", step=4)
+    made = encode_png(bytes([9, 8, 7, 0, 6, 5, 4, 0]), width=1, height=2, encoding="bgr8", step=4)
     assert made[:8] == b"\x89PNG\r\n\x1a\n"
     size = struct.unpack(">I", made[33:37])[0]
     assert zlib.decompress(made[41 : 41 + size]) == b"\0\x07\x08\x09\0\x04\x05\x06"
     with pytest.raises(DeviceError, match="cannot be read"):
-        png(b"", width=1, height=1, encoding="bayer_rggb8", step=1)
+        encode_png(b"", width=1, height=1, encoding="bayer_rggb8", step=1)
 
 
 def test_without_rclpy_the_remedy_is_told(tmp_path: Path) -> None:

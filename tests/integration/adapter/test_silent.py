@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from labos.adapter import _http, _opcua, _signals, _tcp, adapter_class, protobuf, ros, zeromq
+from labos.adapter import _http, _opcua, _signals, _tcp, find_adapter_class, protobuf, ros, zeromq
 from labos.adapter._opcua_security import access_of
 from labos.adapter.sila import client, node
 from labos.core.model import ActionSpec, Description
@@ -68,7 +68,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def with_node(interface: str, config: dict[str, Any], use: Callable[[Any], Awaitable[None]]) -> None:
     async def main() -> None:
         current_action.set("A1")
-        made: Node = adapter_class(interface, GO)(Setup("arm", "cell", {**QUICK, **config}))
+        made: Node = find_adapter_class(interface, GO)(Setup("arm", "cell", {**QUICK, **config}))
         try:
             await made.connect()
             await asyncio.wait_for(use(made), 20.0)

@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
-from labos.adapter import adapter_class
-from labos.adapter._channels import ChannelReading, Channels, fits, leaves_open
+from labos.adapter import find_adapter_class
+from labos.adapter._channels import ChannelReading, Channels, is_fulfilled, leaves_open
 from labos.adapter._signals import SignalNode
 from labos.adapter.ros import RosNode
-from labos.adapter.wei import levels_in
+from labos.adapter.wei import find_levels
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError
 from labos.node import Setup
-from labos.spec.ros import RosMapping, wei_mapping
+from labos.spec.ros import RosMapping, make_wei_mapping
 from labos.spec.signals import Condition
 
 GO = Description(driver="x", version="", description="", actions=(ActionSpec("go"),))
@@ -41,7 +41,7 @@ def ask(interface: str, answers: dict[str, Any], use: Callable[[Any], Awaitable[
         server = await asyncio.start_server(answer, "127.0.0.1", 0)
         url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
         config = {"rest_node_address": url, "node_url": url, "poll_s": 0.05, "patience_s": 0.4, **more}
-        node = adapter_class(interface, GO)(Setup("arm", "cell", config))
+        node = find_adapter_class(interface, GO)(Setup("arm", "cell", config))
         try:
             await node.connect()
             await use(node)
@@ -135,7 +135,7 @@ def test_a_device_that_tells_no_status_is_not_idle(answer: Any) -> None:
 )
 def test_a_node_of_ros(said: str, idle: bool) -> None:
     node = RosNode(Setup("arm", "cell", {}))
-    node.mapping = RosMapping.model_validate(wei_mapping("/arm"))
+    node.mapping = RosMapping.model_validate(make_wei_mapping("/arm"))
 
     async def main() -> bool:
         node._on_state({"data": said})
@@ -171,7 +171,7 @@ def test_a_value_that_says_neither(
     condition: dict[str, Any], told: ChannelReading, holds: bool, is_open: bool
 ) -> None:
     meant = Condition.model_validate(condition)
-    assert (fits(meant, told), leaves_open(meant, told)) == (holds, is_open)
+    assert (is_fulfilled(meant, told), leaves_open(meant, told)) == (holds, is_open)
 
 
 class Values(Channels):
@@ -229,4 +229,4 @@ def test_a_device_by_its_signals(state: str, weight: float, idle: bool, labware:
 
 def test_a_level_that_is_no_number_is_none() -> None:
     told = {"a": 3, "b": float("nan"), "c": {"quantity": "inf"}, "d": True, "e": "4"}
-    assert levels_in(told) == {"a": 3.0, "e": 4.0}
+    assert find_levels(told) == {"a": 3.0, "e": 4.0}

@@ -103,7 +103,7 @@ def test_tables_are_made_anew_and_their_state_is_told(
     (home / "labos-audit.db").unlink()
     assert "R3" in ask(capsys, "sql", RUNS)
     assert main(["audit", "reader", "grafana"]) == 1
-    assert database.audit_file(home / "labos.db") == home / "labos-audit.db"
+    assert database.find_audit_file(home / "labos.db") == home / "labos-audit.db"
 
 
 def test_provenance_comes_in_every_form(home: Path, capsys: pytest.CaptureFixture[str]) -> None:

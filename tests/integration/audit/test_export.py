@@ -275,7 +275,7 @@ def test_a_crate_is_the_same_on_both_databases(kept: Path, postgres_url: str) ->
         tables.close()
         with open_asker(url) as asker:
             crates = [make_crate(asker, log, name, 0) for name in ("R1", "R2", "E1", "R5", "R6")]
-            found.append([list(crate.contents(FolderBlobs(kept / "blobs"))) for crate in crates])
+            found.append([list(crate.read_contents(FolderBlobs(kept / "blobs"))) for crate in crates])
     log.close()
     assert found[0] == found[1]
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from labos.audit import projector
-from labos.audit.database import audit_file, open_audit
+from labos.audit.database import find_audit_file, open_audit
 from labos.audit.find import SearchQuery, SearchResult, find
 from labos.audit.query import open_asker
-from labos.audit.words import all_words, words_of
+from labos.audit.words import join_words, words_of
 from labos.cli.app import main
 from labos.core.labware import Sample, SamplesRegistered
 from labos.errors import BadInput
@@ -51,8 +51,8 @@ def url(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
 def test_words_are_cut_alike_whatever_they_look_like() -> None:
     found = "cafe color picker r1 3 0 5 μl 1 2"
     assert " ".join(words_of("Café color_picker R1#3 0.5 µL ½")) == found
-    assert all_words([{"a": [1.5, True, None]}, ("B7", "b7")]) == "a 1 5 b7"
-    assert len(all_words([" ".join(map(str, range(2000)))]).split()) == 500
+    assert join_words([{"a": [1.5, True, None]}, ("B7", "b7")]) == "a 1 5 b7"
+    assert len(join_words([" ".join(map(str, range(2000)))]).split()) == 500
 
 
 def test_words_find_what_has_them_all(url: str) -> None:
@@ -141,7 +141,7 @@ def test_the_index_agrees_with_its_rows_after_each_change(tmp_path: Path) -> Non
         made = open_audit(url)
         project(log, made)
         made.close()
-        lite = sqlite3.connect(audit_file(tmp_path / "labos.db"))
+        lite = sqlite3.connect(find_audit_file(tmp_path / "labos.db"))
         lite.execute("INSERT INTO labos_entry_words (labos_entry_words, rank) VALUES ('integrity-check', 1)")
         lite.close()
 

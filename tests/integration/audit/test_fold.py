@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from labos.audit import projector
-from labos.audit._rows import seconds
+from labos.audit._rows import convert_to_seconds
 from labos.audit._work import NUMBERS
 from labos.audit.database import open_audit
 from labos.audit.query import ReadConnection, open_asker
@@ -177,8 +177,8 @@ def _same_campaigns(asker: ReadConnection, state: LabState) -> None:
         assert row["user_id"] == campaign.user
         assert row["runs"] == campaign.next_row - campaign.refused
         assert (row["priority"], tuple(json.loads(row["tags"]))) == (terms.priority, terms.tags)
-        assert row["deadline_s"] == (seconds(terms.deadline) if terms.deadline else None)
-        assert row["submitted_at_s"] == seconds(campaign.submitted_at)
+        assert row["deadline_s"] == (convert_to_seconds(terms.deadline) if terms.deadline else None)
+        assert row["submitted_at_s"] == convert_to_seconds(campaign.submitted_at)
     alive = rows(asker, "SELECT run, campaign FROM runs WHERE ended_at_s IS NULL AND campaign <> ''")
     assert {row["run"]: row["campaign"] for row in alive} == state.campaigns.members
 

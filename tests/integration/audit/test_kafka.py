@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.audit.cloudevents import cloudevent
+from labos.audit.cloudevents import encode_cloudevent
 from labos.audit.kafka import KafkaSink, KafkaTopic, read_settings
 from labos.cli.app import main
 from labos.core.envelope import Record
@@ -74,7 +74,7 @@ def test_events_go_into_the_topic_in_order_and_go_on_where_it_ends(
         assert to.position == end
         to.close()
     messages = broker.messages("lab")
-    assert [message.value() for message in messages] == [cloudevent(record) for record in RECORDS]
+    assert [message.value() for message in messages] == [encode_cloudevent(record) for record in RECORDS]
     assert {message.key() for message in messages} == {LAB.encode()}
     assert messages[0].headers() == [("content-type", b"application/cloudevents+json; charset=UTF-8")]
 

@@ -11,7 +11,7 @@ import pytest
 
 from deploy.grafana.make.log import MOMENTS, POSTGRES, SQLITE
 from labos.audit.database import open_audit
-from labos.audit.tables import VIEWS, view_columns
+from labos.audit.tables import VIEWS, list_view_columns
 from tests.integration.audit.logs import GrowingLog, project
 from tests.support.campaigns import campaign_lab
 from tests.support.dashboards import Question, limit_to_span, questions
@@ -124,5 +124,5 @@ def test_both_kinds_of_data_source_are_asked_the_same() -> None:
 
 
 def test_every_time_of_a_view_is_known_as_one() -> None:
-    times = {column.name for table in VIEWS for column in view_columns(table) if column.kind == "time"}
+    times = {column.name for table in VIEWS for column in list_view_columns(table) if column.kind == "time"}
     assert {*MOMENTS} - {"last_at"} <= times

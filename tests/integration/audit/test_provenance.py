@@ -12,11 +12,11 @@ import pytest
 
 from labos.audit import difference
 from labos.audit.database import open_audit
-from labos.audit.difference import differences
+from labos.audit.difference import list_differences
 from labos.audit.formats import as_dot, as_prov
 from labos.audit.graph import Entity
-from labos.audit.liquids import contents
-from labos.audit.provenance import plain, subject_of, trace
+from labos.audit.liquids import trace_contents
+from labos.audit.provenance import make_plain, subject_of, trace
 from labos.audit.query import ReadConnection, open_asker
 from labos.core.labware import LabwareMoved, LiquidDrawn, LiquidTransferred, Sample, SamplesRegistered
 from labos.core.registry import Event, decode
@@ -58,7 +58,7 @@ def position_of(kind: str, number: int = 0) -> int:
 
 
 def test_a_pooled_well_holds_shares_of_what_its_sources_held(lab: ReadConnection, end: int) -> None:
-    parts = {part.origin.name: part for part in contents(lab, "P1", "B7", end)}
+    parts = {part.origin.name: part for part in trace_contents(lab, "P1", "B7", end)}
     # 20 µL of A1 (10 A, 30 B, 7 C) and 10 µL of A2 (20 A, 5 B, 7 C) on 70 µL of water.
     wanted = {
         "water": 70.0,
@@ -72,10 +72,10 @@ def test_a_pooled_well_holds_shares_of_what_its_sources_held(lab: ReadConnection
 
 
 def test_before_it_was_pooled_it_held_what_the_sheet_said(lab: ReadConnection) -> None:
-    assert [(p.origin.name, p.volume_ul) for p in contents(lab, "P1", "B7", before_the_pool())] == [
+    assert [(p.origin.name, p.volume_ul) for p in trace_contents(lab, "P1", "B7", before_the_pool())] == [
         ("water", 70.0)
     ]
-    assert contents(lab, "P1", "B7", 1) == []
+    assert trace_contents(lab, "P1", "B7", 1) == []
 
 
 Mixed = Callable[..., ReadConnection]
@@ -113,7 +113,7 @@ def test_a_dilution_over_two_plates_keeps_its_shares(mixed: Mixed) -> None:
         pour("water", "H12", 90, plate="P2"),
         pour("dye", "A1", 1000, "D2"),  # comes too late to be in P2
     )
-    parts = contents(asker, "P2", "H12", 6)
+    parts = trace_contents(asker, "P2", "H12", 6)
     assert [(p.origin.name, p.what, p.volume_ul, p.share) for p in parts] == [
         ("not known", "water", 99.0, 0.99),
         ("D1", "dye", 1.0, 0.01),
@@ -131,17 +131,17 @@ def test_what_is_not_known_is_said(mixed: Mixed) -> None:
         pour("C9", "D1", 5),  # of C9 nothing was ever told
         pour("dye", "E1", 8, "L1", "L2"),
     )
-    told = [(p.origin.name, p.volume_ul, p.share, p.certain) for p in contents(asker, "P1", "B1", 9)]
+    told = [(p.origin.name, p.volume_ul, p.share, p.certain) for p in trace_contents(asker, "P1", "B1", 9)]
     assert ("blood", None, None, True) in told
     assert all(share is None for _, _, share, _ in told)
-    assert [p.certain for p in contents(asker, "P1", "A1", 9) if p.origin.name == "B1"] == [False]
-    assert contents(asker, "P1", "D1", 9)[0].origin == Entity("well", "P1/C9")
-    assert [p.volume_ul for p in contents(asker, "P1", "E1", 9)] == [4.0, 4.0]
+    assert [p.certain for p in trace_contents(asker, "P1", "A1", 9) if p.origin.name == "B1"] == [False]
+    assert trace_contents(asker, "P1", "D1", 9)[0].origin == Entity("well", "P1/C9")
+    assert [p.volume_ul for p in trace_contents(asker, "P1", "E1", 9)] == [4.0, 4.0]
 
 
 def test_wells_that_fill_each_other_do_not_hang_the_answer(mixed: Mixed) -> None:
     asker = mixed(*(pour(a, b, 5) for a, b in (("A1", "B1"), ("B1", "A1"), ("A1", "A1")) * 100))
-    assert contents(asker, "P1", "A1", 300)
+    assert trace_contents(asker, "P1", "A1", 300)
     assert trace(asker, Entity("well", "P1/A1"), 300, "up").whole
 
 
@@ -224,11 +224,11 @@ def lab_at(asker: ReadConnection, position: int) -> dict[str, Any]:
     }
     questions = {name: text for name, text, *_ in asker.fetch(difference._QUESTIONS, position, position)}
     return {
-        "labware": difference._places(asker, position),
+        "labware": difference._find_places(asker, position),
         "run": runs,
-        "resource": difference._levels(asker, position),
+        "resource": difference._find_levels(asker, position),
         "question": questions,
-        "driver": difference._drivers(asker, position),
+        "driver": difference._find_drivers(asker, position),
     }
 
 
@@ -254,12 +254,14 @@ def test_differences_are_what_happened_in_between(lab: ReadConnection, end: int)
     last = moves[-1]
     assert isinstance(last, LabwareMoved)
     first = position_of("run.submitted", 2)
-    changes = {(c.about, c.what.split(":")[0]): (c.before, c.after) for c in differences(lab, first - 1, end)}
+    changes = {
+        (c.about, c.what.split(":")[0]): (c.before, c.after) for c in list_differences(lab, first - 1, end)
+    }
     assert changes["labware", "P2"] == ("", last.target)
     assert changes["run", "R3 (pcr, bo)"] == ("", "completed")
     assert changes["question", "I1"] == ("", "go_on, by bo")
     assert ("labware", "P1") not in changes
-    assert differences(lab, end, end) == []
+    assert list_differences(lab, end, end) == []
 
 
 @pytest.mark.postgres
@@ -271,12 +273,12 @@ def test_postgres_gives_the_same_answers(lab: ReadConnection, end: int, postgres
     def describe_graphs(asker: ReadConnection) -> str:
         subjects = ("P1", "P1/B7", "R2", "R2#3", "R2#0", "R2#1", "water", "A-17", "user:ada")
         graphs = [
-            plain(trace(asker, subject_of(asker, subject, at), at, direction))
+            make_plain(trace(asker, subject_of(asker, subject, at), at, direction))
             for subject in subjects
             for direction in ("up", "down")
             for at in (end - 2,)
         ]
-        moments = [[str(change) for change in differences(asker, 104, end)], lab_at(asker, 150)]
+        moments = [[str(change) for change in list_differences(asker, 104, end)], lab_at(asker, 150)]
         return json.dumps([graphs, moments], sort_keys=True).replace("true", "1").replace("false", "0")
 
     with open_asker(postgres_url) as server:

@@ -10,7 +10,7 @@ import pytest
 
 from labos.audit.database import open_audit
 from labos.audit.query import ReadConnection, open_asker
-from labos.audit.tables import VIEWS, view_columns
+from labos.audit.tables import VIEWS, list_view_columns
 from labos.errors import BadInput, StoreUnavailable
 from tests.integration.audit.logs import GrowingLog, golden, project
 
@@ -88,7 +88,7 @@ def refuses_all(asker: ReadConnection, statements: tuple[str, ...]) -> None:
 def answers(asker: ReadConnection) -> None:
     """Every column of every view can be named without quotes, and says what it is called."""
     for table in VIEWS:
-        names = [column.name for column in view_columns(table)]
+        names = [column.name for column in list_view_columns(table)]
         for schema in ("", "labos."):
             answer = asker.ask(f"SELECT {', '.join(names)} FROM {schema}{table.view} LIMIT 1")
             assert list(answer.columns) == names

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from labos.bootstrap import Guard
-from labos.bootstrap._node_security import check_lab, node_security
+from labos.bootstrap._node_security import check_lab, read_node_security
 from labos.bus import Security
 from labos.bus._security import check_endpoints
 from labos.errors import BadInput, NotFound, Refused
@@ -28,7 +28,7 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
 
 
 def node(settings: Settings, certificate: Path | None, *, lab: str = LAB) -> tuple[Security | None, str]:
-    return node_security(settings, MODULE, lab, TLS, certificate, secure=False)
+    return read_node_security(settings, MODULE, lab, TLS, certificate, secure=False)
 
 
 def test_who_runs_the_bus_makes_an_authority_and_a_certificate(settings: Settings) -> None:
@@ -87,7 +87,10 @@ def test_a_kernel_of_a_site_waits_for_its_certificate(settings: Settings, tmp_pa
 
 
 def test_a_node_is_told_which_certificate_it_needs(settings: Settings) -> None:
-    assert node_security(settings, MODULE, LAB, ("tcp/127.0.0.1:7447",), None, secure=False) == (None, "")
+    assert read_node_security(settings, MODULE, LAB, ("tcp/127.0.0.1:7447",), None, secure=False) == (
+        None,
+        "",
+    )
     with pytest.raises(NotFound, match="no certificate was named"):
         node(settings, None, lab="")
     with pytest.raises(NotFound, match="There is no"):

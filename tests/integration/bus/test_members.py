@@ -57,7 +57,7 @@ class Site:
         return msgspec.json.decode(self.bus.file.read_bytes(), type=Members)
 
     def until_known(self) -> None:
-        newest = self.authority.members().number
+        newest = self.authority.read_members().number
         until(lambda: self.present().number == newest, "the bus has the newest list")
 
 
@@ -89,7 +89,7 @@ def test_a_kernel_brings_the_list_in_which_it_stands_and_each_newer_one(site: Si
             await asyncio.to_thread(site.until_known)
             assert site.present().find(NODE) is None
             # Whoever has the list of before its revocation sends it, and one of his own making.
-            forged = msgspec.structs.replace(site.authority.members(), number=1_000)
+            forged = msgspec.structs.replace(site.authority.read_members(), number=1_000)
             # Again and again: the bus begins anew when somebody is revoked, and hears nothing meanwhile.
             give_up = time.monotonic() + 60
             while "members_refused" not in site.log.read_text():
@@ -99,7 +99,7 @@ def test_a_kernel_brings_the_list_in_which_it_stands_and_each_newer_one(site: Si
                 await asyncio.sleep(0.2)
             await asyncio.to_thread(site.authority.issue, OTHER)
             await asyncio.to_thread(site.until_known)
-            assert site.present() == site.authority.members()
+            assert site.present() == site.authority.read_members()
             assert site.present().find(NODE) is None
         finally:
             await guard.close()
@@ -129,7 +129,7 @@ def test_a_kernel_elsewhere_has_the_list_from_the_bus(site: Site) -> None:
         try:
             await asyncio.to_thread(site.until_known)
             await asyncio.to_thread(site.authority.issue, NODE)
-            newest = site.authority.members()
+            newest = site.authority.read_members()
             await asyncio.to_thread(
                 until, lambda: ReceivedList(own).read() == newest, "the other kernel has it"
             )

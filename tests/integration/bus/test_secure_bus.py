@@ -68,7 +68,7 @@ class Site:
     def security(self, who: PartyIdentity, *, runs_bus: bool = False) -> Security | None:
         if not self.secure:
             return None
-        members = self.authority.members().admitted if runs_bus else ()
+        members = self.authority.read_members().admitted if runs_bus else ()
         return Security(self.authority.credentials(who), members)
 
     async def open(self) -> None:
@@ -337,7 +337,7 @@ def test_who_is_connected_and_not_heard_is_told_to_the_operator(site: Site) -> N
         return
     onlooker = Onlooker(site.router, patience_s=0.0)
     site.run(onlooker.start())
-    members = site.authority.members()
+    members = site.authority.read_members()
     admitted = members.admitted
     (revoked,) = [entry.common_name for entry in members.entries if entry.revoked_at]
     site.does("rest", "peeler")

@@ -17,7 +17,7 @@ from labos.bootstrap import LabThread, descriptions
 from labos.client import Experiment, LabClient
 from labos.client._record import LARGEST_IN_EVENT
 from labos.errors import BadInput, LabosError, NotFound
-from labos.services.compute import Attempts, ComputeFailed, code_digest, value_digest
+from labos.services.compute import Attempts, ComputeFailed, digest_code, digest_value
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from tests.integration.client import computations as work
@@ -52,7 +52,7 @@ def test_a_computation_is_in_the_log_with_all_that_names_it(experiment: Experime
     assert (note["kind"], note["name"]) == ("local_compute", f"{work.__name__}.mean")
     source = Path(work.__file__).read_bytes()
     assert facts["code"] == hashlib.sha256(source).hexdigest()
-    assert facts["arguments"] == value_digest({"args": [[1.0, 2.0]], "named": {"scale": 2.0}})
+    assert facts["arguments"] == digest_value({"args": [[1.0, 2.0]], "named": {"scale": 2.0}})
     assert facts["result"] == {"mean": 3.0}
     assert facts["process"] != os.getpid()
     assert (facts["where"], facts["attempts"]) == ("pool", 1)
@@ -145,7 +145,7 @@ def test_digests_do_not_depend_on_the_process() -> None:
         for seed in ("1", "2")
     }
     assert len(told) == 1
-    assert code_digest(len) == ""
+    assert digest_code(len) == ""
 
 
 def test_the_client_stays_light() -> None:

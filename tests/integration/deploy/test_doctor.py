@@ -13,7 +13,7 @@ import pytest
 from labos.cli.app import main
 from labos.core.ids import ModuleName
 from labos.core.lengths import Drift
-from labos.http.asking import _ahead_s
+from labos.http.asking import _measure_ahead_s
 from labos.pki import Authority, PartyIdentity
 from labos.services.doctor import (
     check_certificates,
@@ -73,10 +73,10 @@ def test_certificates_that_end(lab: Lab) -> None:
     key.chmod(0o644)
     assert str(key) in findings(lab, code=1)["permissions"]["told"]
     key.chmod(0o600)
-    admitted = authority.members().admitted
+    admitted = authority.read_members().admitted
     told = check_certificates(authority, admitted[0].not_after - 30 * 86_400 * 10**9)
     assert [(one.state, "viewer wall ends" in one.told) for one in told] == [("warning", True)]
-    told = check_certificates(authority, authority.not_after())
+    told = check_certificates(authority, authority.find_end())
     assert [(one.name.split()[0], one.state) for one in told] == [
         ("certificate", "fault"),
         ("authority", "fault"),
@@ -174,8 +174,8 @@ def test_what_nodes_answer(one: dict[str, Any], state: str, said: str) -> None:
 
 def test_a_clock_is_compared_with_the_middle_of_question_and_answer() -> None:
     second = 10**9
-    assert _ahead_s(13 * second, 10 * second, 12 * second) == 2.0
-    assert _ahead_s(0, 10 * second, 12 * second) is None
+    assert _measure_ahead_s(13 * second, 10 * second, 12 * second) == 2.0
+    assert _measure_ahead_s(0, 10 * second, 12 * second) is None
 
 
 @pytest.mark.slow

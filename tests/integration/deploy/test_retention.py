@@ -103,7 +103,7 @@ def test_the_unit_moves_what_is_old_while_the_kernel_runs(retention: Retention) 
     orphan, young = blobs.put(b"of a request that was refused"), blobs.put(b"arriving just now")
     at = time.time() - FILE_AGE_S
     for name in (*named, orphan):
-        os.utime(blobs._file(name), (at, at))
+        os.utime(blobs._find_file(name), (at, at))
     code, told = retention.run()
     assert code == 0, told
     whole = read_backup(retention.backup)
@@ -139,7 +139,7 @@ def test_killed_in_the_middle_it_is_finished_the_next_time(retention: Retention)
 def test_nothing_moves_out_of_a_backup_that_is_not_whole(retention: Retention) -> None:
     blobs = FolderBlobs(retention.lab.home / "blobs")
     orphan = blobs.put(b"of a request that was refused")
-    os.utime(blobs._file(orphan), (0, 0))
+    os.utime(blobs._find_file(orphan), (0, 0))
     damaged = retention.backup / read_backup(retention.backup).segments[1].file
     whole = damaged.read_bytes()
     damaged.write_bytes(whole[:-20])

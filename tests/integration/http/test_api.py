@@ -20,7 +20,7 @@ from labos.errors import LabosError
 from labos.http.limits import check_fields
 from labos.http.openapi import document
 from labos.http.operation import Need, Operation
-from labos.http.problems import MEDIA_TYPE, PROBLEMS, problem_of
+from labos.http.problems import MEDIA_TYPE, PROBLEMS, make_problem_of_error
 from labos.http.routes import OPERATIONS, PREFIX
 from labos.settings import Settings
 from labos.spec import SpecErrors, find_spec, load_workcell
@@ -87,7 +87,7 @@ def test_every_error_is_a_problem_that_is_known() -> None:
             setattr(error, field, "" if field in ("file", "field") else 0)
         if kind is SpecErrors:
             error.findings = ()  # type: ignore[attr-defined]
-        found = problem_of(error)
+        found = make_problem_of_error(error)
         assert found.status == PROBLEMS[found.code].status if found.code in PROBLEMS else found.status >= 400
         assert "It is so." in found.detail
 

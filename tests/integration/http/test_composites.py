@@ -21,7 +21,7 @@ from labos.core.state import LabState
 from labos.runtime.ledger import load
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
-from labos.store import open_store, parse_url, sqlite_path
+from labos.store import find_sqlite_path, open_store, parse_url
 
 FLOW = "labos: 1\nname: f\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 SEALER, CAMERA = StationName("rpl/sealer.default"), StationName("rpl/camera_module.plate_station")
@@ -63,7 +63,7 @@ class Copies:
     def __init__(self, lab: LabThread, folder: Path) -> None:
         self.files: list[Path] = []
         store, self._folder = lab.runtime.store, folder
-        append, self._log = store.append, sqlite_path(parse_url(lab.settings.database))
+        append, self._log = store.append, find_sqlite_path(parse_url(lab.settings.database))
 
         def append_and_copy(*given: Any) -> Any:
             head = append(*given)

@@ -211,8 +211,8 @@ def ids(pieces: Sequence[bytes]) -> list[int]:
 
 def test_what_is_new_is_read_by_nobody_and_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     encoded: list[int] = []
-    line = tails._line
-    monkeypatch.setattr(tails, "_line", lambda r: encoded.append(r.head.position) or line(r))  # type: ignore[func-returns-value]
+    line = tails._make_line
+    monkeypatch.setattr(tails, "_make_line", lambda r: encoded.append(r.head.position) or line(r))  # type: ignore[func-returns-value]
 
     async def go() -> None:
         log = Known()
@@ -308,7 +308,7 @@ def test_a_page_of_large_events_is_short() -> None:
         log.records += [record(n + 1, payload=b'"' + b"x" * 60_000 + b'"') for n in range(500)]
         after, found = 0, 0
         while after < 500:
-            page = await tail.page(LogQuery(after=after))
+            page = await tail.read_page(LogQuery(after=after))
             assert len(page) < tails.PAGE_BYTES + 100_000
             told = json.loads(page)
             after, found = told["position"], found + len(told["events"])
@@ -323,12 +323,12 @@ def test_what_is_kept_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     async def go() -> None:
         log = Known()
         tail = Tail(log, lambda: len(log.records))  # type: ignore[arg-type]
-        await tail.page(LogQuery())
+        await tail.read_page(LogQuery())
         for _ in range(100):
             grow(log, tail, 10, b'"' + b"x" * 500 + b'"')
         assert tail._size <= 100_000
         assert tail._begin > 500
-        page = json.loads(await tail.page(LogQuery(after=tail._begin - 5)))
+        page = json.loads(await tail.read_page(LogQuery(after=tail._begin - 5)))
         assert page["events"][0]["position"] == tail._begin - 4
         assert page["position"] == 1000
 
@@ -336,7 +336,7 @@ def test_what_is_kept_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_filter_without_words_takes_everything() -> None:
-    line = tails._line(record(1))
+    line = tails._make_line(record(1))
     assert StreamFilter().takes(line)
     assert not StreamFilter(types=("action",)).takes(line)
 

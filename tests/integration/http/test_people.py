@@ -194,6 +194,6 @@ def test_a_lab_with_users_starts_again(tmp_path: Path) -> None:
         changed = parse_workcell(CELL.replace("duration: 2", "duration: 3"), descriptions())
         async with open_lab(settings, workcells=[changed]) as lab:
             assert list(lab.kernel.state.users.known) == ["root-1", "ada", "bo", "olga", "vic", "robot"]
-            assert lab.kernel.state.users.admins() == ["root-1"]
+            assert lab.kernel.state.users.list_admins() == ["root-1"]
 
     asyncio.run(again())

@@ -211,7 +211,7 @@ def test_only_so_much_is_kept() -> None:
                 done.append(key)
                 return Response(b"x" * size)
 
-            await kept.once(key, "/x", "the same", work, logs_key=False)
+            await kept.answer_once(key, "/x", "the same", work, logs_key=False)
             await asyncio.sleep(0)  # what is kept is counted after the answer
 
         for key in ("a", "b", "c", "c", "b", "a"):
@@ -240,7 +240,7 @@ def test_what_may_have_been_done_is_not_done_again(logs_key: bool) -> None:
 
         for _ in range(2):
             try:
-                answer = await kept.once("k", "/x", "x", work, logs_key=logs_key)
+                answer = await kept.answer_once("k", "/x", "x", work, logs_key=logs_key)
                 assert answer.status_code == 503
             except CommitInDoubt:
                 assert logs_key
@@ -257,8 +257,8 @@ def test_who_goes_away_does_not_end_the_request_for_others() -> None:
             await go.wait()
             return Response(b"done")
 
-        first = asyncio.ensure_future(kept.once("k", "/x", "x", work, logs_key=False))
-        second = asyncio.ensure_future(kept.once("k", "/x", "x", work, logs_key=False))
+        first = asyncio.ensure_future(kept.answer_once("k", "/x", "x", work, logs_key=False))
+        second = asyncio.ensure_future(kept.answer_once("k", "/x", "x", work, logs_key=False))
         await asyncio.sleep(0)
         first.cancel()
         go.set()
@@ -281,8 +281,8 @@ def test_another_request_waits_for_the_first_one_with_its_key() -> None:
             done.append(go.is_set())
             return Response(b"done")
 
-        first = asyncio.ensure_future(kept.once("k", "/x", "x", fail, logs_key=True))
-        second = asyncio.ensure_future(kept.once("k", "/x", "y", work, logs_key=True))
+        first = asyncio.ensure_future(kept.answer_once("k", "/x", "x", fail, logs_key=True))
+        second = asyncio.ensure_future(kept.answer_once("k", "/x", "y", work, logs_key=True))
         await asyncio.sleep(0)
         go.set()
         with pytest.raises(Refused):

@@ -18,12 +18,12 @@ from click.testing import CliRunner
 from labos.bootstrap import LabThread, descriptions
 from labos.cli.app import group
 from labos.client import LabClient
-from labos.core.words import ERASED, references_in
+from labos.core.words import ERASED, list_references
 from labos.errors import NotFound, Refused
 from labos.runtime.ledger import load
 from labos.settings import Settings, find_kernel, free_port
 from labos.spec import parse_workcell
-from labos.store import SqlEventStore, first_damage, open_store
+from labos.store import SqlEventStore, find_first_damage, open_store
 from tests.support.api_process import ApiProcess
 
 CELL = """
@@ -70,7 +70,7 @@ def test_words_are_shown_and_stand_in_no_event(tmp_path: Path) -> None:
         (paused,) = events(client, "starts.paused")
         assert paused["payload"]["why"] == SECRET
         (stored,) = events(client, "starts.paused", stored=True)
-        assert references_in(json.dumps(stored["payload"]).encode()) == [stored["payload"]["why"]]
+        assert list_references(json.dumps(stored["payload"]).encode()) == [stored["payload"]["why"]]
         client.take_out("press", SECRET, "bo")
         assert SECRET in json.dumps(client.state(), ensure_ascii=False)
         store = database(tmp_path)
@@ -100,7 +100,7 @@ def test_what_is_erased_is_gone_from_the_files_and_the_log_is_whole(tmp_path: Pa
             ("personal", "ada"),
             ("request", "ada"),
         ]
-        assert first_damage(store) is None
+        assert find_first_damage(store) is None
         again, _ = load(store, snapshots=False, end=None)
         assert again.position > before.position
         store.close()
@@ -308,7 +308,7 @@ def test_an_api_process_shows_words_and_no_more_after_they_were_erased(tmp_path:
                 other.take_out("press", f"{SECRET} and so", "bo")  # words that come by this way
                 assert SECRET in json.dumps(other.state(), ensure_ascii=False)
                 (stored,) = events(other, "starts.paused", stored=True)
-                assert references_in(json.dumps(stored["payload"]).encode())
+                assert list_references(json.dumps(stored["payload"]).encode())
                 done = other.erase_words("request", "ada", user="bo")
                 assert (done["erased"], done["left"]) == (2, "")
                 for each in (client, other):

@@ -20,7 +20,7 @@ from labos.client import LabClient
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos.telemetry.otlp import OtlpSender
-from labos.telemetry.spans import trace_id
+from labos.telemetry.spans import make_trace_id
 from tests.support.foreign import python_of
 from tests.support.lab_process import until
 from tests.unit.telemetry.test_series import read
@@ -94,7 +94,7 @@ def test_a_lab_sends_traces_of_its_runs_and_counts_them(receiver: Receiver, tmp_
     with run_receiver(tmp_path, receiver.url) as lab, LabClient(lab.url) as client:
         run = client.submit("pcr", user="ada")
         client.cancel(run, "ada")
-        trace = trace_id(client.health()["lab"], run)
+        trace = make_trace_id(client.health()["lab"], run)
         until(lambda: any(s[:1] + s[3:4] == (trace, "run pcr") for s in receiver.spans()), "its span", 15.0)
         told = read(httpx.get(f"{lab.url}/metrics").text)
         assert told[("labos_trace_spans_total", ())] >= told[("labos_trace_spans_sent_total", ())] >= 1

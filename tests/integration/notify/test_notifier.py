@@ -96,7 +96,7 @@ escalation:
         return f"I{self.book.state.interventions.named}"
 
     def states(self) -> list[tuple[str, int, str]]:
-        return [(d.contact, d.level, d.state) for d in self.outbox.deliveries()]
+        return [(d.contact, d.level, d.state) for d in self.outbox.list_deliveries()]
 
     def letters(self) -> list[str]:
         return [str(letter["subject"]) for letter in self.post.letters]
@@ -186,7 +186,7 @@ def test_a_dead_mail_server_is_tried_again_and_keeps_nobody_else_waiting(scene: 
     scene.turn()
     scene.ask()
     scene.turn()
-    (first, *_) = scene.outbox.deliveries()
+    (first, *_) = scene.outbox.list_deliveries()
     assert (first.state, first.attempts) == ("waiting", 1)
     assert "cannot be used" in first.error
     assert "anna@" not in first.error
@@ -194,7 +194,7 @@ def test_a_dead_mail_server_is_tried_again_and_keeps_nobody_else_waiting(scene: 
     assert len(scene.hook.calls) == 1
     pauses = []
     for _ in range(8):
-        (waiting,) = scene.outbox.deliveries(waiting=True)
+        (waiting,) = scene.outbox.list_deliveries(waiting=True)
         pauses.append(round((waiting.try_at - scene.book.clock.now) / 1e9))
         scene.turn(pauses[-1])
     assert pauses == [60, 120, 240, 480, 960, 1800, 1800, 1800]
@@ -212,7 +212,7 @@ def test_what_nobody_takes_for_days_is_given_up(scene: Scene) -> None:
     scene.turn(GIVEN_UP_S + 1000)
     scene.turn(1)
     assert ("anna", 0, "given_up") in scene.states()
-    (duty,) = scene.outbox.deliveries("duty")
+    (duty,) = scene.outbox.list_deliveries("duty")
     assert "answered 500" in duty.error
     assert "secret-path" not in duty.error
 
@@ -223,7 +223,7 @@ def test_a_refused_letter_is_not_the_servers_fault(scene: Scene) -> None:
     scene.turn()
     scene.ask()
     scene.turn()
-    (first, *_) = scene.outbox.deliveries()
+    (first, *_) = scene.outbox.list_deliveries()
     assert "refused the message: 550 the address is not known here" in first.error
 
 
@@ -285,7 +285,7 @@ def test_a_failed_run_is_told(scene: Scene) -> None:
 @pytest.mark.usefixtures("mail")
 def test_a_kernel_that_stops_is_told_to_everybody_at_once(scene: Scene) -> None:
     scene.turn()
-    scene.notifier.kernel_stopped("The disk is full.")
+    scene.notifier.on_kernel_stopped("The disk is full.")
     scene.turn()
     scene.turn()
     assert scene.letters() == ["[paper] the kernel has stopped"]
@@ -385,7 +385,7 @@ def test_with_a_full_disk_the_kernels_end_is_told_once(scene: Scene) -> None:
     scene.turn()
     scene.outbox._db.execute("PRAGMA max_page_count = 1")
     scene.outbox._db.execute("PRAGMA query_only = ON")
-    scene.notifier.kernel_stopped("The disk is full.")
+    scene.notifier.on_kernel_stopped("The disk is full.")
     scene.turn()
     scene.turn(60)
     assert scene.letters() == ["[paper] the kernel has stopped"]
@@ -422,7 +422,7 @@ def test_mail_is_encrypted_and_its_server_checked(
     scene.ask()
     with mail_server(scene.post, port, tls_context=context, require_starttls=True):
         scene.turn()
-        (waiting,) = scene.outbox.deliveries()
+        (waiting,) = scene.outbox.list_deliveries()
         assert "certificate verify failed" in waiting.error
         assert scene.post.letters == []
         monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
@@ -444,7 +444,7 @@ def test_to_a_server_without_encryption_nothing_is_said(
     scene.ask()
     with mail_server(scene.post, port):
         scene.turn()
-    (waiting,) = scene.outbox.deliveries()
+    (waiting,) = scene.outbox.list_deliveries()
     assert "STARTTLS" in waiting.error
     assert (scene.post.letters, scene.post.logins) == ([], [])
 
@@ -495,5 +495,5 @@ def test_a_message_that_was_sent_is_out_of_reach_and_shown_without_what_was_eras
     ((_, body),) = scene.hook.calls
     assert "Quux" not in str(body)
     assert ERASED in body["text"]
-    shown = [show_struct(scene.store, each) for each in scene.outbox.deliveries()]
+    shown = [show_struct(scene.store, each) for each in scene.outbox.list_deliveries()]
     assert [(each.state, ERASED in each.notice.text) for each in shown] == [("sent", True), ("sent", True)]

@@ -8,7 +8,7 @@ import pytest
 
 from labos.cli.app import main
 from labos.core.ids import LabId
-from labos.store import lease_holder, open_store
+from labos.store import find_lease_holder, open_store
 from tests.unit.services.logbook import two_users
 
 QUESTIONS = ("log", "stations", "labware", "runs", "twh", "experiments", "interventions")
@@ -20,7 +20,7 @@ def test_every_question_is_answered(postgres_url: str, capsys: pytest.CaptureFix
     try:
         head = store.claim(LabId("lab-1"), "pid 1", 60.0)
         store.append(head, two_users().records)
-        assert lease_holder(postgres_url) == "pid 1"
+        assert find_lease_holder(postgres_url) == "pid 1"
         for name in QUESTIONS:
             assert main([name, "--database", postgres_url]) == 0, name
         assert main(["explain", "R2", "--database", postgres_url]) == 0
@@ -32,7 +32,7 @@ def test_every_question_is_answered(postgres_url: str, capsys: pytest.CaptureFix
         store.release(head.epoch)
     finally:
         store.close()
-    assert lease_holder(postgres_url) == ""
+    assert find_lease_holder(postgres_url) == ""
     assert main(["db", "status", "--json", "--database", postgres_url]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["position"] == two_users().position

@@ -146,8 +146,8 @@ class Stumbling(Scheduler):
 
     fails = False
 
-    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
-        yield from super().proposals(state, now)
+    def iterate_proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
+        yield from super().iterate_proposals(state, now)
         if Stumbling.fails:
             Stumbling.fails = False
             raise ArithmeticError("a planner that stumbles")

@@ -13,7 +13,7 @@ from labos.clock import SystemClock, Uuid7Ids
 from labos.core.decide.cancelling import CancelRun
 from labos.core.envelope import Record
 from labos.core.ids import RunId
-from labos.core.state import state_hash
+from labos.core.state import hash_state
 from labos.errors import LogDamaged, Refused, StoreUnavailable
 from labos.runtime import followed
 from labos.runtime.followed import Behind, FollowedKernel, SendOn
@@ -70,8 +70,8 @@ def test_who_asks_sees_what_was_on_disk_before(book: Logbook, store: SqlEventSto
         before = kernel.durable
         assert before == len(book.records)
         await asyncio.to_thread(go_on, book, store)
-        await kernel.up_to_date()
-        assert state_hash(kernel.state) == state_hash(book.state)
+        await kernel.wait_until_known()
+        assert hash_state(kernel.state) == hash_state(book.state)
         assert heard.positions == list(range(before + 1, len(book.records) + 1))
         assert kernel.epoch == book.state.lab.epoch
 
@@ -83,27 +83,27 @@ def test_who_waits_for_a_position_gets_it_or_hears_why_not(
 ) -> None:
     async def look(kernel: FollowedKernel, heard: Heard) -> None:
         wanted = kernel.durable + 1
-        waiting = asyncio.ensure_future(kernel.up_to_date(wanted))
-        await kernel.up_to_date()
+        waiting = asyncio.ensure_future(kernel.wait_until_known(wanted))
+        await kernel.wait_until_known()
         assert not waiting.done()
         await asyncio.to_thread(go_on, book, store)
         await waiting
         assert kernel.durable >= wanted
         monkeypatch.setattr(followed, "BEHIND_S", 0.01)
         with pytest.raises(Behind, match=f"up to position {kernel.durable}, not yet up to 10000"):
-            await kernel.up_to_date(10_000)
+            await kernel.wait_until_known(10_000)
 
     follow(store, look)
 
 
 def test_a_command_is_judged_and_never_carried_out(book: Logbook, store: SqlEventStore) -> None:
     async def look(kernel: FollowedKernel, heard: Heard) -> None:
-        before = state_hash(kernel.state)
+        before = hash_state(kernel.state)
         with pytest.raises(Refused):
             await kernel.execute(CancelRun(RunId("R99")), "ada")
         with pytest.raises(SendOn):
             await kernel.execute(CancelRun(RunId("R1")), "ada")
-        assert state_hash(kernel.state) == before
+        assert hash_state(kernel.state) == before
         assert heard.positions == []
 
     follow(store, look)
@@ -118,11 +118,11 @@ def test_a_log_that_was_put_back_is_read_anew(book: Logbook, store: SqlEventStor
 
     async def look(kernel: FollowedKernel, heard: Heard) -> None:
         kernel._store = put_back
-        await kernel.up_to_date()
-        assert state_hash(kernel.state) == state_hash(other.state)
+        await kernel.wait_until_known()
+        assert hash_state(kernel.state) == hash_state(other.state)
         assert heard.reopenings == 1
         kernel._store = store  # and one that is shorter
-        await kernel.up_to_date()
+        await kernel.wait_until_known()
         assert kernel.durable == len(book.records)
 
     try:
@@ -148,11 +148,11 @@ def test_a_record_that_was_changed_is_not_folded(
     async def look(kernel: FollowedKernel, heard: Heard) -> None:
         await asyncio.to_thread(go_on, book, store)
         with pytest.raises(LogDamaged) as raised:
-            await kernel.up_to_date()
+            await kernel.wait_until_known()
         assert raised.value.position == bad
         assert heard.positions == []
         monkeypatch.undo()
-        await kernel.up_to_date()
+        await kernel.wait_until_known()
         assert kernel.durable == len(book.records)
 
     found, bad = store.read, len(book.records) + 2
@@ -169,10 +169,10 @@ def test_nobody_waits_for_ever_for_a_log_that_is_away(
 
         monkeypatch.setattr(store, "head", away)
         with pytest.raises(StoreUnavailable, match="The disk is gone"):
-            await kernel.up_to_date()
+            await kernel.wait_until_known()
         assert kernel.durable == len(book.records), "what is known is still told"
         monkeypatch.undo()
-        await kernel.up_to_date()
+        await kernel.wait_until_known()
 
     follow(store, look)
 

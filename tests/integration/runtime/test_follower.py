@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from labos.clock import SystemClock, Uuid7Ids
-from labos.core.state import LabState, state_hash
+from labos.core.state import LabState, hash_state
 from labos.runtime.follower import Follower
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
@@ -50,7 +50,7 @@ def test_it_folds_what_is_new_and_nothing_again(book: Logbook, store: SqlEventSt
     before = len(book.records)
     go_on(book, store)
     assert follower.catch_up() == len(book.records) - before
-    assert state_hash(follower.state) == state_hash(book.state)
+    assert hash_state(follower.state) == hash_state(book.state)
 
 
 def test_an_empty_log_is_followed_from_its_first_event_on(book: Logbook, tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_a_log_that_was_put_back_is_read_from_its_beginning(
             follower._store = put_back
             if catches_up:
                 assert follower.catch_up() == len(other.records)
-                assert state_hash(follower.state) == state_hash(other.state)
+                assert hash_state(follower.state) == hash_state(other.state)
             else:
                 assert follower.hand_over() is None
     finally:
@@ -106,4 +106,4 @@ def test_a_kernel_folds_on_from_what_it_is_handed(book: Logbook, store: SqlEvent
     state = asyncio.run(main())
     assert state is handed, "nothing was folded twice"
     assert follower.state.position == 0, "it begins anew"
-    assert state_hash(load(store, snapshots=False)[0]) == state_hash(state)
+    assert hash_state(load(store, snapshots=False)[0]) == hash_state(state)

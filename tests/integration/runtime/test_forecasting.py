@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from labos.core.state import LabState, picture
+from labos.core.state import LabState, encode_picture
 from labos.errors import Refused
 from labos.planning.hindsight import LookBack
 from labos.planning.lab_forecast import ForecastRequest
@@ -15,7 +15,7 @@ from tests.integration.bus.contract import until
 
 
 async def ask() -> ForecastJob:
-    return ForecastJob(ForecastRequest(picture(LabState()), 1), LookBack())
+    return ForecastJob(ForecastRequest(encode_picture(LabState()), 1), LookBack())
 
 
 @pytest.mark.slow

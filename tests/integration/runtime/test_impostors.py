@@ -236,4 +236,4 @@ def test_living_never_forgets_the_one_that_is_in_use() -> None:
         for instance in list(living.list_instances(module)):
             living.forget(module, instance)
     assert living.modules == []
-    assert living.silent(1e9, 1.0) == []
+    assert living.list_silent(1e9, 1.0) == []

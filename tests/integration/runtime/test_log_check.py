@@ -29,7 +29,7 @@ def test_what_it_finds_is_told_once_in_the_loop() -> None:
 
     told, found = asyncio.run(main())
     assert told == [(70, "the payload is not the one that was recorded")]
-    assert found.view()["damage"].startswith("Position 70: ")
+    assert found.make_view()["damage"].startswith("Position 70: ")
 
 
 def test_it_ends_with_its_lab_wherever_it_is() -> None:

@@ -44,15 +44,15 @@ class Flawed(Scheduler):
     proposing = False
     deadlines = False
 
-    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
+    def iterate_proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
         if Flawed.proposing:
             raise ZeroDivisionError("a fault in planning")
-        return super().proposals(state, now)
+        return super().iterate_proposals(state, now)
 
-    def next_deadline(self, state: LabState) -> int | None:
+    def find_next_deadline(self, state: LabState) -> int | None:
         if Flawed.deadlines:
             raise RecursionError("a fault in deadlines")
-        return super().next_deadline(state)
+        return super().find_next_deadline(state)
 
 
 @pytest.fixture(autouse=True)

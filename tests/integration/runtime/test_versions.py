@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from labos.node.protocol import PROTOCOL, AboutReport, SetupReply, skew_with
+from labos.node.protocol import PROTOCOL, AboutReport, SetupReply, explain_skew
 from labos.version import VERSION
 from tests.integration.bus.contract import until
 from tests.support.attacked import ARM, OTHER, Liar, start_attacked
@@ -41,4 +41,4 @@ def test_a_node_of_another_release_and_the_same_protocol_is_admitted(tmp_path: P
 @pytest.mark.parametrize("kind", [AboutReport, SetupReply])
 def test_who_says_no_version_speaks_the_first(kind: type[AboutReport | SetupReply]) -> None:
     said = b'{"module": "cell/arm", "journal": "j", "instance": "i", "digest": "d", "description": {}}'
-    assert (msgspec.json.decode(said, type=kind).protocol, skew_with(1, "Its node", "")) == (1, "")
+    assert (msgspec.json.decode(said, type=kind).protocol, explain_skew(1, "Its node", "")) == (1, "")

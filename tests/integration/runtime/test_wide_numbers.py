@@ -12,7 +12,7 @@ from labos.clock import SystemClock, Uuid7Ids
 from labos.core.canonical import digest
 from labos.core.envelope import Envelope, seal
 from labos.core.lab import WorkcellApplied
-from labos.core.state import state_hash
+from labos.core.state import hash_state
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import load
@@ -72,5 +72,5 @@ def test_a_lab_with_a_wide_number_closes_and_is_backed_up(tmp_path: Path) -> Non
     assert folded == 0, "the snapshot was kept and is used"
     made = backup(store, FolderBlobs(home / "blobs"), tmp_path / "safe")
     store.close()
-    assert made.segments[-1].state == state_hash(state)
-    assert state_hash(verify_backup(tmp_path / "safe")[1]) == state_hash(state)
+    assert made.segments[-1].state == hash_state(state)
+    assert hash_state(verify_backup(tmp_path / "safe")[1]) == hash_state(state)

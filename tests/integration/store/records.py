@@ -11,7 +11,7 @@ import structlog
 from structlog.testing import capture_logs
 
 from labos.clock import Uuid7Ids
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.envelope import Envelope, Record, seal
 from labos.core.ids import LabId
 from labos.ports import Head
@@ -29,7 +29,7 @@ def batch(after: Head, n: int = 1, payload: dict[str, Any] | None = None, **fiel
     records: list[Record] = []
     previous = after.hash
     for position in range(after.position + 1, after.position + n + 1):
-        body = canonical(payload if payload is not None else {"n": position})
+        body = encode_canonical(payload if payload is not None else {"n": position})
         values: dict[str, Any] = {
             "id": _ids.new(),
             "stream": f"run:{position}",

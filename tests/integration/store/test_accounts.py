@@ -8,7 +8,7 @@ import pytest
 from alembic import command
 
 from labos.ports import Person, Session, Token
-from labos.store import SqlAccounts, database_status, migrate, open_accounts
+from labos.store import SqlAccounts, migrate, open_accounts, read_database_status
 from labos.store._migrate import REVISION, alembic_config
 from tests.integration.store.records import raw
 
@@ -26,7 +26,7 @@ def accounts(store_url: str) -> Iterator[SqlAccounts]:
 def test_a_lab_of_before_gets_them(store_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LABOS_DATABASE_URL", store_url)
     command.upgrade(alembic_config(), "0001")
-    assert database_status(store_url).state == "older"
+    assert read_database_status(store_url).state == "older"
     assert migrate(store_url) == REVISION
     with raw(store_url) as database:
         assert database.run("SELECT count(*) FROM account_token") == [(0,)]

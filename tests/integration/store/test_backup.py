@@ -16,7 +16,7 @@ from labos.core.erasure import WordsErased
 from labos.core.ids import LabId
 from labos.core.lab import KernelStarted, LabCreated, StartsPaused
 from labos.core.registry import Event
-from labos.core.state import LabState, state_hash
+from labos.core.state import LabState, hash_state
 from labos.core.words import PREFIX, Kept, keep
 from labos.errors import LogDamaged, Refused
 from labos.ports import Head
@@ -26,7 +26,7 @@ from labos.store import (
     FolderBlobs,
     SqlEventStore,
     backup,
-    first_damage,
+    find_first_damage,
     leap_epoch,
     open_store,
     read_segment,
@@ -71,7 +71,7 @@ def notes(n: int, begin: int = 0) -> list[Event]:
 def hash_at(store: SqlEventStore, position: int) -> str:
     state = LabState()
     fold(state, store.read(upto=position))
-    return state_hash(state)
+    return hash_state(state)
 
 
 def test_a_backup_under_load_holds_a_whole_log_and_comes_back_on_either_database(
@@ -105,7 +105,7 @@ def test_a_backup_under_load_holds_a_whole_log_and_comes_back_on_either_database
     assert made.blobs == (kept,)
     found, state = verify_backup(tmp_path / "safe", key=KEY)
     assert found == made
-    assert state_hash(state) == made.segments[-1].state == hash_at(store, made.position)
+    assert hash_state(state) == made.segments[-1].state == hash_at(store, made.position)
     targets = [f"sqlite:///{tmp_path / 'back.db'}"]
     if store_url.startswith("postgresql"):
         server = request.getfixturevalue("postgres_server")
@@ -115,7 +115,7 @@ def test_a_backup_under_load_holds_a_whole_log_and_comes_back_on_either_database
         assert restore_log(target, records_of(tmp_path / "safe", found), found.lab, epoch).epoch == epoch
         back = opened(target)
         assert list(back.read()) == list(store.read(upto=made.position))
-        assert first_damage(back) is None
+        assert find_first_damage(back) is None
         assert hash_at(back, made.position) == made.segments[-1].state
         with pytest.raises(Refused, match="not overwritten"):
             restore_log(target, records_of(tmp_path / "safe", found), found.lab, epoch)
@@ -142,7 +142,7 @@ def test_words_come_back_on_either_database_and_what_was_erased_does_not(
         texts = read_words_copy(tmp_path / "safe")
         restore_log(target, records_of(tmp_path / "safe", made), made.lab, 99, texts)
         back = opened(target)
-        assert first_damage(back) is None
+        assert find_first_damage(back) is None
         assert check_words(back).faults == ()
         found = back.words_of([stays.reference, goes.reference])
         assert found == {stays.reference: stays, goes.reference: Kept(goes.reference, b"", "")}

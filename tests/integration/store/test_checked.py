@@ -11,11 +11,11 @@ import pytest
 
 from labos.core.fold import evolve
 from labos.core.registry import decode
-from labos.core.state import LabState, fold_fingerprint, from_picture, picture, state_hash
+from labos.core.state import LabState, encode_picture, fold_fingerprint, from_picture, hash_state
 from labos.errors import LogDamaged
 from labos.runtime.follower import Follower
 from labos.runtime.ledger import load
-from labos.store import SqlEventStore, first_damage, forget_end, migrate, restore_log
+from labos.store import SqlEventStore, find_first_damage, forget_end, migrate, restore_log
 from tests.integration.store.records import LAB, Tamper, batch, flip, hear_journal, raw, write_records
 from tests.unit.services.logbook import Logbook
 
@@ -100,15 +100,15 @@ def keep_snapshot(store: SqlEventStore, book: Logbook, upto: int) -> LabState:
     for record in book.records[:upto]:
         at = record.head
         evolve(state, decode(at.type, at.schema, record.payload), at.position, at.recorded_at)
-    store.save_snapshot(upto, book.records[upto - 1].hash, fold_fingerprint(), picture(state))
+    store.save_snapshot(upto, book.records[upto - 1].hash, fold_fingerprint(), encode_picture(state))
     return state
 
 
 def forge(state: LabState) -> bytes:
     """The picture of another state: somebody else's lab."""
-    other = from_picture(picture(state))
+    other = from_picture(encode_picture(state))
     other.lab.name = "mine now"
-    return picture(other)
+    return encode_picture(other)
 
 
 def test_a_forged_snapshot_is_not_used(
@@ -128,7 +128,7 @@ def test_a_forged_snapshot_is_not_used(
             folded, number = load(opened(store_url), end=kept.head())
         assert number == len(book.records), "the log is folded from its beginning"
         assert [line["event"] for line in told].count("snapshot_not_used") == 1
-        assert state_hash(folded) == state_hash(honest)
+        assert hash_state(folded) == hash_state(honest)
         keep_snapshot(kept, book, middle)  # for the third: sealed, then changed
 
 
@@ -172,7 +172,7 @@ def test_a_sealed_snapshot_shows_that_the_log_was_written_anew(
         )
     head = kept.claim(book.ledger.head.lab, "test", 30.0)
     kept.append(head, batch(head, len(book.records)))
-    assert first_damage(kept) is None, "the chain alone does not show it"
+    assert find_first_damage(kept) is None, "the chain alone does not show it"
     with pytest.raises(LogDamaged, match="sealed snapshot"):
         load(kept)
 

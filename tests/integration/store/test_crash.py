@@ -19,7 +19,7 @@ import pytest
 from labos.core.envelope import Record
 from labos.errors import Fenced, Refused, StoreUnavailable
 from labos.ports import Head
-from labos.store import SqlEventStore, first_damage, lease_holder, open_store
+from labos.store import SqlEventStore, find_first_damage, find_lease_holder, open_store
 from tests.integration.store.records import LAB, LEASE_S, Raw, batch, raw, write_records
 from tests.support.postgres import PostgresServer
 
@@ -150,27 +150,27 @@ class TestKilledKernel:
         head = store.head()
         assert head.position >= last
         assert head.position % 3 == 0
-        assert first_damage(store) is None
+        assert find_first_damage(store) is None
         assert store.append(head, batch(head)).position == head.position + 1
 
     def test_nobody_is_said_to_live_after_a_kill_although_the_lease_runs_on(
         self, store: SqlEventStore, store_url: str
     ) -> None:
-        assert lease_holder(store_url) == ""
+        assert find_lease_holder(store_url) == ""
         with writer(store_url) as process:
             read_acknowledged(process, 3)
-            assert lease_holder(store_url) == "the writer"
+            assert find_lease_holder(store_url) == "the writer"
             process.send_signal(signal.SIGKILL)
             process.wait()
-        eventually(lambda: _expect(lease_holder(store_url) == ""), AssertionError)
+        eventually(lambda: _expect(find_lease_holder(store_url) == ""), AssertionError)
         left = store.find_holder()
         assert (left.owner, left.living, left.lease_left_s > 0) == ("the writer", False, True)
         first = store.claim(LAB, "next", LEASE_S)
         assert first.epoch == 2
-        assert lease_holder(store_url) == "next"
+        assert find_lease_holder(store_url) == "next"
         assert store.find_holder().living
         store.release(first.epoch)
-        assert lease_holder(store_url) == ""
+        assert find_lease_holder(store_url) == ""
         assert store.find_holder().owner == "", "it was given back"
 
     def test_who_asks_keeps_nobody_from_starting(self, store: SqlEventStore, store_url: str) -> None:
@@ -178,7 +178,7 @@ class TestKilledKernel:
 
         def ask() -> None:
             while not over.is_set():
-                lease_holder(store_url)
+                find_lease_holder(store_url)
 
         asking = [threading.Thread(target=ask) for _ in range(3)]
         for thread in asking:
@@ -319,7 +319,7 @@ class TestBrokenConnection:
 
         eventually(look, StoreUnavailable)  # the last disturbance may hit this very question
         assert found == head
-        assert first_damage(store) is None
+        assert find_first_damage(store) is None
 
     def test_a_commit_whose_answer_was_lost_is_found_by_the_head(
         self, own_postgres: Callable[[], PostgresServer], opened: Open
@@ -365,7 +365,7 @@ class TestBrokenConnection:
         head = store.claim(LAB, "next", LEASE_S)
         assert head.position >= max([60, *map(int, positions)])
         assert head.position % 3 == 0
-        assert first_damage(store) is None
+        assert find_first_damage(store) is None
         head = store.append(head, batch(head))
         server.kill()
         with pytest.raises(StoreUnavailable):
@@ -413,7 +413,7 @@ class TestBadDisk:
             assert store.head() == head
         disk("remount,size=5m")
         assert store.append(head, batch(head, 20)).position == head.position + 20
-        assert first_damage(store) is None
+        assert find_first_damage(store) is None
 
     def test_a_disk_that_turns_read_only_is_reported(
         self, tmp_path: Path, disk: Callable[[str], None], opened: Open
@@ -425,7 +425,7 @@ class TestBadDisk:
         disk("remount,ro")
         reader = opened(url, read_only=True)
         assert reader.head() == head
-        assert first_damage(reader) is None
+        assert find_first_damage(reader) is None
         for kernel in (store, opened(url)):
             with pytest.raises(StoreUnavailable, match=r"Check that .* may be written"):
                 kernel.claim(LAB, "kernel", LEASE_S)
@@ -442,7 +442,7 @@ class TestBadDisk:
         store = opened(url)
         head = store.claim(LAB, "next", LEASE_S)
         assert head.position == int(positions[-1]) > 0
-        assert first_damage(store) is None
+        assert find_first_damage(store) is None
 
     @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
     def test_a_folder_without_permission_is_named(self, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.store import SqlEventStore, first_damage
+from labos.store import SqlEventStore, find_first_damage
 from tests.integration.store.records import LAB, LEASE_S, batch
 from tests.integration.store.test_crash import read_acknowledged, rest, writer
 from tests.support.bad_disk import BadDisk
@@ -45,4 +45,4 @@ def test_it_is_reported_and_what_was_acknowledged_is_there(
     # What failed to be synced was not acknowledged; it may be there all the same, whole.
     assert head.position - max([position, *positions]) in (0, 3)
     assert store.append(head, batch(head)).position == head.position + 1
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None

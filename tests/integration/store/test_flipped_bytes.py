@@ -19,14 +19,14 @@ import pytest
 
 from labos.core.fold import evolve
 from labos.core.registry import decode
-from labos.core.state import LabState, fold_fingerprint, picture, state_hash
+from labos.core.state import LabState, encode_picture, fold_fingerprint, hash_state
 from labos.errors import BadInput, JournalDamaged, LogDamaged, StoreError
 from labos.node.journal import Journal
 from labos.node.protocol import Outcome
 from labos.node.world import World
 from labos.runtime.ledger import load
 from labos.services.verification import check_benches, check_end, check_snapshot
-from labos.store import FolderBlobs, SqlEventStore, backup, first_damage, open_store, verify_backup
+from labos.store import FolderBlobs, SqlEventStore, backup, find_first_damage, open_store, verify_backup
 from tests.integration.store.records import raw
 from tests.unit.node.memory import Counter, MemoryFile
 from tests.unit.services.logbook import Logbook, two_users
@@ -43,14 +43,14 @@ class Lab:
 
     def __init__(self, home: Path, book: Logbook) -> None:
         self.home, self.book = home, book
-        self.states = {0: state_hash(LabState())}
+        self.states = {0: hash_state(LabState())}
         state = LabState()
         for record in book.records:
             at = record.head
             evolve(state, decode(at.type, at.schema, record.payload), at.position, at.recorded_at)
-            self.states[at.position] = state_hash(state)
+            self.states[at.position] = hash_state(state)
             if at.position == book.position - LESS:
-                self.early = picture(state)
+                self.early = encode_picture(state)
 
     def write(self, *, snapshot: bool, close: bool) -> SqlEventStore:
         """The log as a kernel leaves it: closed in order, or killed with its write-ahead log beside it."""
@@ -90,14 +90,14 @@ def judge(lab: Lab, home: Path) -> str:
             return "refused at its position" if 0 < error.position <= lab.book.position + 1 else "refused"
         except StoreError:
             return "refused by the database"
-        folded = state_hash(state)
+        folded = hash_state(state)
         if folded != lab.states[lab.book.position]:
             assert folded == lab.states.get(state.position), "something was folded that never was so"
             assert store.known_position > state.position, "a tail is gone and nobody says so"
             return "shorter, which is said"
         try:
             faults = [store.flaw(), *check_end(store).faults, *check_snapshot(store).faults]
-            found = first_damage(store) is not None or any(faults)
+            found = find_first_damage(store) is not None or any(faults)
         except StoreError:
             found = True
         return "found by verify" if found else "changes nothing"
@@ -221,7 +221,7 @@ def test_a_flipped_byte_of_a_backup_is_found_or_changes_nothing(
         except (StoreError, BadInput):
             counts["refused"] += 1
         else:
-            assert state_hash(state) == lab.states[lab.book.position], (at, bit)
+            assert hash_state(state) == lab.states[lab.book.position], (at, bit)
             counts["changes nothing"] += 1
     show(path.name, counts)
 
@@ -273,13 +273,13 @@ def test_a_flipped_byte_of_a_row_is_found(store: SqlEventStore, store_url: str, 
                 assert caught.value.position == position
             else:
                 load(store, end=store.head())
-                found = first_damage(store)
+                found = find_first_damage(store)
                 assert found is not None
                 assert found.position == position
                 assert column in found.reason
             counts[finder] += 1
             database.run(f'UPDATE event SET "{column}" = ? {where}', value)
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
     show(f"rows on {'SQLite' if store_url.startswith('sqlite') else 'PostgreSQL'}", counts)
 
 
@@ -301,7 +301,7 @@ def test_a_flipped_byte_of_a_snapshot_is_not_folded(
             database.run(f"UPDATE snapshot SET {column} = ?", spoilt(value, rng))
             state, folded = load(store, end=store.head())
             assert folded == lab.book.position, "the log was folded from its beginning"
-            assert state_hash(state) == lab.states[lab.book.position]
+            assert hash_state(state) == lab.states[lab.book.position]
             faults = check_snapshot(store).faults
             counts["found by verify" if faults else "not used"] += 1
     show(f"snapshot on {'SQLite' if store_url.startswith('sqlite') else 'PostgreSQL'}", counts)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from labos.store import Damage, SqlEventStore, first_damage
+from labos.store import Damage, SqlEventStore, find_first_damage
 from tests.integration.store.records import Raw, raw, write_records
 
 COLUMNS = "position, id, stream, version, type, schema, recorded_at, actor, correlation, causation"
@@ -52,7 +52,7 @@ def test_the_database_refuses_to_change_the_log(store: SqlEventStore, store_url:
                 database.run(statement)
     assert list(store.read()) == before
     assert store.head() == head
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
 
 
 Tamper = Callable[[Raw], object]
@@ -97,12 +97,12 @@ def test_verifying_names_the_first_position_that_was_tampered_with(
     store: SqlEventStore, store_url: str, tamper: Tamper, position: int, reason: str
 ) -> None:
     write_records(store, 8)
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
     with raw(store_url) as database:
         database.disarm()
         tamper(database)
     store.close()
-    found = first_damage(store)
+    found = find_first_damage(store)
     assert found is not None
     assert found.position == position
     assert reason in found.reason
@@ -115,7 +115,7 @@ def test_a_value_of_the_wrong_type_is_damage_too(store: SqlEventStore, store_url
             pytest.skip("PostgreSQL keeps the types of its columns")
         database.disarm()
         database.run("UPDATE event SET payload = 'text' WHERE position = 2")
-    found = first_damage(store)
+    found = find_first_damage(store)
     assert found is not None
     assert found.position == 2
     assert "wrong type" in found.reason
@@ -124,6 +124,6 @@ def test_a_value_of_the_wrong_type_is_damage_too(store: SqlEventStore, store_url
 def test_verifying_tells_its_progress(store: SqlEventStore) -> None:
     write_records(store, 2500)
     seen: list[tuple[int, int]] = []
-    assert first_damage(store, lambda done, total: seen.append((done, total))) is None
+    assert find_first_damage(store, lambda done, total: seen.append((done, total))) is None
     assert seen == [(1000, 2500), (2000, 2500), (2500, 2500)]
     assert Damage(1, "x") == Damage(1, "x")

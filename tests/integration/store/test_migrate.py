@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import create_engine
 
 from labos.errors import BadInput, LogTooNew, StoreUnavailable
-from labos.store import SqlEventStore, database_status, migrate, migrations_folder, open_store
+from labos.store import SqlEventStore, find_migrations_folder, migrate, open_store, read_database_status
 from labos.store._migrate import REVISION, alembic_config
 from labos.store._tables import VERSION_TABLE, metadata
 from labos.store._url import parse_url
@@ -23,9 +23,9 @@ Open = Callable[..., SqlEventStore]
 
 
 def test_an_empty_database_is_migrated_once(store_url: str) -> None:
-    assert database_status(store_url).state in ("missing", "empty")
+    assert read_database_status(store_url).state in ("missing", "empty")
     assert migrate(store_url) == REVISION
-    assert database_status(store_url).state == "current"
+    assert read_database_status(store_url).state == "current"
     assert migrate(store_url) == REVISION
 
 
@@ -44,7 +44,7 @@ def test_a_kernel_on_a_current_database_does_not_load_alembic(tmp_path: Path) ->
 
 
 def test_the_status_creates_nothing(tmp_path: Path) -> None:
-    assert database_status(f"sqlite:///{tmp_path / 'lab.db'}").state == "missing"
+    assert read_database_status(f"sqlite:///{tmp_path / 'lab.db'}").state == "missing"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -52,7 +52,7 @@ def test_a_newer_database_is_refused_and_not_touched(store_url: str) -> None:
     migrate(store_url)
     with raw(store_url) as database:
         database.run(f"UPDATE {VERSION_TABLE} SET version_num = '9999'")
-    assert database_status(store_url).state == "newer"
+    assert read_database_status(store_url).state == "newer"
     for use in (migrate, open_store, lambda url: open_store(url, read_only=True)):
         with pytest.raises(LogTooNew, match="9999"):
             use(store_url)
@@ -71,7 +71,7 @@ def test_without_create_nothing_is_made(store_url: str, tmp_path: Path) -> None:
     for options in ({"create": False}, {"read_only": True}):
         with pytest.raises(StoreUnavailable):
             open_store(store_url, **options)
-    assert database_status(store_url).state in ("missing", "empty")
+    assert read_database_status(store_url).state in ("missing", "empty")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -86,7 +86,7 @@ def test_a_migration_that_fails_leaves_nothing_behind(
             database.run("CREATE TABLE event_recorded_at (x INTEGER)")
     with pytest.raises(StoreUnavailable, match="event_recorded_at"):
         migrate(store_url)
-    assert database_status(store_url).state == "empty"
+    assert read_database_status(store_url).state == "empty"
 
 
 def test_the_migrations_make_the_tables_that_the_code_expects(store_url: str) -> None:
@@ -114,7 +114,7 @@ def test_the_log_cannot_be_downgraded(store_url: str, monkeypatch: pytest.Monkey
     monkeypatch.setenv("LABOS_DATABASE_URL", store_url)
     with pytest.raises(NotImplementedError, match="Restore the backup"):
         command.downgrade(alembic_config(), "base")
-    assert database_status(store_url).state == "current"
+    assert read_database_status(store_url).state == "current"
 
 
 def test_the_alembic_command_can_migrate(store_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +122,7 @@ def test_the_alembic_command_can_migrate(store_url: str, monkeypatch: pytest.Mon
 
     monkeypatch.setenv("LABOS_DATABASE_URL", store_url)
     command.upgrade(alembic_config(), "head")
-    assert database_status(store_url).state == "current"
+    assert read_database_status(store_url).state == "current"
 
 
 def test_an_installed_package_brings_its_own_migrations(
@@ -130,15 +130,15 @@ def test_an_installed_package_brings_its_own_migrations(
 ) -> None:
     from labos.store import _migrate
 
-    checkout = migrations_folder()
+    checkout = find_migrations_folder()
     assert (checkout / "versions" / "0001_log.py").is_file()
     package = tmp_path / "site" / "labos"
     (package / "_migrations").mkdir(parents=True)
     monkeypatch.setattr(_migrate, "__file__", str(package / "store" / "_migrate.py"))
     with pytest.raises(StoreUnavailable, match="missing from this installation"):
-        migrations_folder()
+        find_migrations_folder()
     (package / "_migrations" / "env.py").touch()
-    assert migrations_folder() == package / "_migrations"
+    assert find_migrations_folder() == package / "_migrations"
 
 
 @pytest.mark.parametrize(

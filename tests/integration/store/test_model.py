@@ -28,7 +28,7 @@ from hypothesis.stateful import (
 from labos.core.envelope import GENESIS, Record
 from labos.errors import Fenced, LogDamaged, Refused
 from labos.ports import Head, LogQuery
-from labos.store import SqlEventStore, first_damage, open_store
+from labos.store import SqlEventStore, find_first_damage, open_store
 from tests.integration.store.records import LAB, batch
 
 LONG_S = 600.0
@@ -206,7 +206,7 @@ def test_sqlite_does_what_the_model_does(examples: int, steps: int) -> None:
         check(lambda: f"sqlite:///{Path(folder) / f'{next(numbers)}.db'}", examples, steps)
         for path in Path(folder).glob("*.db"):
             store = open_store(f"sqlite:///{path}", read_only=True)
-            assert first_damage(store) is None
+            assert find_first_damage(store) is None
             store.close()
 
 
@@ -226,5 +226,5 @@ def test_postgres_does_what_the_model_does(postgres_server: Any, examples: int, 
     check(new_url, examples, steps)
     for url in urls:
         store = open_store(url, read_only=True)
-        assert first_damage(store) is None
+        assert find_first_damage(store) is None
         store.close()

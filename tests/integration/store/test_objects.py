@@ -93,7 +93,7 @@ def test_a_blob_comes_back(bucket: str) -> None:
 def test_a_changed_object_is_reported_and_mended(bucket: str) -> None:
     blobs = ObjectBlobs(f"{bucket}/damaged")
     name = blobs.put(b"abc")
-    blobs._files.pipe_file(blobs._object(name), b"abd")
+    blobs._files.pipe_file(blobs._name_object(name), b"abd")
     with pytest.raises(LogDamaged, match=name):
         blobs.get(name)
     blobs.put(b"abc")

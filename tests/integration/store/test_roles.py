@@ -15,7 +15,7 @@ from psycopg import errors
 from labos.audit.database import open_audit
 from labos.cli.db import command as db
 from labos.errors import BadInput, NotFound, Refused, StoreUnavailable
-from labos.store import SqlEventStore, first_damage, grant_writer, lease_holder, migrate
+from labos.store import SqlEventStore, find_first_damage, find_lease_holder, grant_writer, migrate
 from tests.docs.markdown import DOCS
 from tests.integration.store.records import LAB, batch, write_records
 from tests.integration.store.test_words import make_erasure, pause_with_words
@@ -78,11 +78,11 @@ def test_a_writer_can_do_what_a_kernel_does(roles: Roles, opened: Open) -> None:
     assert store.load_snapshot("fold") == (53, head.hash, b"data")
     assert len(list(store.replay(end=store.head()))) == 53
     store.save_snapshot(head.position, head.hash, "fold", b"newer")
-    assert lease_holder(roles.writers_url) == "test"
+    assert find_lease_holder(roles.writers_url) == "test"
     store.close()  # without giving the lease back, as if it had died
     successor = opened(roles.writers_url)
     assert successor.claim(LAB, "the next kernel", 30.0).epoch == 2
-    assert first_damage(successor) is None
+    assert find_first_damage(successor) is None
     assert successor.known_position == 53
 
 
@@ -120,7 +120,7 @@ def test_a_writer_cannot_change_the_log_nor_take_its_guards_away(roles: Roles, o
                 writer.execute(statement)
         with pytest.raises(errors.IntegrityConstraintViolation, match="never goes back"):
             writer.execute("UPDATE head SET position = position - 1")
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
 
 
 def test_nobody_else_can_read_or_write_the_log(roles: Roles, opened: Open) -> None:

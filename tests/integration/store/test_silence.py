@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from labos.errors import StoreUnavailable
-from labos.store import SqlEventStore, first_damage
+from labos.store import SqlEventStore, find_first_damage
 from tests.integration.store.records import batch, write_records
 from tests.support.postgres import PostgresServer
 
@@ -75,7 +75,7 @@ def test_whoever_waits_for_a_frozen_server_can_be_helped_out(
     assert truth.position in (3, 3 + rows)
     after = store.append(truth, batch(truth))
     assert after.position == truth.position + 1
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lab:
 
 def age(blobs: FolderBlobs, name: str, days: float) -> None:
     at = time.time() - days * DAY_S
-    os.utime(blobs._file(name), (at, at))
+    os.utime(blobs._find_file(name), (at, at))
 
 
 def test_what_the_log_names_stays_and_what_is_young_stays(lab: Lab) -> None:
@@ -81,7 +81,7 @@ def test_a_removal_that_was_broken_off(tmp_path: Path) -> None:
     name, again = blobs.put(b"one"), blobs.put(b"two")
     (tmp_path / REMOVING).mkdir()
     for each in (name, again):
-        blobs._file(each).rename(tmp_path / REMOVING / each)
+        blobs._find_file(each).rename(tmp_path / REMOVING / each)
     blobs.put(b"two")
     blobs.put_back_removed()
     assert (blobs.get(name), blobs.get(again)) == (b"one", b"two")

@@ -16,7 +16,7 @@ from labos.core.words import PREFIX, Kept, keep
 from labos.errors import StoreError
 from labos.ports import Head, LogQuery
 from labos.services.words_check import check_words
-from labos.store import SqlEventStore, first_damage, parse_url, read_erasures
+from labos.store import SqlEventStore, find_first_damage, parse_url, read_erasures
 from tests.integration.store.records import LAB, LEASE_S, batch
 
 SALT = bytes(range(16))
@@ -50,7 +50,7 @@ def test_words_come_and_go_with_their_events(store: SqlEventStore) -> None:
     assert store.words_of([words.reference]) == {words.reference: gone}
     assert [each.erased_at for each in store.all_words()] == [2]
     assert store.scrub() == ""
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
     found = check_words(store)
     assert (found.faults, found.checked) == ((), 1)
     assert "1 were erased" in found.told
@@ -112,7 +112,7 @@ def test_words_that_somebody_changed_are_found(
     found = check_words(store)
     assert found.positions == (1,)
     assert fault in found.faults[0]
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
 
 
 def test_words_that_are_put_back_after_they_were_erased_are_found(
@@ -169,5 +169,5 @@ def test_nothing_of_the_text_is_left_in_the_files_of_sqlite(
         head = store.append(head, [make_erasure(head, words)])
     assert store.scrub() == ""
     assert not any(mark in file.read_bytes() for file in tmp_path.iterdir())
-    assert first_damage(store) is None
+    assert find_first_damage(store) is None
     assert check_words(store).faults == ()

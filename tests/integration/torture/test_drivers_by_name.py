@@ -57,7 +57,7 @@ def test_a_name_that_two_packages_use_is_refused_wherever_it_is_asked_for(
     cell = tmp_path / "cell.yaml"
     for key in ("driver: a4s_sealer", "model: a4s_sealer"):
         cell.write_text(f"labos: 1\nname: c\nmodules:\n  - {{name: sealer, {key}}}\n", "utf-8")
-        (finding,) = [f for f in validate_workcell(cell, found.descriptions()) if f.severity == "error"]
+        (finding,) = [f for f in validate_workcell(cell, found.make_descriptions()) if f.severity == "error"]
         assert "cannot be used" in finding.message
         assert "rival_sealers" in finding.remedy
 

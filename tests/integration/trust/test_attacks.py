@@ -16,7 +16,7 @@ from labos.core.runs import RunCompleted
 from labos.services.trust.checkpoints import parse_tree_head, sign_tree
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import SIGNS, make_key, parse_note
-from labos.services.trust.places import name_of, newest_in
+from labos.services.trust.places import find_newest, name_checkpoint
 from labos.services.trust.tree import TREE_FILE
 from tests.integration.trust.conftest import NAME, Lab, chain_anew
 from tests.unit.cli_queries.conftest import command_of
@@ -82,7 +82,7 @@ def test_somebody_who_makes_the_lab_forget_what_it_has_signed(lab: Lab) -> None:
 
 
 def test_a_checkpoint_that_somebody_else_has_signed(lab: Lab) -> None:
-    path = newest_in(lab.safe)
+    path = find_newest(lab.safe)
     assert path is not None
     head = parse_tree_head(parse_note(path.read_bytes()).text)
     path.write_bytes(sign_tree(head, make_key(NAME, SIGNS, bytes(32))).encode())
@@ -91,7 +91,7 @@ def test_a_checkpoint_that_somebody_else_has_signed(lab: Lab) -> None:
 
 
 def test_a_signed_checkpoint_is_not_moved_on_by_verify(lab: Lab) -> None:
-    path = lab.safe / name_of(END)
+    path = lab.safe / name_checkpoint(END)
     before = path.read_bytes()
     assert "labos checkpoint" in lab.ask("verify", "--checkpoint", str(path), "--export", code=2)
     assert path.read_bytes() == before
@@ -232,7 +232,7 @@ def test_a_bundle_of_a_lab_whose_key_was_swapped(lab: Lab) -> None:
 
 
 def test_a_bundle_after_a_change_of_the_key(lab: Lab) -> None:
-    (lab.home / "checkpoints" / name_of(END)).unlink()
+    (lab.home / "checkpoints" / name_checkpoint(END)).unlink()
     SigningKeys(lab.home).rotate(HALF, "2026-05-04T10:00:00Z")
     lab.publish()
     path = lab.bundle()

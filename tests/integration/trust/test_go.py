@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from labos.core.merkle import Tree, consistency_ranges, inclusion_ranges, leaf_hash, proof_of
-from labos.services.trust.places import name_of
+from labos.core.merkle import Tree, hash_leaf, list_consistency_ranges, list_inclusion_ranges, make_proof
+from labos.services.trust.places import name_checkpoint
 from tests.integration.trust.conftest import Lab
 from tests.unit.services.logbook import two_users
 
@@ -43,23 +43,25 @@ def verifier(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def question(lab: Lab) -> dict[str, Any]:
     """All events and all smaller trees, with proofs."""
-    tree = Tree(leaf_hash(record.envelope) for record in RECORDS)
+    tree = Tree(hash_leaf(record.envelope) for record in RECORDS)
     return {
         "key": lab.public.read_text().strip(),
-        "note": _text((lab.safe / name_of(END)).read_bytes()),
+        "note": _text((lab.safe / name_checkpoint(END)).read_bytes()),
         "records": [
             {
                 "index": at,
                 "data": _text(record.envelope),
-                "proof": [_text(each) for each in proof_of(inclusion_ranges(at, END), tree.hash_of)],
+                "proof": [_text(each) for each in make_proof(list_inclusion_ranges(at, END), tree.hash_of)],
             }
             for at, record in enumerate(RECORDS)
         ],
         "older": [
             {
                 "size": size,
-                "root": _text(tree.root(size)),
-                "proof": [_text(each) for each in proof_of(consistency_ranges(size, END), tree.hash_of)],
+                "root": _text(tree.compute_root(size)),
+                "proof": [
+                    _text(each) for each in make_proof(list_consistency_ranges(size, END), tree.hash_of)
+                ],
             }
             for size in range(1, END + 1)
         ],

@@ -17,13 +17,13 @@ import msgspec
 import pytest
 
 from labos.core.ids import LabId
-from labos.core.merkle import Edge, leaf_hash
+from labos.core.merkle import Edge, hash_leaf
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.http.witness import serve_witness
 from labos.services.trust.compare import CheckpointComparison, compare
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import make_key, parse_note
-from labos.services.trust.places import name_of
+from labos.services.trust.places import name_checkpoint
 from labos.services.trust.publish import Targets, publish
 from labos.services.trust.tree import TREE_FILE, grow, read_tree
 from labos.services.trust.witness import Witness, encode_request, parse_request
@@ -42,7 +42,9 @@ def run_witness(lab: Lab, folder: Path) -> Iterator[str]:
     keys = SigningKeys(folder)
     if not (folder / "keys").exists():
         keys.create("other.example.org/witness", witness=True)
-    witness = Witness(folder / "witness", keys.read_signing_key(witness=True), SigningKeys(lab.home).public())
+    witness = Witness(
+        folder / "witness", keys.read_signing_key(witness=True), SigningKeys(lab.home).list_public_keys()
+    )
     loop = asyncio.new_event_loop()
     ready = threading.Event()
     urls: list[str] = []
@@ -84,7 +86,7 @@ def test_a_checkpoint_is_put_on_a_server(lab: Lab) -> None:
     with serve_http(take) as url:
         said = lab.ask("checkpoint", "--to", f"{url}/lab1")
     assert f"Kept in {url}/lab1" in said
-    assert kept == {f"/lab1/{name_of(END)}": (lab.safe / name_of(END)).read_bytes()}
+    assert kept == {f"/lab1/{name_checkpoint(END)}": (lab.safe / name_checkpoint(END)).read_bytes()}
 
 
 def test_a_place_that_takes_nothing_keeps_the_others_from_nothing(lab: Lab, tmp_path: Path) -> None:
@@ -96,7 +98,7 @@ def test_a_place_that_takes_nothing_keeps_the_others_from_nothing(lab: Lab, tmp_
         )
     assert "was not taken: the server answers 403" in said
     assert "file" in said
-    assert (tmp_path / "good" / name_of(END)).exists()
+    assert (tmp_path / "good" / name_checkpoint(END)).exists()
 
 
 def test_a_server_that_is_not_there(lab: Lab) -> None:
@@ -126,10 +128,10 @@ def test_only_the_right_edge_is_kept(lab: Lab) -> None:
     assert len(kept.edge) == END.bit_count()
     edge = Edge()
     for record in RECORDS:
-        edge.add(leaf_hash(record.envelope))
+        edge.add(hash_leaf(record.envelope))
     assert kept.edge == tuple(each.hex() for each in edge.hashes)
     (lab.home / TREE_FILE).unlink()
-    assert lab.publish().note.encode() == (lab.safe / name_of(END)).read_bytes()
+    assert lab.publish().note.encode() == (lab.safe / name_checkpoint(END)).read_bytes()
 
 
 def test_a_damaged_record_is_not_signed(lab: Lab) -> None:
@@ -183,7 +185,7 @@ def test_a_witness_cosigns_what_continues(lab: Lab, tmp_path: Path) -> None:
     assert len(lab.publish().note.signatures) == 2, "what was cosigned stays so"
     for made in (first, last, again):
         assert made.faults == ()
-        assert parse_note(made.note.encode()).signers([witness]) == [witness]
+        assert parse_note(made.note.encode()).find_signers([witness]) == [witness]
     (tmp_path / "witness.pub").write_text(witness.text)
     args = ("--public-key", str(lab.public), "--witness-key", str(tmp_path / "witness.pub"))
     said = lab.ask("verify", "--bundle", str(lab.bundle()), *args)
@@ -212,7 +214,7 @@ def test_a_witness_does_not_cosign_another_story(lab: Lab, tmp_path: Path) -> No
 def test_what_a_witness_answers(lab: Lab, tmp_path: Path) -> None:
     """By the words of C2SP tlog-witness."""
     other = make_key("w.example.org", 4, bytes(32))
-    witness = Witness(tmp_path / "w", other, SigningKeys(lab.home).public())
+    witness = Witness(tmp_path / "w", other, SigningKeys(lab.home).list_public_keys())
     note = lab.publish().note
     whole = encode_request(0, [], note)
     assert parse_request(whole) == (0, [], note)
@@ -332,7 +334,7 @@ def test_an_authority_that_gives_no_time_stamp(lab: Lab) -> None:
         made = lab.publish(stamp=url)
     assert "gave none" in made.faults[0]
     assert not made.stamped
-    assert (lab.safe / name_of(END)).exists()
+    assert (lab.safe / name_checkpoint(END)).exists()
 
 
 # -- the process that follows -------------------------------------------------------------------

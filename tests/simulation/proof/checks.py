@@ -12,7 +12,7 @@ from labos.core.envelope import GENESIS, find_damage
 from labos.core.lab import KernelStarted
 from labos.core.registry import decode
 from labos.core.shorter import LogFoundShorter
-from labos.core.state import LabState, state_hash
+from labos.core.state import LabState, hash_state
 from labos.errors import LabosError
 from labos.node.journal import Journal
 from labos.ports import Handler
@@ -122,7 +122,7 @@ def refold(lab: SimulatedLab, state: LabState) -> Iterator[str]:
     """What the kernel has in memory is what the log amounts to."""
     if not lab.remembered:
         yield f"the day did not end: {lab.report()}"
-    elif lab.remembered != state_hash(state):
+    elif lab.remembered != hash_state(state):
         yield "the kernel's state is not that of the log"
 
 

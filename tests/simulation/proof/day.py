@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import msgspec
 
 from labos.core import state as fold_code
-from labos.core.state import fold_fingerprint, picture
+from labos.core.state import encode_picture, fold_fingerprint
 from labos.errors import Fenced, LabosError
 from labos.testing.lab import SimulatedLab
 from labos.testing.loop import Stalled
@@ -110,7 +110,9 @@ def leave_older_snapshot(lab: SimulatedLab) -> None:
     if head.position:
         state = lab.fold_log()
         state.bench.named += 100
-        lab.store.save_snapshot(head.position, head.hash, fingerprint_of_another_fold(), picture(state))
+        lab.store.save_snapshot(
+            head.position, head.hash, fingerprint_of_another_fold(), encode_picture(state)
+        )
 
 
 @cache

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from labos.adapter._channels import ChannelReading
-from labos.adapter._signals import array_file
+from labos.adapter._signals import encode_array
 from labos.errors import DeviceError
-from labos.spec.flaws import flaw_in
+from labos.spec.flaws import find_first_flaw
 from labos.spec.signals import SignalMapping
 
 
 def read(values: Any) -> Any:
-    attachment = array_file("series", ChannelReading(values))
+    attachment = encode_array("series", ChannelReading(values))
     assert attachment.name == "series.npy"
     assert not isinstance(attachment.content, Path)
     return np.load(io.BytesIO(attachment.content), allow_pickle=False)
@@ -36,13 +36,15 @@ def test_numbers_come_back_as_they_were() -> None:
 @pytest.mark.parametrize("values", ["a picture", ["a", "b"], None])
 def test_what_is_no_array_of_numbers_is_told(values: Any) -> None:
     with pytest.raises(DeviceError, match="series is no array of numbers") as told:
-        array_file("series", ChannelReading(values))
+        encode_array("series", ChannelReading(values))
     assert told.value.effects == "all", "the action itself is over"
 
 
 def test_beside_files_a_result_has_names() -> None:
     action = {"start": {"pv": "Expose"}, "files": {"series": "Series"}}
-    assert not flaw_in(SignalMapping, {"actions": {"expose": {**action, "result": {"frames": "Taken"}}}})
-    assert not flaw_in(SignalMapping, {"actions": {"expose": action}})
-    flaw = flaw_in(SignalMapping, {"actions": {"expose": {**action, "result": "Taken"}}})
+    assert not find_first_flaw(
+        SignalMapping, {"actions": {"expose": {**action, "result": {"frames": "Taken"}}}}
+    )
+    assert not find_first_flaw(SignalMapping, {"actions": {"expose": action}})
+    flaw = find_first_flaw(SignalMapping, {"actions": {"expose": {**action, "result": "Taken"}}})
     assert "needs a name for each process variable" in str(flaw)

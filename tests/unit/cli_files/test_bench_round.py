@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from labos.cli._bench_round import describe_recorded, from_file, from_options, read_words, say
+from labos.cli._bench_round import describe_recorded, parse_options, read_file, read_words, say
 from labos.errors import BadInput
 
 
@@ -34,24 +34,24 @@ def test_a_file_and_options_say_the_same(tmp_path: Path) -> None:
     file = tmp_path / "bench.yaml"
     file.write_text("a: P7\nb: [P1, 2xplate96]\nc:\nwc.trash: 3\nd: as recorded\nrest: as recorded\n")
     told = {"a": ["P7"], "b": ["P1", "plate96", "plate96"], "c": [], "wc.trash": ["labware"] * 3}
-    assert from_file(str(file)) == {**told, "d": None, "rest": None}
+    assert read_file(str(file)) == {**told, "d": None, "rest": None}
     options = ("a=P7", "b=P1,2xplate96", "c=", "wc.trash=3", "d==", "rest=as recorded")
-    assert from_options(options) == from_file(str(file))
+    assert parse_options(options) == read_file(str(file))
 
 
 @pytest.mark.parametrize("text", ["a", "=P7", "a=P7,,P8"])
 def test_what_is_no_word_of_a_station(text: str) -> None:
     with pytest.raises(BadInput):
-        from_options((text,))
+        parse_options((text,))
 
 
 @pytest.mark.parametrize("text", ["- a\n", "a: [P7, as recorded]\n"])
 def test_what_is_no_file_of_a_round(text: str, tmp_path: Path) -> None:
     (tmp_path / "bench.yaml").write_text(text)
     with pytest.raises(BadInput):
-        from_file(str(tmp_path / "bench.yaml"))
+        read_file(str(tmp_path / "bench.yaml"))
     with pytest.raises(BadInput, match="no file"):
-        from_file(str(tmp_path / "nothing.yaml"))
+        read_file(str(tmp_path / "nothing.yaml"))
 
 
 class Lab:

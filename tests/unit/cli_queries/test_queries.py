@@ -29,7 +29,7 @@ from labos.core.interventions import (
 from labos.core.modules import ModuleTakenOut, NodeLeft
 from labos.core.repeated import RequestRepeated
 from labos.core.runs import RunFailed, RunPaused
-from labos.core.state import fold_fingerprint, from_picture, picture
+from labos.core.state import encode_picture, fold_fingerprint, from_picture
 from labos.core.topics import Choice, PlannedWork
 from labos.services.interventions import describe_answer
 from labos.services.summary import summarise
@@ -474,10 +474,10 @@ def test_a_forged_snapshot_is_named(ask: Ask, home: Path) -> None:
 
 def test_a_sealed_snapshot_that_the_log_does_not_fold_to_is_named(ask: Ask, home: Path) -> None:
     book = two_users()
-    other = from_picture(picture(book.state))
+    other = from_picture(encode_picture(book.state))
     other.lab.name = "another"
     store = open_store(f"sqlite:///{home / 'labos.db'}", home=home)
-    store.save_snapshot(book.position, book.records[-1].hash, fold_fingerprint(), picture(other))
+    store.save_snapshot(book.position, book.records[-1].hash, fold_fingerprint(), encode_picture(other))
     store.close()
     assert "is not what the log folds to" in ask("verify", code=1).stdout
 

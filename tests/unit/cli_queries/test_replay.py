@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from labos.cli.app import group
-from labos.core.state import state_hash
+from labos.core.state import hash_state
 from labos.errors import BadInput
 from labos.runtime.ledger import load
 from labos.store import FolderBlobs, backup, open_store, write_segment
@@ -34,7 +34,7 @@ def replay(*argv: str) -> str:
 
 def test_every_kind_of_log_comes_to_the_same_state(home: Path, tmp_path: Path) -> None:
     store = open_store(f"sqlite:///{home / 'labos.db'}", read_only=True)
-    wanted = f"{store.head().position} {state_hash(load(store)[0])}\n"
+    wanted = f"{store.head().position} {hash_state(load(store)[0])}\n"
     write_segment(tmp_path / "log.jsonl", store.read())
     write_segment(tmp_path / "log.jsonl.gz", store.read())
     backup(store, FolderBlobs(home / "blobs"), tmp_path / "safe")

@@ -7,7 +7,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from labos.cli._when import local_zone, parse_when, rule_of
+from labos.cli._when import find_local_zone, parse_when, rule_of
 from labos.errors import BadInput
 
 ZONE = "Europe/Zurich"
@@ -70,4 +70,4 @@ def test_how_often() -> None:
 def test_the_time_zone_of_this_computer(monkeypatch: pytest.MonkeyPatch) -> None:
     for said, meant in ((ZONE, ZONE), (f":{ZONE}", ZONE), ("nonsense", "UTC"), ("UTC", "UTC")):
         monkeypatch.setenv("TZ", said)
-        assert local_zone() == meant
+        assert find_local_zone() == meant

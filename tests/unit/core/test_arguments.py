@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labos.core.arguments import describe_arg, find_flaw, names_of
+from labos.core.arguments import describe_arg, find_flaw, list_names
 from labos.core.model import ActionSpec, Arg
-from labos.node.arguments import problems
+from labos.node.arguments import list_problems
 from labos.spec.arguments import bind
 
 TIME = Arg("time", "float", unit="s", minimum=0.5, maximum=9.9, aliases=("seconds",))
@@ -44,7 +44,7 @@ def test_what_an_argument_takes_is_said_in_words() -> None:
     assert describe_arg(Arg("t", "int", minimum=1)) == "a whole number of at least 1"
     assert describe_arg(Arg("t", "int", maximum=1, unit="s")) == "a whole number of at most 1 s"
     assert describe_arg(Arg("g", "str", choices=("a", 1))) == "one of 'a', 1"
-    assert names_of(ActionSpec("seal", args=(TIME,))) == {"time": TIME, "seconds": TIME}
+    assert list_names(ActionSpec("seal", args=(TIME,))) == {"time": TIME, "seconds": TIME}
 
 
 ARGS = st.builds(
@@ -72,7 +72,7 @@ def test_what_a_file_may_say_a_node_accepts(arg: Arg, value: Any) -> None:
     spec, faults = ActionSpec("act", args=(arg,)), []
     bound = bind(spec, {"x": value}, lambda name, message, remedy: faults.append(message))
     if not faults:
-        assert problems(spec, bound) == []
+        assert list_problems(spec, bound) == []
 
 
 def test_a_mere_number_has_no_unit_in_messages() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.decide.barcodes import barcode_in
+from labos.core.decide.barcodes import find_barcode
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.labware import NameBarcode
@@ -68,7 +68,7 @@ def read(driver: Driver, code: str, *, then: bool = True) -> tuple[RunId, Interv
     ],
 )
 def test_where_a_result_holds_the_barcode(result: object, code: str) -> None:
-    assert barcode_in(result) == code
+    assert find_barcode(result) == code
 
 
 def test_the_first_reading_names_and_later_ones_agree() -> None:

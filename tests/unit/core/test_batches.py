@@ -19,7 +19,7 @@ from labos.core.labware import LabwarePlaced
 from labos.core.policy import Policy
 from labos.core.runs import RunSubmitted
 from labos.core.shares import Group, Member, Quota
-from labos.core.state import picture
+from labos.core.state import encode_picture
 from labos.core.users import on_behalf
 from tests.support.bench import full, move, plan, small, step
 from tests.unit.core.test_rights import make_peopled
@@ -80,11 +80,11 @@ REFUSED: dict[str, tuple[Callable[[], SubmitRun], str]] = {
 def test_one_that_is_refused_leaves_nothing_of_the_others(part: str) -> None:
     make, code = REFUSED[part]
     lab = small()
-    before = picture(lab.state)
+    before = encode_picture(lab.state)
     refusal = lab.reject(SubmitRuns((run_of(0), run_of(1), make(), run_of(3)), (), 50))
     assert (refusal.code, refusal.message.partition(":")[0]) == (code, "payloads[52]")
     assert refusal.message.endswith("None of the runs was submitted.")
-    assert picture(lab.state) == before
+    assert encode_picture(lab.state) == before
 
 
 def test_no_more_than_one_turn_of_the_kernel_takes() -> None:

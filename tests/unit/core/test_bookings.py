@@ -23,7 +23,7 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.decide.submissions import ApplyPolicy
 from labos.core.decide.users import AddGroup, AddMember, AddUser, GrantRole
 from labos.core.policy import BookingLimits, Policy
-from labos.core.recurrence import DAY_NS, fault_of_rule, in_zone, times_between
+from labos.core.recurrence import DAY_NS, find_rule_fault, in_zone, list_times_between
 from labos.core.shares import Group, Member
 from tests.support.bench import SECOND, START, Driver, move, plan, small, step, take
 
@@ -85,13 +85,13 @@ def test_a_booking_comes_near_begins_and_ends() -> None:
     lab.now = START + HOUR
     lab.pump()
     assert (lab.types()[-1], booking(lab, name).until) == ("booking.began", START + 2 * HOUR)
-    assert lab.scheduler.next_deadline(lab.state) == START + 2 * HOUR
+    assert lab.scheduler.find_next_deadline(lab.state) == START + 2 * HOUR
     lab.now = START + 2 * HOUR
     lab.pump()
     assert lab.types()[-1] == "booking.ended"
     assert not lab.state.bookings.open
     assert not lab.state.bookings.on
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
     lab.check_log()
 
 
@@ -198,7 +198,7 @@ def test_the_clock_on_the_wall_stays_when_clocks_are_changed() -> None:
     """Switzerland goes to summer time on 29 March 2026 and back on 25 October."""
     for first, after in (("2026-03-23T09:00", "2026-03-30T09:00"), ("2026-10-19T09:00", "2026-10-26T09:00")):
         begins = local_ns(first)
-        times = times_between("FREQ=WEEKLY", ZURICH, begins, begins, begins + 8 * DAY_NS)
+        times = list_times_between("FREQ=WEEKLY", ZURICH, begins, begins, begins + 8 * DAY_NS)
         assert times == [begins, local_ns(after)]
         assert times[1] - times[0] != 7 * DAY_NS
         assert [in_zone(at, ZURICH)[11:16] for at in times] == ["09:00", "09:00"]
@@ -217,7 +217,7 @@ def test_the_clock_on_the_wall_stays_when_clocks_are_changed() -> None:
 
 def test_an_hour_that_does_not_exist_is_the_next_one() -> None:
     begins = local_ns("2026-03-28T02:30")
-    times = times_between("FREQ=DAILY", ZURICH, begins, begins, local_ns("2026-03-31T00:00"))
+    times = list_times_between("FREQ=DAILY", ZURICH, begins, begins, local_ns("2026-03-31T00:00"))
     assert [in_zone(at, ZURICH) for at in times] == [
         "2026-03-28 02:30 CET",
         "2026-03-29 03:30 CEST",
@@ -238,11 +238,11 @@ def test_rules_of_every_kind() -> None:
         ("FREQ=MONTHLY;BYDAY=MO;BYSETPOS=1", 12),
         ("FREQ=YEARLY;BYMONTH=1;BYDAY=1MO", 1),
     ]:
-        assert fault_of_rule(rule, ZURICH, begins) == "", rule
-        times = times_between(rule, ZURICH, begins, begins, local_ns("2027-01-05T09:00"))
+        assert find_rule_fault(rule, ZURICH, begins) == "", rule
+        times = list_times_between(rule, ZURICH, begins, begins, local_ns("2027-01-05T09:00"))
         assert abs(len(times) - count) <= 1, rule
-    assert "first time" in fault_of_rule("FREQ=WEEKLY;BYDAY=TU", ZURICH, begins)
-    assert "characters" in fault_of_rule("FREQ=DAILY;BYMONTH=" + "1," * 200 + "1", ZURICH, begins)
+    assert "first time" in find_rule_fault("FREQ=WEEKLY;BYDAY=TU", ZURICH, begins)
+    assert "characters" in find_rule_fault("FREQ=DAILY;BYMONTH=" + "1," * 200 + "1", ZURICH, begins)
 
 
 def test_one_time_of_many_falls_out() -> None:

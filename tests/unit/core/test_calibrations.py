@@ -8,7 +8,7 @@ from labos.core.calibrations import MOST_CALIBRATIONS, Calibration, find_first_e
 from labos.core.decide.calibrations import CalibrateModule
 from labos.core.ids import ModuleName
 from labos.core.modules import ModuleCalibrated
-from labos.core.words import fields_of_words
+from labos.core.words import find_fields_of_words
 from tests.support.bench import Driver, full, move, plan, small, step, take
 
 ARM = ModuleName(full("arm"))
@@ -82,4 +82,4 @@ def test_an_action_starts_whatever_has_expired() -> None:
 
 
 def test_a_reason_can_be_erased_and_a_certificate_cannot() -> None:
-    assert fields_of_words(ModuleCalibrated) == fields_of_words(CalibrateModule) == ("why",)
+    assert find_fields_of_words(ModuleCalibrated) == find_fields_of_words(CalibrateModule) == ("why",)

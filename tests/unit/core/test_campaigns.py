@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from labos.core.campaigns import ROWS_QUEUED, Budget, Campaign, CampaignCancelled, Terms
-from labos.core.conditions import condition
+from labos.core.conditions import make_condition
 from labos.core.decide import Rejection
 from labos.core.decide.campaigns import (
     AmendCampaign,
@@ -25,7 +25,7 @@ from labos.core.decide.lab import StartKernel
 from labos.core.expressions import parse_expression
 from labos.core.ids import CampaignId, RunId
 from labos.core.model import Condition, Plan
-from labos.core.state import picture
+from labos.core.state import encode_picture
 from tests.support.bench import consumes, plan, small, step
 
 READ = plan(step("dev", key="read", duration_s=600.0), name="read")
@@ -33,7 +33,7 @@ C1 = CampaignId("C1")
 
 
 def until(text: str) -> Condition:
-    return condition(text, parse_expression(text))
+    return make_condition(text, parse_expression(text))
 
 
 class Lab:
@@ -219,7 +219,7 @@ def test_room_in_the_state_does_not_grow_with_the_rows() -> None:
     def size(rows: int) -> int:
         lab = Lab(rows=rows)
         lab.feed()
-        return len(picture(lab.lab.state))
+        return len(encode_picture(lab.lab.state))
 
     assert size(100_000) - size(10) < 16
 

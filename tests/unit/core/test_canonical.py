@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labos.core.canonical import canonical, digest, refuse_non_finite
+from labos.core.canonical import digest, encode_canonical, refuse_non_finite
 
 JSON = st.recursive(
     st.none()
@@ -33,15 +33,15 @@ class Pair(msgspec.Struct):
 @given(JSON)
 @settings(max_examples=100, derandomize=True, deadline=None)
 def test_it_is_json_and_reads_back(value: Any) -> None:
-    assert msgspec.json.decode(canonical(value)) == value
-    assert json.loads(canonical(value)) == value
+    assert msgspec.json.decode(encode_canonical(value)) == value
+    assert json.loads(encode_canonical(value)) == value
 
 
 def test_keys_are_sorted_at_every_depth_and_there_is_no_white_space() -> None:
-    assert canonical({"b": {"d": 1, "c": [{"z": 0, "y": 1}]}, "a": 2}) == (
+    assert encode_canonical({"b": {"d": 1, "c": [{"z": 0, "y": 1}]}, "a": 2}) == (
         b'{"a":2,"b":{"c":[{"y":1,"z":0}],"d":1}}'
     )
-    assert canonical(Pair(b=1, a=2)) == b'{"a":2,"b":1}'
+    assert encode_canonical(Pair(b=1, a=2)) == b'{"a":2,"b":1}'
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -61,12 +61,12 @@ def test_keys_are_sorted_at_every_depth_and_there_is_no_white_space() -> None:
 )
 def test_what_is_not_finite_is_refused_anywhere(bad: float, wrap: Any) -> None:
     with pytest.raises(ValueError, match="is not a finite number"):
-        canonical(wrap(bad))
+        encode_canonical(wrap(bad))
 
 
 def test_a_key_that_is_no_string_is_refused() -> None:
     with pytest.raises(TypeError):
-        canonical({math.nan: 1})
+        encode_canonical({math.nan: 1})
 
 
 def test_digest_is_sha_256() -> None:
@@ -84,26 +84,26 @@ def nest(levels: int, kind: type = list) -> Any:
 @pytest.mark.parametrize("levels", [101, 900, 5000, 100_000])
 def test_what_stands_too_deep_is_refused(kind: type, levels: int) -> None:
     with pytest.raises(ValueError, match="More than 100 lists and objects"):
-        canonical(nest(levels, kind))
+        encode_canonical(nest(levels, kind))
 
 
 def test_a_hundred_levels_are_kept_and_brackets_in_texts_are_none() -> None:
-    assert msgspec.json.decode(canonical(nest(100))) == nest(100)
+    assert msgspec.json.decode(encode_canonical(nest(100))) == nest(100)
     text = {'[{"\\': ['[[[["{{{{\\"', "[" * 500, "\\"]}
-    assert msgspec.json.decode(canonical(text)) == text
+    assert msgspec.json.decode(encode_canonical(text)) == text
 
 
 @pytest.mark.parametrize("bad", [2**64, 2**70, -(2**63) - 1, 10**400])
 def test_a_whole_number_beyond_64_bits_is_refused(bad: int) -> None:
     for value in (bad, [bad], {"a": {"b": bad}}, Pair(1, [bad])):
         with pytest.raises(ValueError, match="does not fit into 64 bits"):
-            canonical(value)
+            encode_canonical(value)
 
 
 @pytest.mark.parametrize("bad", ["\ud800", "plate \udfff", {"\ud800": 1}, ["x", {"a": "\udc80"}]])
 def test_text_without_utf_8_is_refused(bad: Any) -> None:
     with pytest.raises(ValueError, match="half a surrogate pair"):
-        canonical(bad)
+        encode_canonical(bad)
 
 
 def test_what_is_not_finite_is_found_at_any_depth() -> None:

@@ -18,7 +18,7 @@ from labos.core.decide.stock import LoadStation
 from labos.core.decide.users import AddUser, GrantRole
 from labos.core.ids import LabId, ModuleName, StationName
 from labos.core.labware import LabwarePlaced
-from labos.core.state import picture
+from labos.core.state import encode_picture
 from tests.support.bench import CELL, Driver, full, move, plan, small, small_cell, station, step, workcell
 from tests.support.bench import module as device
 
@@ -54,9 +54,9 @@ def roomy() -> Driver:
 
 def check_untouched(lab: Driver, command: Command, by: str = "labos") -> str:
     """Why a command is refused; nothing of it has happened."""
-    before = picture(lab.state)
+    before = encode_picture(lab.state)
     code = lab.reject(command, by).code
-    assert picture(lab.state) == before
+    assert encode_picture(lab.state) == before
     return code
 
 
@@ -215,4 +215,4 @@ def test_a_user_and_their_first_role() -> None:
     assert lab.state.users.roles["user:bo"] == {CELL: "operator"}
     first = small(stock=0)
     first.do(AddUser("eve", role="viewer"))
-    assert first.state.users.admins() == ["eve"]
+    assert first.state.users.list_admins() == ["eve"]

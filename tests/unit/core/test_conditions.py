@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from labos.core import conditions
-from labos.core.conditions import decision, fill_in, holds
+from labos.core.conditions import fill_in, find_decision, holds
 from labos.core.expressions import ExpressionError, parse_expression
 from labos.core.model import Condition, OnError, Plan
 from labos.core.runs import DONE, FAILED, PENDING, SKIPPED, RunFailed
@@ -14,7 +14,7 @@ from tests.support.bench import Driver, move, plan, small, step, take
 
 
 def condition(text: str) -> Condition:
-    return conditions.condition(text, parse_expression(text))
+    return conditions.make_condition(text, parse_expression(text))
 
 
 def make_choice(*texts: str, feeds: tuple[int, ...] = (0,)) -> Plan:
@@ -124,7 +124,7 @@ def test_what_was_carried_there_is_not_carried_again() -> None:
     ],
 )
 def test_opposite_conditions_decide_the_same(first: str, second: str, same: bool) -> None:
-    one, other = decision(condition(first)), decision(condition(second))
+    one, other = find_decision(condition(first)), find_decision(condition(second))
     assert one[0] == other[0]
     assert (one[1] == other[1]) == same
 
@@ -132,4 +132,4 @@ def test_opposite_conditions_decide_the_same(first: str, second: str, same: bool
 def test_names_are_filled_in_wherever_they_stand() -> None:
     tree = parse_expression("not (len([payload.x, 2]) + -payload.x * 2 > payload.x) and payload.x in [1]")
     filled = fill_in(tree, {("payload", "x"): ("value", 1)})
-    assert holds(conditions.condition("", filled), {}) is True
+    assert holds(conditions.make_condition("", filled), {}) is True

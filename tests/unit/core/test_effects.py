@@ -13,7 +13,7 @@ from labos.core.effects import (
     Requires,
     Sets,
     Take,
-    places,
+    list_places,
     resolve,
     resolve_value,
 )
@@ -57,7 +57,7 @@ def test_places_are_all_the_stations_named() -> None:
         Needs(),
         Sets("module", "source", "x"),
     ]
-    assert places(effects) == {"a", "b", "c", "s", "t", "n"}
+    assert list_places(effects) == {"a", "b", "c", "s", "t", "n"}
 
 
 def test_effects_are_told_apart_by_their_tag_and_refuse_unknown_fields() -> None:

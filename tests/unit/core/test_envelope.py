@@ -7,7 +7,7 @@ import hashlib
 import msgspec
 import pytest
 
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest, encode_canonical
 from labos.core.envelope import GENESIS, Envelope, Record, find_damage, seal
 
 PAYLOAD = b'{"why":"test"}'
@@ -33,7 +33,7 @@ def head(position: int = 1, **more: object) -> Envelope:
 
 def test_the_hash_covers_the_one_before_and_every_field_of_the_envelope() -> None:
     record = seal(GENESIS, head(), PAYLOAD)
-    assert record.hash == hashlib.sha256(bytes(32) + canonical(head())).digest()
+    assert record.hash == hashlib.sha256(bytes(32) + encode_canonical(head())).digest()
     assert find_damage(GENESIS, record) == ""
     second = seal(record.hash, head(2), PAYLOAD)
     assert find_damage(record.hash, second) == ""

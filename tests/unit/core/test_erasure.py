@@ -19,23 +19,23 @@ from labos.core.decide.handover import HandOver
 from labos.core.decide.limits import BAD_TEXT
 from labos.core.decide.nodes import TakeOut
 from labos.core.decide.submissions import ApplyPolicy
-from labos.core.decide.wording import refer_to_words, words_in
-from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased, references_in_words
+from labos.core.decide.wording import list_words, refer_to_words
+from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased, list_references_in_words
 from labos.core.experiments import ExperimentCancelled
 from labos.core.ids import ExperimentId, ModuleName, RunId
 from labos.core.lab import StartsPaused
 from labos.core.policy import Policy
 from labos.core.registry import Event, encode
-from labos.core.state import LabState, from_picture, picture, picture_with, state_hash
+from labos.core.state import LabState, encode_picture, from_picture, hash_state, rewrite_picture
 from labos.core.words import (
     ERASED,
     Kept,
-    fields_of_words,
+    find_fields_of_words,
     keep,
+    list_references,
+    make_reference,
     put_into_json,
     put_into_text,
-    reference_of,
-    references_in,
 )
 from tests.support.bench import CELL, Driver, plan, small, step
 
@@ -45,7 +45,7 @@ HOUR = 3_600_000_000_000
 
 def make_reference_writer(kept: dict[str, str]) -> Callable[[str], str]:
     def put(text: str) -> str:
-        reference = reference_of(SALT, text)
+        reference = make_reference(SALT, text)
         kept[reference] = text
         return reference
 
@@ -64,16 +64,16 @@ def obey(lab: Driver, command: Command, actor: str = "bo") -> tuple[list[Event],
 
 
 def test_a_reference_depends_on_salt_and_text() -> None:
-    one = reference_of(SALT, "no")
-    assert one != reference_of(b"f" * 16, "no")
-    assert one != reference_of(SALT, "yes")
-    assert references_in(f'{{"why":"{one}, and {one}"}}'.encode()) == [one]
-    assert references_in(b'{"why":"words: nothing"}') == []
+    one = make_reference(SALT, "no")
+    assert one != make_reference(b"f" * 16, "no")
+    assert one != make_reference(SALT, "yes")
+    assert list_references(f'{{"why":"{one}, and {one}"}}'.encode()) == [one]
+    assert list_references(b'{"why":"words: nothing"}') == []
 
 
 def test_texts_are_put_in_as_json_writes_them() -> None:
-    text = 'says "no"\nand \\ so: ' + reference_of(SALT, "inner")
-    one, two = reference_of(SALT, text), reference_of(SALT, "two")
+    text = 'says "no"\nand \\ so: ' + make_reference(SALT, "inner")
+    one, two = make_reference(SALT, text), make_reference(SALT, "two")
     data = f'{{"why":"bo said: {one}","note":"{two}"}}'.encode()
     told = msgspec.json.decode(put_into_json(data, {one: text}))
     assert told == {
@@ -101,7 +101,7 @@ def test_every_word_of_a_command_is_declared() -> None:
         if issubclass(kind, Report) or kind.__name__ in told_by_labos:
             continue
         texts = {name for name in kind.__struct_fields__ if name in ("why", "note", "comment", "reason")}
-        assert texts == set(fields_of_words(kind)), kind
+        assert texts == set(find_fields_of_words(kind)), kind
 
 
 def test_events_state_and_longer_sentences_refer_to_the_words() -> None:
@@ -112,8 +112,8 @@ def test_events_state_and_longer_sentences_refer_to_the_words() -> None:
     ((reference, text),) = kept.items()
     assert text == "it is late"
     assert cancelled.why == f"cancelled by bo: {reference}"
-    assert references_in_words(cancelled.TYPE, encode(cancelled)) == [reference]
-    assert b"it is late" not in picture(lab.state)
+    assert list_references_in_words(cancelled.TYPE, encode(cancelled)) == [reference]
+    assert b"it is late" not in encode_picture(lab.state)
     lab.check_log()
 
 
@@ -122,7 +122,7 @@ def test_what_is_nested_and_what_stands_in_parts_is_referred_to() -> None:
     kept: dict[str, str] = {}
     made = refer_to_words(MakeBooking("dev", terms, "bo", 0), make_reference_writer(kept))
     assert kept == {made.terms.why: "course"}
-    assert list(words_in(MakeBooking("dev", terms, "bo", 0))) == [("course", "why")]
+    assert list(list_words(MakeBooking("dev", terms, "bo", 0))) == [("course", "why")]
 
 
 def test_a_changed_booking_keeps_its_reason() -> None:
@@ -164,7 +164,7 @@ def test_words_are_measured_before_they_are_referred_to(why: str) -> None:
 
 def test_somebody_who_types_a_reference_has_written_a_text() -> None:
     lab = small()
-    typed = reference_of(SALT, "the secret of somebody else")
+    typed = make_reference(SALT, "the secret of somebody else")
     events, kept = obey(lab, PauseStarts("*", "bo", typed))
     assert kept[events[0].why] == typed  # type: ignore[attr-defined]
 
@@ -173,8 +173,8 @@ def test_the_state_is_the_same_whatever_becomes_of_the_text() -> None:
     one, other = small(), small()
     for lab in (one, other):
         obey(lab, PauseStarts("*", "bo", "lunch"))
-    assert state_hash(one.state) == state_hash(other.state)
-    shown = picture_with(picture(one.state), lambda text: put_into_text(text, {}))
+    assert hash_state(one.state) == hash_state(other.state)
+    shown = rewrite_picture(encode_picture(one.state), lambda text: put_into_text(text, {}))
     assert from_picture(shown).lab.paused["*"].why == ERASED
 
 

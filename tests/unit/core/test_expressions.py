@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labos.core.conditions import condition, decision, find_reads, holds
+from labos.core.conditions import find_decision, find_reads, holds, make_condition
 from labos.core.expressions import (
     DEEPEST,
     LONGEST,
     ExpressionError,
     evaluate,
-    names_in,
+    list_names,
     parse_expression,
 )
 
@@ -98,7 +98,7 @@ def test_what_it_refuses(text: str, why: str) -> None:
 
 def test_names_are_found_wherever_they_stand() -> None:
     text = 'not (result.a in [payload.b, -steps["Take picture"].result.c]) and max(1, result.d[0]) < 2'
-    assert names_in(parse_expression(text)) == [
+    assert list_names(parse_expression(text)) == [
         ("result", "a"), ("payload", "b"), ("steps", "Take picture", "result", "c"), ("result", "d", 0)
     ]  # fmt: skip
 
@@ -154,9 +154,9 @@ def _nest(inner: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
 @settings(max_examples=600, deadline=None, derandomize=True)
 def test_what_is_read_can_be_recorded_and_decided(text: str, value: Any) -> None:
     with contextlib.suppress(ExpressionError):
-        kept = condition(text, parse_expression(text))
+        kept = make_condition(text, parse_expression(text))
         find_reads(kept)
-        decision(kept)
+        find_decision(kept)
         holds(kept, {"Read": {"result": value}}, value)
 
 
@@ -165,7 +165,7 @@ def test_brackets_in_brackets_are_refused_before_they_are_recorded() -> None:
     for _ in range(20):
         text = f"1 * (0 + {text} < 2 and true or false)"
     with pytest.raises(ExpressionError, match="fewer brackets"):
-        condition(text, parse_expression(text))
+        make_condition(text, parse_expression(text))
 
 
 @given(st.lists(WORDS, max_size=30).map(" ".join) | st.text(max_size=60), VALUES)
@@ -173,7 +173,7 @@ def test_brackets_in_brackets_are_refused_before_they_are_recorded() -> None:
 def test_no_text_raises_anything_else(text: str, value: Any) -> None:
     with contextlib.suppress(ExpressionError):
         tree = parse_expression(text)
-        names_in(tree)
+        list_names(tree)
         evaluate(tree, {**TABLES, "payload": value})
 
 

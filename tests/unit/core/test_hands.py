@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from labos.core.waits import Wait
-from labos.planning.explain import sentence
-from labos.planning.obstacle import obstacle
+from labos.planning.explain import describe_wait
+from labos.planning.obstacle import find_obstacle
 from tests.support.bench import Driver, module, move, plan, route, station, step, take, workcell
 
 HAND = "arm.gripper"
@@ -40,7 +40,7 @@ def test_while_its_hand_is_full_an_arm_only_puts_that_down() -> None:
         found = lab.check_start(run)
         assert isinstance(found, Wait)
         assert found.code in ("hand_full", "nothing_there")
-    assert sentence(lab.check_start("R2")) == "the hand of arm holds P1"  # type: ignore[arg-type]
+    assert describe_wait(lab.check_start("R2")) == "the hand of arm holds P1"  # type: ignore[arg-type]
     assert lab.code(lab.submit(plan(step("arm")))) == "", "what carries nothing needs no hand"
     assert lab.code(lab.submit(route("stack", "c", arm="arm2"))) == "", "other hands are free"
     lab.step(held, 1)
@@ -74,14 +74,14 @@ def test_nothing_is_picked_that_could_not_be_put_down() -> None:
     )
     lab.step(picks)
     assert lab.code(picks, 1) == "", "the rules of the bench see nothing wrong"
-    assert lab.scheduler.safety.traps(lab.state, lab.run(picks), 1) == [stays, picks]
+    assert lab.scheduler.safety.list_trapped(lab.state, lab.run(picks), 1) == [stays, picks]
 
 
 def test_a_run_is_told_of_a_hand_that_nobody_empties() -> None:
     lab = two_arms()
     lab.step(lab.submit(plan(step("arm", take("stack", HAND)))))
     out = lab.run(lab.submit(route("stack", "a", "trash"), user="bob"))  # type: ignore[arg-type]
-    told = obstacle(lab.scheduler.safety, lab.state, out)
+    told = find_obstacle(lab.scheduler.safety, lab.state, out)
     assert told == "'to a' needs the hand of arm, where P1 of user ada stands"
 
 

@@ -34,7 +34,7 @@ def test_ids_count_up_over_all_questions() -> None:
     for source, target in [("a", "b"), ("c", "hotel")]:
         lab.doubt(lab.start(lab.submit(route(source, target, arm="arm" if source == "a" else "arm2"))))
     assert [q.id for q in lab.questions()] == ["I1", "I2"]
-    assert lab.state.interventions.about(lab.question_of("I2").subject) is lab.question_of("I2")
+    assert lab.state.interventions.find_about(lab.question_of("I2").subject) is lab.question_of("I2")
 
 
 def test_what_a_failed_run_left_is_carried_away_or_stays() -> None:

@@ -29,7 +29,7 @@ def make_closing() -> Driver:
 def look_in(lab: Driver, seconds: float, deadlines: Deadlines) -> list[object]:
     """What the kernel does about it after a while."""
     lab.wait(seconds)
-    return [event for command in deadlines.due(lab.state, lab.now) for event in lab.do(command)]
+    return [event for command in deadlines.iterate_due(lab.state, lab.now) for event in lab.do(command)]
 
 
 def test_somebody_is_told_once() -> None:

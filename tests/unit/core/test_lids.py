@@ -166,7 +166,7 @@ def test_a_lid_that_was_put_on_by_who_knows_whom_is_asked_for(
     lab.step(run, 1)
     action = lab.start(run, 2)
     lab.doubt(action)
-    assert lab.state.bench.in_doubt(lab.state.bench.labware[LabwareId("P1")])
+    assert lab.state.bench.is_lid_in_doubt(lab.state.bench.labware[LabwareId("P1")])
     lab.answer(lab.question("unknown_action"), choice)
     assert (lid_of(lab, "P1"), lab.at("nest"), lab.at("a")) == (lidded, nest, ["P1"])
     lab.check_log()

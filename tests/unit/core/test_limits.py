@@ -11,7 +11,7 @@ from labos.core.actions import ActionFailed, ActionSucceeded
 from labos.core.decide import LABOS, Command, Rejection, decide
 from labos.core.decide._base import DECIDERS, Report
 from labos.core.decide.actions import DoubtAction, FinishAction, RefuseAction
-from labos.core.decide.limits import BAD_TEXT, fault_of
+from labos.core.decide.limits import BAD_TEXT, find_fault
 from labos.core.decide.nodes import JoinNode, LoseNode, RecordStops, ReportState
 from labos.core.ids import ActionId, ModuleName
 from labos.core.modules import EmergencyStopped, NodeStateChanged
@@ -149,8 +149,8 @@ def test_an_action_ends_whatever_is_said_of_it(lab: Driver, kind: str) -> None:
 
 
 def test_a_note_may_have_several_lines() -> None:
-    assert fault_of("one\ntwo\tthree", "note") == ""
-    assert "line breaks" in fault_of("one\ntwo", "why")
+    assert find_fault("one\ntwo\tthree", "note") == ""
+    assert "line breaks" in find_fault("one\ntwo", "why")
 
 
 def test_a_step_whose_arguments_become_too_large_ends_its_run(lab: Driver) -> None:

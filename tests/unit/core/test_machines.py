@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from labos.core.actions import ActionStatus
-from labos.core.machines import MACHINES, arrows
+from labos.core.machines import MACHINES, list_arrows
 from labos.core.modules import ModuleStatus
 from labos.core.registry import Event, decode
 from labos.core.runs import RunStatus, StepStatus
@@ -16,7 +16,7 @@ from tests.golden.test_golden import NAMES, log
 from tests.support.transitions import Found, transitions
 from tests.unit.core.test_any_order import live_through
 
-DRAWN = {name: set(arrows(rows)) for name, rows in MACHINES.items()}
+DRAWN = {name: set(list_arrows(rows)) for name, rows in MACHINES.items()}
 
 
 def golden(name: str) -> Iterator[tuple[Event, int, int]]:

@@ -10,14 +10,14 @@ from labos.core.merkle import (
     EMPTY_ROOT,
     Edge,
     Tree,
-    consistency_ranges,
-    growth_proof,
-    inclusion_ranges,
+    compute_root,
+    hash_leaf,
     is_consistent,
     is_included,
-    leaf_hash,
-    proof_of,
-    root_of,
+    list_consistency_ranges,
+    list_inclusion_ranges,
+    make_growth_proof,
+    make_proof,
 )
 
 LEAVES = ["", "00", "10", "2021", "3031", "40414243", "5051525354555657", "606162636465666768696a6b6c6d6e6f"]
@@ -31,62 +31,64 @@ ROOTS = {
 
 
 def tree_of(size: int) -> Tree:
-    return Tree(leaf_hash(b"%d" % at) for at in range(size))
+    return Tree(hash_leaf(b"%d" % at) for at in range(size))
 
 
 def edge_of(size: int) -> Edge:
     edge = Edge()
     for at in range(size):
-        edge.add(leaf_hash(b"%d" % at))
+        edge.add(hash_leaf(b"%d" % at))
     return edge
 
 
 @pytest.mark.parametrize("size", ROOTS)
 def test_roots_are_those_of_certificate_transparency(size: int) -> None:
-    leaves = [leaf_hash(bytes.fromhex(each)) for each in LEAVES[:size]]
-    assert root_of(leaves).hex() == Tree(leaves).root().hex() == ROOTS[size]
+    leaves = [hash_leaf(bytes.fromhex(each)) for each in LEAVES[:size]]
+    assert compute_root(leaves).hex() == Tree(leaves).compute_root().hex() == ROOTS[size]
 
 
 def test_an_empty_tree_has_a_root() -> None:
-    assert root_of([]) == Tree([]).root() == Edge().root() == EMPTY_ROOT
+    assert compute_root([]) == Tree([]).compute_root() == Edge().compute_root() == EMPTY_ROOT
 
 
 @pytest.mark.parametrize("size", range(1, 34))
 def test_each_leaf_is_proven_and_no_other(size: int) -> None:
     tree = tree_of(size)
     for at in range(size):
-        proof = proof_of(inclusion_ranges(at, size), tree.hash_of)
-        leaf = leaf_hash(b"%d" % at)
-        assert is_included(leaf, at, size, tree.root(), proof)
-        assert not is_included(leaf_hash(b"x"), at, size, tree.root(), proof)
-        assert not is_included(leaf, at, size, tree.root(), [*proof, leaf])
+        proof = make_proof(list_inclusion_ranges(at, size), tree.hash_of)
+        leaf = hash_leaf(b"%d" % at)
+        assert is_included(leaf, at, size, tree.compute_root(), proof)
+        assert not is_included(hash_leaf(b"x"), at, size, tree.compute_root(), proof)
+        assert not is_included(leaf, at, size, tree.compute_root(), [*proof, leaf])
         if size > 1:
-            assert not is_included(leaf, (at + 1) % size, size, tree.root(), proof)
-            assert not is_included(leaf, at, size, tree.root(), proof[:-1])
+            assert not is_included(leaf, (at + 1) % size, size, tree.compute_root(), proof)
+            assert not is_included(leaf, at, size, tree.compute_root(), proof[:-1])
 
 
 @pytest.mark.parametrize("size", range(1, 34))
 def test_each_smaller_tree_is_proven_and_no_other(size: int) -> None:
     tree = tree_of(size)
     for old in range(size + 1):
-        proof = proof_of(consistency_ranges(old, size), tree.hash_of)
-        assert is_consistent(old, tree.root(old), size, tree.root(), proof)
+        proof = make_proof(list_consistency_ranges(old, size), tree.hash_of)
+        assert is_consistent(old, tree.compute_root(old), size, tree.compute_root(), proof)
         if 0 < old < size:
-            assert not is_consistent(old, leaf_hash(b"x"), size, tree.root(), proof)
-            assert not is_consistent(old, tree.root(old), size, leaf_hash(b"x"), proof)
-            assert not is_consistent(old, tree.root(old), size, tree.root(), proof[:-1])
-            assert growth_proof(edge_of(old), [leaf_hash(b"%d" % at) for at in range(old, size)]) == proof
+            assert not is_consistent(old, hash_leaf(b"x"), size, tree.compute_root(), proof)
+            assert not is_consistent(old, tree.compute_root(old), size, hash_leaf(b"x"), proof)
+            assert not is_consistent(old, tree.compute_root(old), size, tree.compute_root(), proof[:-1])
+            assert (
+                make_growth_proof(edge_of(old), [hash_leaf(b"%d" % at) for at in range(old, size)]) == proof
+            )
 
 
 @given(st.integers(1, 700), st.integers(0, 699), st.integers(0, 300))
 def test_a_flipped_bit_of_a_proof_is_noticed(size: int, leaf: int, flip: int) -> None:
     at = leaf % size
     tree = tree_of(size)
-    proof = proof_of(inclusion_ranges(at, size), tree.hash_of)
+    proof = make_proof(list_inclusion_ranges(at, size), tree.hash_of)
     if proof:
         number = flip % len(proof)
         proof[number] = bytes([proof[number][0] ^ 1, *proof[number][1:]])
-        assert not is_included(leaf_hash(b"%d" % at), at, size, tree.root(), proof)
+        assert not is_included(hash_leaf(b"%d" % at), at, size, tree.compute_root(), proof)
 
 
 def test_what_is_not_in_the_tree_has_no_proof() -> None:
@@ -94,8 +96,8 @@ def test_what_is_not_in_the_tree_has_no_proof() -> None:
     assert not is_included(b"", 3, 3, b"", [])
     assert not is_consistent(4, b"", 3, b"", [])
     with pytest.raises(ValueError, match="no leaf 3"):
-        inclusion_ranges(3, 3)
+        list_inclusion_ranges(3, 3)
     with pytest.raises(ValueError, match="does not begin"):
-        consistency_ranges(4, 3)
+        list_consistency_ranges(4, 3)
     with pytest.raises(ValueError, match="no such right edge"):
         Edge(3, [bytes(32)])

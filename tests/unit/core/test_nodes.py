@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from labos.core.decide.access import in_motion
+from labos.core.decide.access import list_in_motion
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.nodes import (
     EndOutage,
@@ -99,7 +99,7 @@ def test_a_module_comes_back_by_itself_when_its_time_has_come() -> None:
     lab.do(TakeOut(DEV, "service", until, lab.now))
     run = lab.submit(plan(step("dev")))
     assert lab.pump() == []
-    assert lab.scheduler.next_deadline(lab.state) == until
+    assert lab.scheduler.find_next_deadline(lab.state) == until
     lab.wait(59)
     assert lab.do(EndOutage(DEV, lab.now)) == []
     assert lab.pump() == []
@@ -107,7 +107,7 @@ def test_a_module_comes_back_by_itself_when_its_time_has_come() -> None:
     assert lab.pump() == [f"{run}#0"]
     assert dev(lab).out_of_service == ""
     assert lab.state.modules.back_at == {}
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
     assert lab.do(EndOutage(DEV, lab.now)) == []
     lab.check_log()
 
@@ -150,14 +150,14 @@ def test_an_action_whose_node_stays_away_is_asked_about() -> None:
     lab.accept(action)
     lab.do(LoseNode(DEV, "i1", "silent"))
     lab.pump()
-    assert lab.scheduler.next_deadline(lab.state) == lab.now + int(NODE_AWAY_S * SECOND) + 1
+    assert lab.scheduler.find_next_deadline(lab.state) == lab.now + int(NODE_AWAY_S * SECOND) + 1
     lab.wait(NODE_AWAY_S)
     lab.pump()
     assert lab.questions() == []
     lab.wait(0.001)
     lab.pump()
     assert "its node has been gone for 60 s" in lab.question("unknown_action").text
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
     lab.do(JOIN)
     lab.finish(action)
     assert lab.questions() == [], "the node answered after all"
@@ -188,7 +188,7 @@ def test_a_node_that_comes_back_at_its_work_ends_the_question() -> None:
     assert lab.questions() == []
     assert lab.run(run).steps[1].status == IN_FLIGHT
     assert lab.state.bench.labware["P1"].maybe, "nobody has seen it"  # type: ignore[index]
-    assert in_motion(lab.state, "cell") == ["arm"], "nobody is let in"
+    assert list_in_motion(lab.state, "cell") == ["arm"], "nobody is let in"
     assert "carrying" in lab.reject(ObserveStation(StationName("cell/a"), "olga", count=1)).message
     assert lab.accept(action) == []
     lab.finish(action)

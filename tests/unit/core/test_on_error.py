@@ -88,7 +88,7 @@ def test_a_person_is_asked_and_everything_after_it_waits() -> None:
     assert [choice.name for choice in question.choices] == ["retry", "skip", "fail"]
     assert "step 's0'" in question.text and "jam" in question.text  # noqa: PT018
     assert lab.pump() == []
-    ((index, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    ((index, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
     assert (index, wait.code, wait.blocked) == (0, "asked", True)
     lab.answer(question, "retry")
     assert lab.pump() == [f"{run}#0"]
@@ -202,7 +202,9 @@ def test_two_runs_whose_recoveries_cross_are_not_let_in_together() -> None:
     assert lab.pump() == [f"{first}#0"]
     lab.finish("A1")
     assert lab.pump() == [f"{first}#1"], "the second would stand where the first may have to go"
-    assert [wait.code for _, wait in lab.scheduler.waits(lab.state, lab.run(second), lab.now)] == ["unsafe"]
+    assert [wait.code for _, wait in lab.scheduler.list_waits(lab.state, lab.run(second), lab.now)] == [
+        "unsafe"
+    ]
     lab.finish("A2")
     assert lab.pump() == [f"{first}#2"], "its way is straight now, but the arm is busy"
     lab.finish("A3")

@@ -39,7 +39,7 @@ from labos.core.model import Plan
 from labos.core.policy import Policy
 from labos.core.registry import Event
 from labos.core.shares import Group, Member, Quota
-from labos.core.state import from_picture, picture
+from labos.core.state import encode_picture, from_picture
 from labos.core.users import on_behalf
 from tests.support.bench import Driver, consumes, full, move, plan, route, small, step
 from tests.unit.core.test_rights import make_peopled
@@ -561,7 +561,7 @@ def test_the_same_request_twice_is_one_proposal() -> None:
 def test_a_state_with_proposals_is_kept_in_a_picture() -> None:
     lab = lab_with(trusted=("x",))
     lab.do(screen(), ROBOT)
-    assert from_picture(picture(lab.state)) == lab.state
+    assert from_picture(encode_picture(lab.state)) == lab.state
 
 
 # -- priority ------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from labos.core.ids import RunId
 from labos.core.lab import WHOLE_LAB
 from labos.core.registry import Event
 from labos.core.runs import RunPaused, RunResumed
-from labos.core.state import LabState, picture
+from labos.core.state import LabState, encode_picture
 from labos.core.steps import WindowBreached
 from tests.support.bench import Driver, plan, small, station, step, take, workcell
 from tests.support.bench import module as device
@@ -100,11 +100,11 @@ def test_what_cannot_be_written_is_refused_before_anything_is_folded(
     large = RunPaused(R1, "x" * MAX_PAYLOAD_BYTES)
     answers(monkeypatch, *([large] if one_by_one else [RunPaused(R2), large]), one_by_one=one_by_one)
     lab = with_two_runs()
-    before = picture(lab.state)
+    before = encode_picture(lab.state)
     answer = lab.reject(Answer())
     assert isinstance(answer, Rejection)
     assert answer.code == UNFIT
-    assert picture(lab.state) == before
+    assert encode_picture(lab.state) == before
 
 
 def test_two_lids_of_one_action_have_two_names() -> None:

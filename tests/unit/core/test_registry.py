@@ -55,7 +55,7 @@ from labos.core.campaigns import (
     CampaignUnarchived,
     Terms,
 )
-from labos.core.conditions import condition
+from labos.core.conditions import make_condition
 from labos.core.effects import Consumes, Draws, Move, Needs, Replaces, Requires, Sets, Take, Transfers
 from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased
 from labos.core.experiments import (
@@ -170,7 +170,7 @@ EFFECTS = (
 )
 IDS = ("A1", "R1", 2, "c/m")
 ANCHORS = (Anchor("w", "s", "R0", 5),)  # type: ignore[arg-type]
-UNTIL = condition("steps.read.od > 1", parse_expression("steps.read.od > 1"))
+UNTIL = make_condition("steps.read.od > 1", parse_expression("steps.read.od > 1"))
 MEMBER = Member(3.0, Quota(2, 20, 40.0, {"tips": 960.0}))
 TERMS = Terms(2, 9, Budget(10, 3600.0, {"tips": 96.0}), ("assay",), UNTIL, 3)
 STEP = PlanStep(

@@ -25,7 +25,7 @@ def test_a_step_that_did_nothing_is_done_again_after_its_delay() -> None:
     assert lab.pump() == []
     wait = lab.check_start(run)
     assert (wait.code, wait.until) == ("retry_later", lab.now + 30 * SECOND)  # type: ignore[union-attr]
-    assert lab.scheduler.next_deadline(lab.state) == lab.now + 30 * SECOND
+    assert lab.scheduler.find_next_deadline(lab.state) == lab.now + 30 * SECOND
     lab.wait(30.0)
     assert lab.find_missed() == [f"{run}#0"]
     assert lab.pump() == [f"{run}#0"], "the clock alone wakes it"
@@ -101,7 +101,7 @@ def test_an_action_that_does_not_end_in_its_time_is_unknown_and_not_failed() -> 
     lab.pump()
     (action,) = lab.state.actions.open
     due = lab.now + 600 * SECOND
-    assert lab.scheduler.next_deadline(lab.state) == due + 1
+    assert lab.scheduler.find_next_deadline(lab.state) == due + 1
     lab.wait(600.0)
     lab.pump()
     assert "action.unknown" not in lab.types()
@@ -109,7 +109,7 @@ def test_an_action_that_does_not_end_in_its_time_is_unknown_and_not_failed() -> 
     lab.pump()
     question = lab.question("unknown_action")
     assert "it did not end within 600 s" in question.text
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
     lab.finish(action)
     assert lab.questions() == [], "the node answered after all"
     assert lab.run(run).steps[0].status == DONE
@@ -125,7 +125,7 @@ def test_a_person_who_is_late_is_not_asked_a_second_time() -> None:
     lab.pump()
     assert "action.unknown" not in lab.types()
     assert [question.kind for question in lab.questions()] == ["planned_work"]
-    deadline = lab.scheduler.next_deadline(lab.state)
+    deadline = lab.scheduler.find_next_deadline(lab.state)
     assert deadline is None or deadline > lab.now
 
 

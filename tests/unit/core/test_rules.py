@@ -14,7 +14,7 @@ from labos.core.labware import LabwareHandedOver
 from labos.core.model import StationSpec
 from labos.core.modules import VariableSet
 from labos.core.rules import check_module_free
-from labos.core.waits import Wait, party
+from labos.core.waits import Wait, list_party
 from tests.support.bench import (
     Driver,
     claims,
@@ -412,7 +412,7 @@ def test_a_run_uses_its_own_labware_before_its_experiments_its_users_and_what_is
     lab = small()
     name = lab.experiment()
     run = lab.submit(plan(step("arm", needs("hotel"))), experiment=name)
-    assert party(lab.run(run)) == (f"run:{run}", "experiment:E1", "user:ada", "shared")
+    assert list_party(lab.run(run)) == (f"run:{run}", "experiment:E1", "user:ada", "shared")
     hotel = StationSpec(lab.state.bench.stations["cell/hotel"].spec.name, "hotel", capacity=9)  # type: ignore[index]
     lab.state.bench.stations[hotel.name].spec = hotel
     owners = ["shared", "user:bob", "user:ada", "experiment:E1", f"run:{run}"]

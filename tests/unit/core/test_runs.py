@@ -451,8 +451,8 @@ def test_lab_time_used_counts_half_after_a_day() -> None:
     lab.finish(action)
     usage = lab.state.shares.usage["ada"]
     assert usage.used_ns == 10e9
-    assert usage.level(lab.now) == 10e9
-    assert usage.level(lab.now + 24 * 3600 * 10**9) == pytest.approx(5e9)
+    assert usage.compute_level(lab.now) == 10e9
+    assert usage.compute_level(lab.now + 24 * 3600 * 10**9) == pytest.approx(5e9)
 
 
 def test_a_run_counts_its_steps_and_when_they_ended() -> None:

@@ -19,7 +19,7 @@ from labos.core.decide.shorter import (
     ReportShorterLog,
     SayContents,
     list_to_say,
-    must_say,
+    must_describe,
 )
 from labos.core.decide.stock import LoadStation
 from labos.core.effects import AnyEffect, Move, Needs, Take
@@ -29,7 +29,7 @@ from labos.core.lab import LEAP
 from labos.core.modules import ModuleTakenOut, VariableSet
 from labos.core.topics import DiscoveredAction
 from labos.core.waits import Wait
-from labos.planning.explain import remedy, sentence
+from labos.planning.explain import describe_wait, find_remedy
 from tests.support.bench import Driver, full, move, needs, plan, small, step, take
 
 ARM, DEV = ModuleName("cell/arm"), ModuleName("cell/dev")
@@ -67,7 +67,9 @@ def say(lab: Driver, **stations: str) -> None:
 
 
 def confirm_rest(lab: Driver) -> None:
-    lab.do(ConfirmStations(tuple(n for n in list_to_say(lab.state) if not must_say(lab.state, n)), "ada"))
+    lab.do(
+        ConfirmStations(tuple(n for n in list_to_say(lab.state) if not must_describe(lab.state, n)), "ada")
+    )
 
 
 def answer(lab: Driver) -> None:
@@ -82,11 +84,11 @@ def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
     assert lab.code(run, 1) == lab.code(other) == "log_shorter"
     wait = lab.check_start(other)
     assert isinstance(wait, Wait)
-    assert sentence(wait) == (
+    assert describe_wait(wait) == (
         f"this log ends at {lab.state.shorter.ended} and arm knows more: "
         "nothing starts before the bench was compared"
     )
-    assert remedy(wait).endswith("labos bench round")
+    assert find_remedy(wait).endswith("labos bench round")
     question = lab.question("log_shorter")
     refusal = lab.reject(ResolveIntervention(question.id, "checked", "ada"))
     assert refusal.code == "unsaid"
@@ -110,8 +112,8 @@ def test_labware_that_a_discovered_action_touched_may_be_anywhere_on_its_way() -
     item = lab.state.bench.labware[LabwareId("P1")]
     assert item.station == ""
     assert item.maybe == (place("a"), place("arm.gripper"), place("dev.n1"), "")
-    assert all(must_say(lab.state, place(name)) for name in ("a", "dev.n1"))
-    assert not must_say(lab.state, place("c"))
+    assert all(must_describe(lab.state, place(name)) for name in ("a", "dev.n1"))
+    assert not must_describe(lab.state, place("c"))
     # Another one took it further; both ways count.
     lab.do(hears(ARM, make_found("X2", make_move("P1", "dev.n1", "b"))))
     assert place("b") in lab.state.bench.labware[LabwareId("P1")].maybe
@@ -130,11 +132,13 @@ def test_what_is_touched_cannot_be_confirmed_in_passing() -> None:
 def test_a_journal_that_does_not_say_what_was_moved_puts_its_workcell_in_doubt() -> None:
     lab = small(stock=3)
     lab.do(hears(DEV, FoundAction(ActionId("X1"), "spin", "finished")))
-    assert all(must_say(lab.state, name) for name in list_to_say(lab.state))
+    assert all(must_describe(lab.state, name) for name in list_to_say(lab.state))
     strange = FoundAction(ActionId("X2"), "spin", "finished", 1, (make_move("P1", "a", "nowhere"),))
     other = small(stock=3)
     other.do(hears(DEV, strange))
-    assert all(must_say(other.state, name) for name in list_to_say(other.state)), "an unknown station too"
+    assert all(must_describe(other.state, name) for name in list_to_say(other.state)), (
+        "an unknown station too"
+    )
 
 
 def test_a_module_that_was_told_of_more_has_forgotten_what_it_did() -> None:
@@ -144,7 +148,7 @@ def test_a_module_that_was_told_of_more_has_forgotten_what_it_did() -> None:
     events = lab.do(JoinNode(DEV, "j", "i2", "driver", "1", "d", "IDLE", beyond=10**6))
     assert lab.pump() == []
     assert lab.code(run) == "log_shorter"
-    assert all(must_say(lab.state, name) for name in list_to_say(lab.state))
+    assert all(must_describe(lab.state, name) for name in list_to_say(lab.state))
     (asked,) = [event for event in events if isinstance(event, InterventionRequested)]
     assert "position 1000000" in asked.text
     assert lab.state.shorter.known == 10**6
@@ -208,7 +212,7 @@ def test_questions_of_earlier_versions_become_one_round() -> None:
     lab.do(StartKernel(2, "0"))
     assert [question.kind for question in lab.questions()] == ["log_shorter"]
     assert not any(module.out_of_service for module in lab.state.modules.by_name.values())
-    assert all(must_say(lab.state, name) for name in list_to_say(lab.state))
+    assert all(must_describe(lab.state, name) for name in list_to_say(lab.state))
     lab.check_log()
 
 

@@ -15,8 +15,8 @@ from labos.core.invariants import find_broken
 from labos.core.model import ActionSpec, Description
 from labos.core.modules import Flight
 from labos.core.runs import StepState
-from labos.core.state import LabState, fold_fingerprint, from_picture, picture, state_hash
-from labos.planning.waiting import head_of
+from labos.core.state import LabState, encode_picture, fold_fingerprint, from_picture, hash_state
+from labos.planning.waiting import find_head
 from tests.support.bench import (
     Driver,
     move,
@@ -49,13 +49,13 @@ def lively() -> Driver:
 def test_a_picture_is_the_state() -> None:
     lab = lively()
     assert find_broken(lab.state) == ""
-    back = from_picture(picture(lab.state))
+    back = from_picture(encode_picture(lab.state))
     assert back == lab.state
     assert order(back) == order(lab.state)
-    assert picture(back) == picture(lab.state)
-    assert state_hash(back) == state_hash(lab.state)
-    assert len(state_hash(back)) == 64
-    assert from_picture(picture(LabState())) == LabState()
+    assert encode_picture(back) == encode_picture(lab.state)
+    assert hash_state(back) == hash_state(lab.state)
+    assert len(hash_state(back)) == 64
+    assert from_picture(encode_picture(LabState())) == LabState()
 
 
 def test_a_picture_keeps_who_came_first() -> None:
@@ -63,12 +63,12 @@ def test_a_picture_keeps_who_came_first() -> None:
     lab = small()
     for _ in range(12):
         lab.submit(plan(step("dev")))
-    state = from_picture(picture(lab.state))
+    state = from_picture(encode_picture(lab.state))
     (group,) = state.runs.queue
     assert list(state.runs.queue[group]) == [f"R{n}" for n in range(1, 13)]
     lab.keep_picture()
     for _ in range(3):
-        lab.step(head_of(lab.state, group).id)
+        lab.step(find_head(lab.state, group).id)
     assert list(lab.state.runs.queue[group]) == [f"R{n}" for n in range(4, 13)]
     lab.check_log()
 
@@ -88,7 +88,7 @@ def test_a_log_folds_the_same_from_every_picture() -> None:
         for index in (0, 1):
             lab.keep_picture()
             lab.step(run, index)
-        pictures[lab.state.position] = picture(lab.state)
+        pictures[lab.state.position] = encode_picture(lab.state)
     lab.check_log()
     assert len(lab.pictures) == 6
 
@@ -248,7 +248,7 @@ def test_a_node_that_is_lost_breaks_nothing() -> None:
 def test_a_log_of_before_64_bits_were_the_limit_still_has_its_picture(number: int) -> None:
     state = lively().state
     state.versions["old"] = number
-    again = from_picture(picture(state))
+    again = from_picture(encode_picture(state))
     assert again.versions["old"] == number
     assert again == state
-    assert state_hash(again) == state_hash(state)
+    assert hash_state(again) == hash_state(state)

@@ -85,8 +85,8 @@ def test_a_labware_type_has_versions_of_its_own() -> None:
     assert lab.reject(teach_type("deep", 5)).code == "bad_pose"
     arm = lab.state.modules.by_name[ModuleName(full("arm"))]
     at = StationName(full("a"))
-    assert (arm.pose_of(at), arm.pose_of(at, "deep"), arm.pose_of(at, "flat")) == ((1, 2), (5, 7), None)
-    assert arm.poses_of() == {"deep": {"a": [5, 7]}}
+    assert (arm.find_pose(at), arm.find_pose(at, "deep"), arm.find_pose(at, "flat")) == ((1, 2), (5, 7), None)
+    assert arm.list_poses_by_type() == {"deep": {"a": [5, 7]}}
     lab.check_log()
 
 

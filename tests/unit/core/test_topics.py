@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import pytest
 
-from labos.core.canonical import canonical
+from labos.core.canonical import encode_canonical
 from labos.core.interventions import Interventions
 from labos.core.registry import decode, encode
 from labos.core.topics import AnyTopic, Approval, BookedPlace, LostLabware
@@ -31,7 +31,7 @@ def test_every_type_is_among_the_examples() -> None:
 
 @pytest.mark.parametrize("topic", WITHOUT_TOPIC, ids=lambda topic: type(topic).__name__)
 def test_a_question_of_before_is_about_the_same(topic: AnyTopic) -> None:
-    event: Any = decode("intervention.requested", 1, canonical(make_old_question(topic)))
+    event: Any = decode("intervention.requested", 1, encode_canonical(make_old_question(topic)))
     assert event.topic == topic
 
 
@@ -53,4 +53,4 @@ def test_a_question_is_kept_with_its_topic(topic: AnyTopic) -> None:
 def test_a_topic_of_a_later_version_is_refused() -> None:
     payload = {**make_old_question(TOPICS[0]), "topic": {"topic": "weather"}}
     with pytest.raises(LogTooNew):
-        decode("intervention.requested", 2, canonical(payload))
+        decode("intervention.requested", 2, encode_canonical(payload))

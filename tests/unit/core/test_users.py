@@ -109,9 +109,9 @@ def test_a_group_of_the_shares_file_is_the_group_that_has_roles() -> None:
     lab.do(AddMember("chemistry", "bo"))
     shares = lab.state.shares
     assert shares.group_of == {"ada": "chemistry", "bo": "chemistry"}
-    assert (shares.groups["chemistry"].weight, shares.member("ada").weight) == (2.0, 3.0)
-    assert lab.state.users.role_of("bo", "chemistry", "cell") == 2
-    assert lab.state.users.role_of("bo", "chemistry", "*") == 0
+    assert (shares.groups["chemistry"].weight, shares.find_member("ada").weight) == (2.0, 3.0)
+    assert lab.state.users.rank_role("bo", "chemistry", "cell") == 2
+    assert lab.state.users.rank_role("bo", "chemistry", "*") == 0
     lab.do(RemoveMember("chemistry", "ada"))
     assert shares.group_of == {"bo": "chemistry"}
     lab.check_log()
@@ -136,7 +136,7 @@ def test_a_shares_file_leaves_groups_that_were_added_and_says_all_of_those_that_
     lab.do(ApplyShares("d1", (Group("physics", members={"bo": Member()}),), {"ada": Member(4.0)}))
     shares = lab.state.shares
     assert list(shares.groups) == ["chemistry", "physics"]
-    assert (shares.group_of, shares.member("ada").weight) == ({"ada": "chemistry", "bo": "physics"}, 4.0)
+    assert (shares.group_of, shares.find_member("ada").weight) == ({"ada": "chemistry", "bo": "physics"}, 4.0)
     lab.do(ApplyShares("d2"))
     assert list(shares.groups) == ["chemistry"]
     lab.do(ApplyShares("d3", (Group("chemistry", 5.0),)))
@@ -154,5 +154,5 @@ def test_a_group_that_is_removed_takes_its_roles_along() -> None:
     assert roles(lab, "group:chemistry") == {}
     assert (lab.state.shares.group_of, lab.state.shares.groups) == ({}, {})
     lab.do(AddGroup("chemistry"))
-    assert lab.state.users.role_of("ada", "", "*") == 0
+    assert lab.state.users.rank_role("ada", "", "*") == 0
     lab.check_log()

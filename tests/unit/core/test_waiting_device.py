@@ -29,7 +29,7 @@ def look_in(lab: Driver, seconds: float) -> list[object]:
     """What the kernel does about it after a while."""
     lab.wait(seconds)
     deadlines = Deadlines()
-    return [event for command in deadlines.due(lab.state, lab.now) for event in lab.do(command)]
+    return [event for command in deadlines.iterate_due(lab.state, lab.now) for event in lab.do(command)]
 
 
 def test_somebody_is_told_once_and_the_step_goes_on() -> None:

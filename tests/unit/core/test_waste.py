@@ -6,8 +6,8 @@ from labos.core.decide.stock import UnloadStation
 from labos.core.ids import StationName
 from labos.core.labware import StationUnloaded
 from labos.core.waits import Wait
-from labos.planning.explain import remedy, sentence
-from labos.planning.obstacle import obstacle
+from labos.planning.explain import describe_wait, find_remedy
+from labos.planning.obstacle import find_obstacle
 from tests.support.bench import Driver, full, route, small
 
 TRASH = StationName(full("trash"))
@@ -25,8 +25,8 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
     found = lab.check_start(run, 1)
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("waste_full", True)
-    assert sentence(found) == "the waste trash is full"
-    assert remedy(found) == "Empty it and say so: labos unload trash --all"
+    assert describe_wait(found) == "the waste trash is full"
+    assert find_remedy(found) == "Empty it and say so: labos unload trash --all"
     assert lab.pump() == []
     lab.do(UnloadStation(TRASH, "ada"))
     assert lab.state.bench.stations[TRASH].level == 0
@@ -40,8 +40,8 @@ def test_nobody_is_let_in_whose_labware_would_find_the_waste_full() -> None:
     first = lab.submit(route("stack", "a", "trash"))
     lab.step(first)
     second = lab.submit(route("stack", "b", "trash", arm="arm2"))
-    assert lab.scheduler.safety.traps(lab.state, lab.run(second), 0) == [second]
-    told = obstacle(lab.scheduler.safety, lab.state, lab.run(second))
+    assert lab.scheduler.safety.list_trapped(lab.state, lab.run(second), 0) == [second]
+    told = find_obstacle(lab.scheduler.safety, lab.state, lab.run(second))
     why = "needs room in the waste trash, which is full by then (labos unload trash --all)"
     assert told == f"'to trash' {why}"
     assert f"{second}#0" not in lab.pump()

@@ -13,7 +13,7 @@ from labos.core.ids import LabwareId, RunId
 from labos.core.labware import LiquidDrawn, LiquidTransferred, Sample
 from labos.core.model import LabwareSpec, WellGrid
 from labos.core.runs import RunFailed
-from labos.core.wells import row_name, well_index, well_name
+from labos.core.wells import normalise_well, parse_well, row_name
 from tests.support.bench import Driver, needs, plan, route, small_cell, step
 
 PLATE = LabwareSpec("plate", 127.76, 85.48, 14.0, WellGrid(8, 12, 9.0, 14.38, 11.24, 360.0))
@@ -185,10 +185,10 @@ def test_of_a_type_that_nobody_described_only_the_lists_are_looked_at() -> None:
 
 def test_names_of_wells() -> None:
     assert [row_name(row) for row in (0, 7, 25, 26, 31)] == ["A", "H", "Z", "AA", "AF"]
-    assert all(well_index(f"{row_name(row)}1") == (row, 0) for row in range(48))
-    assert well_name(" h012 ") == "H12"
+    assert all(parse_well(f"{row_name(row)}1") == (row, 0) for row in range(48))
+    assert normalise_well(" h012 ") == "H12"
 
 
 def test_wells_are_in_order_row_by_row() -> None:
     wells = ["A10", "B1", "AA1", "A2", "A1", "H12"]
-    assert sorted(wells, key=well_index) == ["A1", "A2", "A10", "B1", "H12", "AA1"]
+    assert sorted(wells, key=parse_well) == ["A1", "A2", "A10", "B1", "H12", "AA1"]

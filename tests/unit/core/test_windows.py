@@ -164,7 +164,7 @@ def test_a_breach_outside_is_noticed_in_time() -> None:
     lab.start(lab.submit(plan(step("cam", duration_s=1.0)), experiment=experiment))
     run = lab.submit(read(wait_s=0.0), experiment=experiment)
     lab.pump()
-    assert lab.scheduler.next_deadline(lab.state) == lab.now + 100 * SECOND + 1
+    assert lab.scheduler.find_next_deadline(lab.state) == lab.now + 100 * SECOND + 1
     lab.wait(100.1)
     lab.pump()
     assert lab.run(run).is_breached(0)

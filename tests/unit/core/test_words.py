@@ -10,7 +10,7 @@ import msgspec
 
 from labos.core import fold
 from labos.core.registry import TYPES
-from labos.core.words import Words, are_words, fields_of_words
+from labos.core.words import Words, are_words, find_fields_of_words
 
 # Ids, names, codes, digests and values: they are looked up, compared or decided by.
 DATA = frozenset(
@@ -195,10 +195,10 @@ def test_nothing_is_listed_that_no_event_has() -> None:
 
 
 def test_what_people_write_is_words() -> None:
-    assert fields_of_words(TYPES["intervention.resolved"]) == ("note",)
-    assert fields_of_words(TYPES["run.cancelled"]) == ("why",)
-    assert fields_of_words(TYPES["booking.made"]) == ("why",)
-    assert fields_of_words(TYPES["lab.created"]) == ()
+    assert find_fields_of_words(TYPES["intervention.resolved"]) == ("note",)
+    assert find_fields_of_words(TYPES["run.cancelled"]) == ("why",)
+    assert find_fields_of_words(TYPES["booking.made"]) == ("why",)
+    assert find_fields_of_words(TYPES["lab.created"]) == ()
 
 
 def test_a_field_of_words_takes_any_text_and_nothing_else() -> None:

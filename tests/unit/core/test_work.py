@@ -78,7 +78,7 @@ def test_what_is_late_is_told_once_and_fails_nothing() -> None:
     lab = ask_person(within=60.0)
     lab.pump()
     assert "intervention.overdue" not in lab.types()
-    assert lab.scheduler.next_deadline(lab.state) == lab.question().due_at
+    assert lab.scheduler.find_next_deadline(lab.state) == lab.question().due_at
     lab.wait(61)
     lab.pump()
     lab.pump()

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.decide.lab import ApplyWorkcell, in_the_way
+from labos.core.decide.lab import ApplyWorkcell, list_obstacles
 from labos.core.effects import Replaces
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import PlanStep, Workcell
@@ -46,7 +46,7 @@ def test_everything_in_the_way_is_named() -> None:
     driver = lab()
     driver.stock("c", 1)
     driver.submit(route("stack", "dev.a", "trash"))
-    found = in_the_way(driver.state, without("stack", "dev.a", "c"))
+    found = list_obstacles(driver.state, without("stack", "dev.a", "c"))
     assert [(r.code, r.message) for r in found] == [
         ("station_occupied", "The station c holds P1 and cannot be removed from cell."),
         ("station_occupied", "The station stack holds a stock of 3 and cannot be removed from cell."),
@@ -57,7 +57,7 @@ def test_everything_in_the_way_is_named() -> None:
 
 
 def codes(driver: Driver, cell: Workcell) -> set[str]:
-    return {found.code for found in in_the_way(driver.state, cell)}
+    return {found.code for found in list_obstacles(driver.state, cell)}
 
 
 def test_what_may_hold_something_stays() -> None:

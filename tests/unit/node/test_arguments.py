@@ -8,7 +8,7 @@ import pytest
 
 from labos.core.model import ActionSpec, Arg
 from labos.errors import ActionInvalid
-from labos.node.arguments import ArgumentProblem, bind, problems
+from labos.node.arguments import ArgumentProblem, bind, list_problems
 
 SEAL = ActionSpec(
     "seal",
@@ -40,7 +40,7 @@ SEAL = ActionSpec(
     ],
 )
 def test_good_arguments_are_bound_to_declared_names(args: dict[str, Any], bound: dict[str, Any]) -> None:
-    assert problems(SEAL, args) == []
+    assert list_problems(SEAL, args) == []
     result = bind(SEAL, args)
     assert result == bound
     assert isinstance(result["time"], float)
@@ -82,7 +82,7 @@ def test_bad_arguments_are_told_in_one_sentence(args: dict[str, Any], sentence: 
 
 
 def test_all_problems_are_found_with_the_name_as_it_was_written() -> None:
-    found = problems(SEAL, {"seconds": "3", "speed": 1, "extra": 0})
+    found = list_problems(SEAL, {"seconds": "3", "speed": 1, "extra": 0})
     assert [problem.argument for problem in found] == ["seconds", "speed", "extra"]
     assert all(isinstance(problem, ArgumentProblem) for problem in found)
 

@@ -9,10 +9,10 @@ import pytest
 
 from labos.core.model import Description, Station
 from labos.errors import DeviceError
-from labos.node.generic import GenericNode, extend_node, generic_node
+from labos.node.generic import GenericNode, extend_node, make_generic_node
 from labos.node.node import Node, Setup, action
 from labos.node.world import Crash, World
-from labos.spec.about import About, Extends, description_of, extend, resettable
+from labos.spec.about import About, Extends, add_reset, description_of, extend
 
 PACE = 10_000.0
 
@@ -50,13 +50,13 @@ PRESS = {
 
 
 def describe(about: dict[str, Any]) -> Description:
-    return resettable(description_of(About.model_validate(about), "generic"))
+    return add_reset(description_of(About.model_validate(about), "generic"))
 
 
 def node_of(
     about: dict[str, Any], world: World | None, name: str = "press", pace: float = PACE
 ) -> GenericNode:
-    node = generic_node(describe(about))(Setup(name, "cell", world=world, pace=pace))
+    node = make_generic_node(describe(about))(Setup(name, "cell", world=world, pace=pace))
     assert isinstance(node, GenericNode)
     return node
 

@@ -61,7 +61,7 @@ def test_a_journal_is_read_back() -> None:
         assert again.is_void("a3", 1)
         assert not again.is_void("a3", 5)
         assert again.is_void("a2", 1)
-        assert again.earlier("a2", 3) is a2
+        assert again.find_earlier("a2", 3) is a2
         assert [u.status for u in again.list_unacknowledged()] == ["finished", "interrupted"]
 
     run(main())

@@ -8,7 +8,7 @@ import pytest
 
 from labos.errors import Collision, DeviceError
 from labos.node import Crash
-from labos.node._outcome import outcome_of
+from labos.node._outcome import find_outcome
 
 
 async def fail(error: Exception) -> None:
@@ -26,5 +26,5 @@ async def fail(error: Exception) -> None:
     ],
 )
 def test_a_collision_is_told_from_other_errors(error: Exception, effects: str, collided: bool) -> None:
-    outcome = asyncio.run(outcome_of("transfer", fail(error), broken_off=lambda: False))
+    outcome = asyncio.run(find_outcome("transfer", fail(error), broken_off=lambda: False))
     assert (outcome.succeeded, outcome.effects, outcome.collided) == (False, effects, collided)

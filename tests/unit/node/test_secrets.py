@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.adapter._http import authorization
+from labos.adapter._http import read_authorization
 from labos.adapter._opcua_security import access_of
 from labos.errors import DeviceError
 from labos.node.secrets import secret_of
@@ -19,8 +19,8 @@ def test_by_a_variable_or_by_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert secret_of({"password_env": "A_SECRET"}, "password") == "from a variable"
     assert secret_of({"password_file": str(file)}, "password") == "from a file"
     assert secret_of({"user": "x"}, "password") == ""
-    assert authorization({"rest_node_auth": str(file)}, "rest_node_auth") == "from a file"
-    assert authorization({"rest_node_auth_env": "A_SECRET"}, "rest_node_auth") == "from a variable"
+    assert read_authorization({"rest_node_auth": str(file)}, "rest_node_auth") == "from a file"
+    assert read_authorization({"rest_node_auth_env": "A_SECRET"}, "rest_node_auth") == "from a variable"
     opcua = {"opcua_url": "opc.tcp://x", "opcua_user": "a", "opcua_insecure": True}
     assert access_of({**opcua, "opcua_password": str(file)}).password == "from a file"
     assert access_of({**opcua, "opcua_password_env": "A_SECRET"}).password == "from a variable"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from labos.bus import access_control
+from labos.bus import make_access_control
 from labos.errors import BadInput, NotFound, Refused
 from labos.pki import Authority, Credentials, PartyIdentity
 
@@ -76,7 +76,7 @@ def test_keys_are_private_whatever_the_umask(tmp_path: Path, clock: Clock) -> No
         os.umask(old)
     for path in [authority.folder, *authority.folder.rglob("*")]:
         assert path.stat().st_mode & 0o077 == 0, path
-    assert authority.credentials(NODE).key in authority.private_files()
+    assert authority.credentials(NODE).key in authority.list_private_files()
     key = authority.credentials(NODE).key
     key.chmod(0o640)
     with pytest.raises(BadInput, match="Others may read"):
@@ -91,13 +91,13 @@ def test_renewal_keeps_the_name_and_changes_the_key(authority: Authority, clock:
     clock.now += 61 * DAY
     assert entry.is_due(clock.now)
     assert authority.ensure(NODE) == authority.credentials(NODE)
-    (renewed,) = authority.members().entries
+    (renewed,) = authority.read_members().entries
     assert renewed.common_name == entry.common_name
     assert renewed.not_after == clock.now + 90 * DAY
     assert authority.credentials(NODE).key.read_bytes() != key
     assert authority.credentials(NODE).stamp() != stamp
     assert authority.ensure(NODE)
-    assert authority.members().entries == (renewed,), "it is due no more"
+    assert authority.read_members().entries == (renewed,), "it is due no more"
     clock.now += 91 * DAY
     with pytest.raises(BadInput, match="has expired"):
         authority.credentials(NODE).check(clock.now)
@@ -107,13 +107,13 @@ def test_many_at_once_are_made_renewed_or_left_as_they_are(authority: Authority,
     identities = [PartyIdentity("node", f"rpl/m{number}", LAB) for number in range(3)]
     authority.issue(identities[0], days=3000)
     authority.issue_all(identities[:2])
-    before = authority.members()
+    before = authority.read_members()
     authority.issue_all(identities[:2])
-    assert authority.members() == before
+    assert authority.read_members() == before
     authority.revoke(authority.find("rpl/m1"), "lost")
     clock.now += 300 * DAY
     authority.issue_all(identities)
-    found = authority.members()
+    found = authority.read_members()
     assert found.find(identities[0]) == before.entries[0]
     assert {entry.identity for entry in found.admitted} == set(identities)
     assert len(found.entries) == 4
@@ -122,11 +122,11 @@ def test_many_at_once_are_made_renewed_or_left_as_they_are(authority: Authority,
 def test_another_address_is_added_to_a_certificate(authority: Authority) -> None:
     authority.issue(KERNEL, addresses=["127.0.0.1"])
     authority.ensure(KERNEL, addresses=["lab.example.org"])
-    (entry,) = authority.members().entries
+    (entry,) = authority.read_members().entries
     assert set(entry.addresses) == {"127.0.0.1", "lab.example.org"}
     for number in range(40):
         authority.ensure(KERNEL, addresses=[f"host{number}", "127.0.0.1"])
-    (entry,) = authority.members().entries
+    (entry,) = authority.read_members().entries
     assert len(entry.addresses) <= 32
     assert {"127.0.0.1", "host39"} <= set(entry.addresses)
 
@@ -138,10 +138,10 @@ def test_a_revoked_certificate_speaks_for_nobody_and_its_name_is_not_given_again
     with pytest.raises(Refused, match="a certificate already for the node"):
         authority.issue(NODE)
     authority.revoke(authority.find("rpl/ot2 (left)"), "lost")
-    assert authority.members().admitted == ()
+    assert authority.read_members().admitted == ()
     again = authority.issue(NODE)
     assert again.common_name != entry.common_name
-    subjects = access_control(authority.members().entries)["subjects"]
+    subjects = make_access_control(authority.read_members().entries)["subjects"]
     named = [subject["cert_common_names"] for subject in subjects if "cert_common_names" in subject]
     assert named == [[again.common_name]]
     listed = x509.load_pem_x509_crl((authority.folder / "crl.pem").read_bytes())
@@ -205,7 +205,7 @@ def test_two_labs_may_share_an_authority(authority: Authority) -> None:
 
 def test_what_is_not_there_is_said(tmp_path: Path, authority: Authority, clock: Clock) -> None:
     with pytest.raises(NotFound, match="members"):
-        Authority(tmp_path / "none", clock).members()
+        Authority(tmp_path / "none", clock).read_members()
     with pytest.raises(NotFound, match="No certificate is called"):
         authority.find("nobody")
     with pytest.raises(Refused, match="an authority already"):
@@ -214,7 +214,7 @@ def test_what_is_not_there_is_said(tmp_path: Path, authority: Authority, clock: 
         authority.credentials(NODE).check(clock.now)
     authority.members_file.write_text("{")
     with pytest.raises(BadInput, match="cannot be read"):
-        authority.members()
+        authority.read_members()
 
 
 def test_nothing_is_allowed_that_no_rule_allows(authority: Authority) -> None:
@@ -222,7 +222,7 @@ def test_nothing_is_allowed_that_no_rule_allows(authority: Authority) -> None:
     authority.issue(PartyIdentity("bus"))
     for kind, name in (("kernel", ""), ("node", "rpl/a"), ("viewer", "v"), ("stop", "s"), ("api", "w")):
         authority.issue(PartyIdentity(kind, name, LAB))  # type: ignore[arg-type]
-    found = access_control(authority.members().entries)
+    found = make_access_control(authority.read_members().entries)
     assert found["default_permission"] == "deny"
     assert len(found["policies"]) == 6
     said = {
@@ -245,4 +245,6 @@ def test_the_name_of_an_api_process_is_one_part_of_a_key(authority: Authority) -
     """Whatever its certificate says, it asks under no other name."""
     for name in ("*", "a/b", "**", "$*", "@x", ""):
         authority.issue(PartyIdentity("api", name, LAB))
-    assert not [r for r in access_control(authority.members().entries)["rules"] if "query" in r["messages"]]
+    assert not [
+        r for r in make_access_control(authority.read_members().entries)["rules"] if "query" in r["messages"]
+    ]

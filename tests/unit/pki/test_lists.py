@@ -35,12 +35,12 @@ def read_list(authority: Authority) -> bytes:
 
 def test_each_list_has_the_next_number_and_is_signed(authority: Authority, elsewhere: ReceivedList) -> None:
     first = elsewhere.read()
-    assert first.number == authority.members().number > 0
+    assert first.number == authority.read_members().number > 0
     authority.issue(NODE)
     authority.revoke(authority.find("rpl/sealer"), "stolen")
-    assert authority.members().number == first.number + 2
+    assert authority.read_members().number == first.number + 2
     assert elsewhere.offer(read_list(authority))
-    assert elsewhere.read() == authority.members()
+    assert elsewhere.read() == authority.read_members()
     assert elsewhere.read().admitted == first.admitted
     assert not elsewhere.offer(read_list(authority)), "it has that one"
 
@@ -60,7 +60,7 @@ def test_an_older_list_is_not_taken_back(authority: Authority, elsewhere: Receiv
     # The next one is a newer one for everybody.
     authority.issue(NODE)
     assert elsewhere.offer(read_list(authority))
-    assert elsewhere.read() == authority.members()
+    assert elsewhere.read() == authority.read_members()
 
 
 def test_the_number_is_written_last(authority: Authority, elsewhere: ReceivedList) -> None:
@@ -68,8 +68,8 @@ def test_the_number_is_written_last(authority: Authority, elsewhere: ReceivedLis
     elsewhere.read()
     authority.issue(NODE)
     elsewhere.file.write_bytes(read_list(authority))
-    assert elsewhere.read().number == authority.members().number
-    assert int((elsewhere.folder / NUMBER).read_text()) == authority.members().number
+    assert elsewhere.read().number == authority.read_members().number
+    assert int((elsewhere.folder / NUMBER).read_text()) == authority.read_members().number
 
 
 @pytest.mark.parametrize("change", ["entries", "number", "signature", "none", "another", "text"])
@@ -78,7 +78,7 @@ def test_what_the_authority_has_not_signed_is_not_kept(
 ) -> None:
     before = elsewhere.read()
     authority.issue(NODE)
-    members = authority.members()
+    members = authority.read_members()
     evil = Authority(tmp_path / "evil")
     evil.init("test")
     for who in (
@@ -93,7 +93,7 @@ def test_what_the_authority_has_not_signed_is_not_kept(
         "number": msgspec.structs.replace(members, number=members.number + 1),
         "signature": msgspec.structs.replace(members, signature="AAAA"),
         "none": msgspec.structs.replace(members, signature="", number=99),
-        "another": evil.members(),
+        "another": evil.read_members(),
         "text": members,
     }[change]
     data = b"{" if change == "text" else msgspec.json.encode(changed)
@@ -114,7 +114,7 @@ def test_a_list_without_end_is_not_read(elsewhere: ReceivedList) -> None:
 def test_lists_from_before_numbers_and_of_a_site_are_copied_by_hand(
     authority: Authority, elsewhere: ReceivedList
 ) -> None:
-    unsigned = Members(authority.members().entries)
+    unsigned = Members(authority.read_members().entries)
     elsewhere.file.write_bytes(msgspec.json.encode(unsigned))
     assert elsewhere.read() == unsigned
     with pytest.raises(BadInput):
@@ -130,4 +130,4 @@ def test_the_copy_in_the_folder_of_a_bus_is_the_list(authority: Authority) -> No
     authority.issue(NODE)
     folder = authority.credentials(BUS).folder
     assert (folder / MEMBERS).read_bytes() == authority.members_file.read_bytes()
-    assert ReceivedList(folder).read().number == authority.members().number
+    assert ReceivedList(folder).read().number == authority.read_members().number

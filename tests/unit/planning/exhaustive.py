@@ -16,7 +16,7 @@ import msgspec
 from labos.core.ids import ActionId, RunId
 from labos.core.model import Hold, OnError, Plan, PlanStep
 from labos.core.rules import examine
-from labos.core.state import from_picture, picture
+from labos.core.state import encode_picture, from_picture
 from labos.core.waits import Wait
 from labos.planning.safety import Safety
 from labos.planning.scheduler import list_ready_steps
@@ -167,7 +167,7 @@ class Explored:
             else name in runs.queued
             for n in range(runs.named)
         ) + self.belongings(lab)
-        self.states.setdefault(key, picture(lab.state))
+        self.states.setdefault(key, encode_picture(lab.state))
         return key
 
     @staticmethod
@@ -244,7 +244,7 @@ class Explored:
             inside = len(lab.state.runs.active)
             for start in self.starts(lab, newcomers=True):
                 then = self.after(key, start)
-                allowed = not Safety().traps(lab.state, lab.run(start[0]), start[1], only_asking=True)
+                allowed = not Safety().list_trapped(lab.state, lab.run(start[0]), start[1], only_asking=True)
                 count.asked += 1
                 count.unsafe_allowed += allowed and not self.is_safe(then)
                 count.safe_refused += not allowed and self.is_safe(then)

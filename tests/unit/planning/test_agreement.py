@@ -16,7 +16,7 @@ import pytest
 from labos.core.bench import Bench
 from labos.core.decide import LABOS, Rejection, carry_out
 from labos.core.decide.actions import FinishAction, StartStep
-from labos.core.effects import Carrying, Needs, arrivals
+from labos.core.effects import Carrying, Needs, list_arrivals
 from labos.core.fold import evolve
 from labos.core.ids import SHARED, ActionId, RunId
 from labos.core.model import PlanStep
@@ -86,18 +86,18 @@ class Trial:
     @property
     def meets_stock(self) -> bool:
         """Whether something goes to a stack or the waste: a dry run does not know how much is there."""
-        met = [self.state.bench.stations[place] for place in arrivals(self.step.effects)]
+        met = [self.state.bench.stations[place] for place in list_arrivals(self.step.effects)]
         return any(station.stock or station.spec.kind == "waste" for station in met)
 
     def floor(self) -> tuple[Floor, Actor]:
-        actors = self.safety.actors(self.state, CELL)
+        actors = self.safety.list_actors(self.state, CELL)
         floor = lay_out(self.state, CELL, actors, hopeful=False)
         return floor, next(actor for actor in actors if actor.name == self.run.id)
 
     def move(self) -> tuple[Floor, Actor] | None:
         """The floor after the step; None if it is not possible there."""
         floor, mover = self.floor()
-        for motion in self.safety._motions(self.state, self.run, 0):
+        for motion in self.safety._list_motions(self.state, self.run, 0):
             if not may_move(floor, mover, motion):
                 return None
             move(floor, mover, motion)
@@ -105,7 +105,7 @@ class Trial:
 
     def is_possible(self) -> bool:
         player = Player(self.state, self.run, {}, free=True)
-        return Scene(self.state, CELL, 0).in_the_way(player, 0) is None
+        return Scene(self.state, CELL, 0).find_in_the_way(player, 0) is None
 
     def on_paper(self) -> tuple[list[str], DryRun]:
         """What a dry run finds wrong, and its paper afterwards."""
@@ -173,7 +173,7 @@ def list_standing(bench: Bench) -> Counter[tuple[str, str, bool]]:
     """Where what R1 may use stands, of which type, and whether with a lid."""
     usable = (MINE, USERS, SHARED)
     return Counter(
-        (bench.as_planned(item.station), item.type, bool(item.lid))
+        (bench.find_planned_place(item.station), item.type, bool(item.lid))
         for item in bench.labware.values()
         if item.owner in usable and item.station
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.decide.runs import PauseRun
 from labos.core.model import Plan
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from labos.planning.waiting import PATIENCE
 from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
 
@@ -65,8 +65,8 @@ def one_comes(lab: Driver) -> list[str]:
 
 
 def why(lab: Driver, run: str) -> str:
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
-    return sentence(wait)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
+    return describe_wait(wait)
 
 
 def test_whoever_would_block_the_shared_place_waits_outside() -> None:
@@ -89,7 +89,7 @@ def test_it_is_let_in_in_time() -> None:
         lab.wait(seconds)
         lab.finish(lab.list_flying()[-1])
         lab.pump()
-    alarm = lab.scheduler.next_wake()
+    alarm = lab.scheduler.find_next_wake()
     assert alarm is not None
     lab.now = alarm
     assert lab.pump() == ["R2#0"]
@@ -138,7 +138,7 @@ def test_what_takes_too_long_is_looked_at_again_with_pauses() -> None:
     for _ in range(100):
         if "R2#0" in lab.pump():
             return
-        alarm = lab.scheduler.next_wake()
+        alarm = lab.scheduler.find_next_wake()
         assert alarm is not None
         assert alarm - lab.now >= SECOND
         lab.now = alarm

@@ -62,7 +62,7 @@ def cause(lab: Driver, run: str) -> Cause | None:
                 "lab", entry.position, "", entry.stream, entry.version, what, 1, entry.at, "labos", "", "", ""
             ),
         )
-    return account.cause(lab.run(run))
+    return account.find_cause(lab.run(run))
 
 
 def count_ended(lab: Driver) -> int:
@@ -81,7 +81,7 @@ def test_a_run_bound_for_a_dead_thermocycler_leaves_the_sealer_to_the_others(see
     lab.work(random.Random(seed))
     assert count_ended(lab) == 5, lab.describe_stuck()
     assert lab.where("P1") == "a"
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run("R1"), lab.now)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run("R1"), lab.now)
     assert (wait.code, wait.names[1:]) == ("better_here", ("cell/tc",))
     assert lab.find_missed() == []
     assert cause(lab, "R1") == Cause("error", "node gone", "cell/tc", "operational")

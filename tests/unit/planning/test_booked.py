@@ -9,7 +9,7 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.model import Window
 from labos.core.shares import Group, Member
 from labos.core.waits import Wait
-from labos.planning.explain import remedy, sentence
+from labos.planning.explain import describe_wait, find_remedy
 from labos.planning.scheduler import Scheduler
 from labos.planning.stuck import find_block
 from tests.support.bench import SECOND, START, Driver, hold, move, plan, sets, small, step, take
@@ -28,7 +28,7 @@ def book(
 
 def wait_of(lab: Driver, run: str) -> Wait:
     """What the one step of a run whose turn it is waits for."""
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
     return wait
 
 
@@ -50,11 +50,11 @@ def test_what_would_still_stand_there_is_not_brought() -> None:
     wait = wait_of(lab, run)
     assert wait.code == "booked_soon"
     assert wait.until == START + 90 * MINUTE
-    told = sentence(wait)
+    told = describe_wait(wait)
     assert told.startswith(
         "dev is booked for bo from 2023-11-14 22:44 UTC until 2023-11-14 23:43 UTC (B1), and"
     )
-    assert "labos book cancel B1" in remedy(wait)
+    assert "labos book cancel B1" in find_remedy(wait)
     lab.now = START + 90 * MINUTE - 1
     assert lab.pump() == []
     lab.now += 1
@@ -134,8 +134,8 @@ def test_bookings_without_a_gap_are_said_and_nobody_waits_in_silence() -> None:
     lab.pump()
     wait = wait_of(lab, run)
     assert wait.code == "no_gap"
-    assert sentence(wait) == "the bookings of dev (B1) leave no gap of 62 min in the next 14 days"
-    assert "labos bookings dev" in remedy(wait)
+    assert describe_wait(wait) == "the bookings of dev (B1) leave no gap of 62 min in the next 14 days"
+    assert "labos bookings dev" in find_remedy(wait)
     short = lab.submit(visit(10), user="cy")  # type: ignore[arg-type]
     assert lab.pump() == [f"{short}#0"], "nobody waits with it"
     lab.finish(lab.list_flying()[0])
@@ -249,5 +249,5 @@ def test_what_is_booked_does_not_keep_younger_ones_out(begins_min: float) -> Non
 def test_labs_without_bookings_ask_nothing() -> None:
     lab = small()
     run = lab.submit(visit())  # type: ignore[arg-type]
-    assert Scheduler().next_deadline(lab.state) is None
+    assert Scheduler().find_next_deadline(lab.state) is None
     assert lab.pump() == [f"{run}#0"]

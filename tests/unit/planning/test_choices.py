@@ -219,7 +219,7 @@ def test_what_each_choice_waits_for_is_told() -> None:
     lab = lab_with(600)
     for name in ("a", "b"):
         break_down(lab, name)
-    waits = lab.scheduler.waits(lab.state, lab.run("R1"), lab.now)
+    waits = lab.scheduler.list_waits(lab.state, lab.run("R1"), lab.now)
     assert {name for _, wait in waits for name in wait.names} >= {"cell/a", "cell/b"}
 
 
@@ -228,7 +228,7 @@ def test_who_may_take_several_modules_is_kept_from_none_by_those_who_take_one() 
     lab = Driver(CELL)
     lab.stock("stack", 30)
     lab.submit(way("a"), others=(way("b"),))
-    lab.scheduler.proposals(lab.state, lab.now)
+    lab.scheduler.iterate_proposals(lab.state, lab.now)
     lab.scheduler.room.fill(lab.state)
     lab.scheduler.room.pass_over(lab.state, lab.run("R1"), PATIENCE)
     lab.submit(way("b"))

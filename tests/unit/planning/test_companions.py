@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from labos.cli.explain import sentences
+from labos.cli.explain import list_sentences
 from labos.core.actions import ActionRequested
 from labos.core.decide.actions import StartStep
 from labos.core.decide.nodes import LoseNode
@@ -15,7 +15,7 @@ from labos.core.decide.together import StartTogether
 from labos.core.ids import ActionId, ModuleName, RunId, StationName
 from labos.core.model import Plan, StationSpec, Together, Window
 from labos.core.setups import Setup
-from labos.core.state import from_picture, picture
+from labos.core.state import encode_picture, from_picture
 from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab
 from labos.services.runs import RunHistory, StepHistory
@@ -72,7 +72,7 @@ def spin(g: int = 3000, **more: object) -> Plan:
 
 
 def play(lab: Driver) -> Play:
-    state = from_picture(picture(lab.state))
+    state = from_picture(encode_picture(lab.state))
     return VirtualLab(state, lab.now, lambda _, one: find_usual_time(state, one)).go_on()
 
 
@@ -89,7 +89,7 @@ def go_on(lab: Driver, rng: random.Random | None = None, rounds: int = 400) -> N
             for name in first.together or (first.id,):
                 lab.finish(name)
             continue
-        due = lab.scheduler.next_deadline(lab.state)
+        due = lab.scheduler.find_next_deadline(lab.state)
         if due is None or not lab.state.runs.active:
             return
         lab.now = max(lab.now, due)
@@ -168,13 +168,13 @@ def test_the_wait_has_a_sentence_and_an_end() -> None:
     lab.step("R1")
     lab.step("R1", 1)
     assert "R2#0" in lab.pump()
-    [(index, wait)] = lab.scheduler.waits(lab.state, lab.run("R1"), lab.now)
+    [(index, wait)] = lab.scheduler.list_waits(lab.state, lab.run("R1"), lab.now)
     assert (index, wait.code, wait.until) == (2, "for_others", lab.now + 60 * SECOND)
     assert wait.reason.sentence.startswith(
         "it waits for labware of other runs, so that 'spin' is done together: "
         "1 of 4 places of spinner are taken; until "
     )
-    assert lab.scheduler.next_wake() == wait.until
+    assert lab.scheduler.find_next_wake() == wait.until
     lab.wait(61.0)  # the arm is slow
     assert lab.pump() == ["R1#2"]
 
@@ -189,7 +189,7 @@ def test_a_run_that_is_paused_inside_keeps_the_others_waiting_and_says_so() -> N
     lab.do(PauseRun(RunId("R1"), "ada"))
     lab.finish(lab.list_flying()[0])
     assert lab.pump() == []
-    [(_, wait)] = lab.scheduler.waits(lab.state, lab.run("R2"), lab.now)
+    [(_, wait)] = lab.scheduler.list_waits(lab.state, lab.run("R2"), lab.now)
     assert wait.code == "inside_too"
     told = "P1 of run R1 is at spinner.rotor too, and 'spin' is done to all that is in there"
     assert wait.reason.sentence == told
@@ -250,7 +250,7 @@ def test_explain_says_with_whom() -> None:
     assert len(lab.pump()) == 3
     steps = [StepHistory(1, "spin", "cell/spinner", "spin", "in flight")]
     story = RunHistory("R2", "spin at 3000", "cell", "ada", "", 0, steps)
-    assert sentences(lab.state, story, lab.now)[0].endswith("; together with R1, R3")
+    assert list_sentences(lab.state, story, lab.now)[0].endswith("; together with R1, R3")
 
 
 def test_a_running_clock_ends_the_wait() -> None:

@@ -8,7 +8,7 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.ids import RunId
 from labos.core.model import Plan
 from labos.core.shares import Group, Member
-from labos.core.state import picture
+from labos.core.state import encode_picture
 from labos.planning.due import UNDATED, DueDates, find_time_left
 from labos.planning.hindsight import TimeRange
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
@@ -125,7 +125,7 @@ def two_due(lab: Driver, first: Plan = READ) -> list[float | None]:
     """By how much the second of two runs on one device is late, as the forecast says."""
     lab.submit(first, due_at=lab.now + 10 * MINUTE)
     lab.submit(READ, due_at=lab.now + 15 * MINUTE)
-    told = forecast_lab(ForecastRequest(picture(lab.state), lab.now))
+    told = forecast_lab(ForecastRequest(encode_picture(lab.state), lab.now))
     return [run.late_by_s for run in told.runs]
 
 

@@ -12,7 +12,7 @@ import pytest
 from labos.core import reasons
 from labos.core.reasons import AnyReason, Reason
 from labos.core.waits import Wait
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from tests.support.bench import Driver
 from tests.unit.planning.cases import Case
 
@@ -65,7 +65,7 @@ def test_its_sentence_and_remedy_are_whole(kind: type[Reason]) -> None:
     ],
 )
 def test_sentences_name_what_is_meant(wait: Wait, text: str) -> None:
-    assert sentence(wait) == text
+    assert describe_wait(wait) == text
 
 
 def test_whatever_a_crowded_cell_waits_for_is_explained() -> None:
@@ -77,9 +77,9 @@ def test_whatever_a_crowded_cell_waits_for_is_explained() -> None:
         def look(lab: Driver = lab) -> None:
             lab.pump()
             for run in [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]:
-                for _, wait in lab.scheduler.waits(lab.state, run, lab.now):
+                for _, wait in lab.scheduler.list_waits(lab.state, run, lab.now):
                     seen.add(wait.code)
-                    assert "{" not in sentence(wait)
+                    assert "{" not in describe_wait(wait)
                     kind = type(wait.reason)
                     assert {key.partition(":")[0] for key in wait.on} <= {*kind.WAKES}, (wait, kind)
 

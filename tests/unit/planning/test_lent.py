@@ -176,7 +176,7 @@ def test_what_a_run_inside_will_need_is_not_thrown_away() -> None:
     throws = lab.submit(plan(step("arm2", move("a", "trash"))), user="bob")
     lab.start(looks)
     safety = lab.scheduler.safety
-    assert safety.traps(lab.state, lab.run(throws), 0, only_asking=True) == [looks]
+    assert safety.list_trapped(lab.state, lab.run(throws), 0, only_asking=True) == [looks]
     assert lab.work(random.Random(0)), lab.describe_stuck()
 
 
@@ -184,7 +184,7 @@ def test_who_needs_what_is_not_there_is_not_let_in_and_says_what_is_missing() ->
     lab = small()
     run = lab.submit(plan(step("dev"), *look_at("cam.nest").steps))
     assert lab.pump() == []
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
     told = explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
     assert told.endswith("finds nothing that it may use at cam.nest"), told
     lab.stock("cam.nest", 1)
@@ -200,7 +200,7 @@ def test_who_needs_a_plate_that_is_sealed_is_not_let_in_before_it_is_not() -> No
         plan(step("arm", take("stack", "b")), step("cam", *bare), step("arm", move("b", "trash")))
     )
     assert lab.pump() == []
-    assert lab.scheduler.waits(lab.state, lab.run(run), lab.now)[0][1].code == "unfit"
+    assert lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)[0][1].code == "unfit"
     peels = lab.submit(plan(step("dev", needs("a"), sets("sealed", False, "labware"))))
     assert lab.work(random.Random(0)), lab.describe_stuck()
     assert {run, peels}.isdisjoint(lab.state.runs.active)
@@ -227,7 +227,7 @@ def test_who_needs_a_variable_that_nobody_will_set_says_so() -> None:
     lab.step(lab.submit(plan(step("dev", sets("mode", 7)))))
     run = lab.submit(plan(step("cam"), step("dev", requires("mode", 0))))
     assert lab.pump() == []
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
     told = explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
     assert told.endswith("'s1' needs dev.mode = 0, which nobody will have set"), told
 
@@ -270,12 +270,12 @@ def test_nobody_inside_is_trapped_where_labware_is_shared() -> None:
 
 
 def test_who_does_not_look_at_what_runs_need_traps_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.planning.paths._needs", lambda *_: ())
+    monkeypatch.setattr("labos.planning.paths._list_needs", lambda *_: ())
     assert len(find_all_trapped(range(20))) > 4
 
 
 def test_who_does_not_look_at_what_modules_are_set_to_traps_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.planning.paths._without_rest", lambda *_: ())
+    monkeypatch.setattr("labos.planning.paths._drop_resting_values", lambda *_: ())
     assert find_all_trapped(range(40))
 
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 from typing import get_args
 
 from labos.core.reasons import AnyReason, BetterHere, Quota, Urgency
-from labos.planning.explain import remedy
+from labos.planning.explain import find_remedy
 from labos.planning.obstacle import explain_wait
-from labos.services.waits import reasons
+from labos.services.waits import list_reasons
 from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
 
 CELL = workcell(
@@ -24,7 +24,7 @@ CELL = workcell(
 
 
 def cause(lab: Driver, run: str) -> str:
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
     assert wait.code == "no_way_out"
     return explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
 
@@ -47,9 +47,9 @@ def test_a_full_place_at_the_end_is_named_with_what_stands_there() -> None:
         "once started with 'get' it could not reach its end now: 'to out' needs room at out, "
         "where P1 of shared stands"
     )
-    (reason,) = reasons(lab.state, lab.run("R1"), lab.now)
+    (reason,) = list_reasons(lab.state, lab.run("R1"), lab.now)
     assert (reason.why, bool(reason.remedy)) == (told, True)
-    (plain,) = reasons(lab.state, lab.run("R1"), lab.now, causes=False)
+    (plain,) = list_reasons(lab.state, lab.run("R1"), lab.now, causes=False)
     assert plain.why == "once started with 'get' it could not reach its end now"
 
 
@@ -73,14 +73,14 @@ def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
     assert without == {Quota, BetterHere}, "these end with a day, and with a module"
     lab = Driver(CELL)
     run = lab.submit(plan(step("arm", take("stack", "hall"), key="get")))
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
-    assert remedy(wait) == "Fill it and say so: labos load stack --type TYPE --count N --lot LOT"
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
+    assert find_remedy(wait) == "Fill it and say so: labos load stack --type TYPE --count N --lot LOT"
 
 
 def test_whoever_waits_for_a_module_in_doubt_hears_of_the_question() -> None:
     lab = Driver(CELL)
     first, second = (lab.submit(plan(step("dev"))) for _ in range(2))
     lab.doubt(lab.start(first))
-    (reason,) = reasons(lab.state, lab.run(second), lab.now)
+    (reason,) = list_reasons(lab.state, lab.run(second), lab.now)
     assert reason.why == "it is not known how the last action of dev ended"
     assert "labos resolve I1" in reason.remedy

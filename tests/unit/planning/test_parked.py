@@ -44,7 +44,7 @@ def test_runs_that_need_the_same_parked_plate_are_inside_one_after_the_other() -
         plan(step("arm2", take("stack", "b")), step("arm2", move("park1", "trash"))), experiment=name
     )
     assert lab.pump() == [f"{first}#0"]
-    (wait,) = lab.scheduler.waits(lab.state, lab.run(second), lab.now)
+    (wait,) = lab.scheduler.list_waits(lab.state, lab.run(second), lab.now)
     assert wait[1].code in ("unsafe", "no_way_out")
     assert works(lab), lab.describe_stuck()
     lab.check_log()

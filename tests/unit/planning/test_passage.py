@@ -100,11 +100,13 @@ def test_windows_of_which_each_starts_with_the_end_of_the_one_before_are_one_way
     second = lab.submit(chain("m3", "m1"))
     lab.step(first)
     safety = Safety()
-    assert safety.traps(lab.state, lab.run(second), 0, only_asking=True) == [], "both can come to their ends"
+    assert safety.list_trapped(lab.state, lab.run(second), 0, only_asking=True) == [], (
+        "both can come to their ends"
+    )
     assert find_late_step(lab.state, CELL, [], safety) is None
     assert find_late_step(lab.state, CELL, [(second, 0)], safety) is not None
     assert lab.pump() == ["R1#1"]
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(second), lab.now)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(second), lab.now)
     assert wait.until == lab.now + 4 * SECOND, "then m1 is free when R2 comes from m3"
     lab.now = wait.until
     assert lab.pump() == ["R2#0"], "once R1 goes on, the plan has R2 leave m3 in time"

@@ -77,7 +77,7 @@ def test_who_is_let_in_meanwhile_is_told_for_whom_it_waits() -> None:
     for number in range(PATIENCE):
         lab.scheduler.patience.overtake(old, RunId(f"X{number}"))
     young = lab.submit(YOUNG, user="bob", priority=9)
-    wait = lab.scheduler.patience.keeps_out(lab.state, lab.run(young), lab.scheduler.sleepers)
+    wait = lab.scheduler.patience.find_who_keeps_out(lab.state, lab.run(young), lab.scheduler.sleepers)
     assert wait == old
     beside = lab.submit(plan(step("arm")), user="bob")
     assert lab.scheduler.check_start(lab.state, lab.run(beside), 0, lab.now) is None, (
@@ -130,7 +130,9 @@ def test_nobody_is_kept_out_for_one_that_a_person_has_stopped() -> None:
     lab.do(PauseRun(old))
     young = lab.submit(YOUNG, user="bob")
     lab.pump()
-    assert lab.scheduler.patience.keeps_out(lab.state, lab.run(young), lab.scheduler.sleepers) is None
+    assert (
+        lab.scheduler.patience.find_who_keeps_out(lab.state, lab.run(young), lab.scheduler.sleepers) is None
+    )
 
 
 def test_where_nothing_moves_nobody_is_kept_out() -> None:

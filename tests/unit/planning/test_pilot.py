@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from labos.core.model import Plan
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from labos.planning.pilot import MOST_OPTIONS, MOST_WAITING
 from tests.support.bench import Driver, module, move, needs, plan, small, station, step, take, workcell
 
@@ -86,8 +86,8 @@ def test_who_would_keep_a_run_inside_waiting_waits_outside() -> None:
     assert go_on(lab, 1) == ["R1#1"]
     lab.submit(way("mill only", ("mill", 300.0)))
     assert lab.pump() == []
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run("R2"), lab.now)
-    text = sentence(wait)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run("R2"), lab.now)
+    text = describe_wait(wait)
     assert re.fullmatch(
         r"it waits outside, because run R1 would otherwise wait for it at mill until about .* UTC", text
     ), text

@@ -79,7 +79,7 @@ def test_a_suggested_order_is_a_way_to_the_end(order: tuple[int, int]) -> None:
     first, second = (runs[number] for number in order)
     suggest(lab, (first, 2, 0.0), (first, 3, 100.0), (second, 2, 200.0), (second, 3, 300.0))
     safety = lab.scheduler.safety
-    actors = safety.actors(lab.state, "cell")
+    actors = safety.list_actors(lab.state, "cell")
     floor = lay_out(lab.state, "cell", actors, hopeful=True)
     way = follow_order(lab.state, "cell", floor, actors, set(runs))
     assert way is not None
@@ -93,7 +93,7 @@ def test_an_order_that_leads_nowhere_is_no_way() -> None:
     run = lab.submit(visit("dev"))
     lab.finish(lab.start(run))
     suggest(lab, (run, 3, 0.0), (run, 1, 100.0))
-    actors = lab.scheduler.safety.actors(lab.state, "cell")
+    actors = lab.scheduler.safety.list_actors(lab.state, "cell")
     floor = lay_out(lab.state, "cell", actors, hopeful=True)
     assert follow_order(lab.state, "cell", floor, actors, {run}) is None
 
@@ -104,6 +104,6 @@ def test_a_run_that_waits_outside_is_let_in_at_its_time() -> None:
     run = next(name for name, waits in lab.state.runs.queued.items() if lab.state.runs.plan_of(waits) == SLOW)
     suggest(lab, (run, 0, 30.0), (run, 1, 600.0))
     assert f"{run}#0" not in lab.pump()
-    assert lab.scheduler.next_wake() == lab.now + 30 * SECOND
+    assert lab.scheduler.find_next_wake() == lab.now + 30 * SECOND
     lab.wait(30.0)
     assert lab.pump() == [f"{run}#0"]

@@ -16,7 +16,7 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from labos.planning.reservations import Reservations
 from labos.planning.scheduler import Scheduler
 from labos.planning.waiting import PATIENCE
@@ -83,7 +83,7 @@ def test_who_would_still_be_there_at_the_deadline_waits_and_is_told_for_whom() -
     wait = why(lab, run)
     assert wait is not None
     assert (wait.code, wait.names, wait.blocked) == ("reserved", ("cell/cam", "R1", "read"), False)
-    assert sentence(wait) == "cam is reserved for run R1, whose step 'read' has to start in time"
+    assert describe_wait(wait) == "cam is reserved for run R1, whose step 'read' has to start in time"
     assert wait.until == lab.now + 60 * SECOND, "it is looked at again when the step may start"
     assert {"window:R1", "module:cell/cam", "cell:cell"} <= set(wait.on)
 
@@ -551,7 +551,7 @@ def test_a_clock_is_not_started_while_what_is_in_flight_lasts_too_long() -> None
     wait = why(lab, run)
     assert wait is not None
     assert (wait.code, wait.names) == ("not_in_time", ("cell/cam", "read"))
-    assert sentence(wait) == "cam would not be free in time for 'read'"
+    assert describe_wait(wait) == "cam would not be free in time for 'read'"
     lab.pump()
     lab.wait(210.0)
     assert code(lab, run) == "not_in_time"
@@ -638,11 +638,11 @@ def live(rng: random.Random, lab: Driver) -> None:
         runs = [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]
         if not runs:
             return
-        codes = {w.code for run in runs for _, w in lab.scheduler.waits(lab.state, run, lab.now)}
+        codes = {w.code for run in runs for _, w in lab.scheduler.list_waits(lab.state, run, lab.now)}
         assert "too_early" in codes or not codes & {"reserved", "not_in_time"}, (
             f"{codes} {lab.describe_stuck()}"
         )
-        alarm = lab.scheduler.next_deadline(lab.state)
+        alarm = lab.scheduler.find_next_deadline(lab.state)
         assert alarm is not None, f"trapped: {lab.describe_stuck()}"
         lab.now = max(lab.now, alarm)
     raise AssertionError(f"the lab does not come to rest: {lab.describe_stuck()}")
@@ -669,7 +669,7 @@ def test_a_scheduler_that_starts_anew_decides_alike() -> None:
     lab = small()
     start_clock(lab)
     run = lab.submit(picture(takes=300.0))
-    assert [w.code for _, w in Scheduler().waits(lab.state, lab.run(run), lab.now)] == ["reserved"]
+    assert [w.code for _, w in Scheduler().list_waits(lab.state, lab.run(run), lab.now)] == ["reserved"]
 
 
 def test_stations_without_a_module_are_reserved_by_name() -> None:

@@ -11,7 +11,7 @@ from labos.core.decide.nodes import LoseNode
 from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan
-from labos.planning.obstacle import obstacle
+from labos.planning.obstacle import find_obstacle
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
 from labos.planning.stuck import find_block
@@ -59,7 +59,7 @@ def test_two_that_would_swap_places_do_not_meet() -> None:
     second = lab.submit(route("stack", "y", "x", "trash", arm="arm2"))
     lab.step(first)
     assert lab.code(second) == "", "the rules alone would let it in"
-    assert Safety().traps(lab.state, lab.run(second), 0) == [first, second]
+    assert Safety().list_trapped(lab.state, lab.run(second), 0) == [first, second]
     assert lab.pump() == ["R1#1"]
     assert works(lab)
 
@@ -85,9 +85,9 @@ def test_a_run_that_could_never_come_out_is_not_let_in() -> None:
     lab = nests("x", "y")
     lab.stock("y", 1)
     run = lab.submit(route("stack", "x", "y"), user="eve")
-    assert Safety().traps(lab.state, lab.run(run), 0) == [run]
+    assert Safety().list_trapped(lab.state, lab.run(run), 0) == [run]
     assert lab.pump() == []
-    assert lab.scheduler.waits(lab.state, lab.run(run), lab.now)[0][1].code == "no_way_out"
+    assert lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)[0][1].code == "no_way_out"
     lab.submit(route("y", "trash"))
     assert works(lab)
 
@@ -109,7 +109,7 @@ def test_who_does_not_know_how_a_motion_ended_is_hoped_to_go_on() -> None:
     lab.doubt(lab.start(first, 1))
     assert Safety().comes_out(lab.state, lab.run(first))
     settles = lab.submit(route("stack", "c", arm="arm2"))
-    assert Safety().traps(lab.state, lab.run(settles), 0) == [first]
+    assert Safety().list_trapped(lab.state, lab.run(settles), 0) == [first]
 
 
 # -- branches of one run ---------------------------------------------------------------------------
@@ -131,10 +131,12 @@ def two_branches() -> Plan:
 def test_of_two_branches_that_use_one_place_the_one_written_later_may_go_first() -> None:
     lab = nests("x", "y", "z")
     run = lab.submit(two_branches())
-    assert Safety().traps(lab.state, lab.run(run), 3) == []
+    assert Safety().list_trapped(lab.state, lab.run(run), 3) == []
     lab.step(run, 3)
     safety = Safety()
-    assert safety.traps(lab.state, lab.run(run), 4) == [], "the order in which it goes on is found again"
+    assert safety.list_trapped(lab.state, lab.run(run), 4) == [], (
+        "the order in which it goes on is found again"
+    )
     assert works(lab), lab.describe_stuck()
 
 
@@ -144,8 +146,8 @@ def test_a_branch_that_only_another_run_could_set_free_may_not_go_first() -> Non
     first = lab.submit(route("stack", "z", "x", "trash"))
     second = lab.submit(two_branches())
     lab.step(first)
-    assert Safety().traps(lab.state, lab.run(second), 3) == [first, second]
-    assert Safety().traps(lab.state, lab.run(second), 0) == []
+    assert Safety().list_trapped(lab.state, lab.run(second), 3) == [first, second]
+    assert Safety().list_trapped(lab.state, lab.run(second), 0) == []
     assert works(lab), lab.describe_stuck()
 
 
@@ -165,9 +167,9 @@ def test_two_runs_find_an_order_of_their_branches_together() -> None:
         )
     )
     lab.step(second, 3)
-    assert Safety().traps(lab.state, lab.run(first), 3) == []
+    assert Safety().list_trapped(lab.state, lab.run(first), 3) == []
     lab.step(first, 3)
-    assert Safety().traps(lab.state, lab.run(second), 0) == [first, second], "w is the only way out"
+    assert Safety().list_trapped(lab.state, lab.run(second), 0) == [first, second], "w is the only way out"
     assert works(lab), lab.describe_stuck()
 
 
@@ -190,9 +192,9 @@ def test_orders_that_greed_misses_are_found() -> None:
     lab = nests("a", "b", "c")
     first, second = lab.submit(CROSSING[0]), lab.submit(CROSSING[1])
     lab.step(first)
-    assert Safety(limit=0).traps(lab.state, lab.run(second), 0) == [first, second]
+    assert Safety(limit=0).list_trapped(lab.state, lab.run(second), 0) == [first, second]
     patient = Safety()
-    assert patient.traps(lab.state, lab.run(second), 0) == []
+    assert patient.list_trapped(lab.state, lab.run(second), 0) == []
     assert patient.interleavings >= 1
 
 
@@ -209,9 +211,9 @@ def test_who_can_finish_only_together_is_protected_too() -> None:
     lab.keys.clear()
     third = lab.submit(route("stack", "c", "a", "trash"))
     for judge in (lab.scheduler.safety, Safety()):
-        assert {"R1", "R2"} & set(judge.traps(lab.state, lab.run(third), 0, only_asking=True))
+        assert {"R1", "R2"} & set(judge.list_trapped(lab.state, lab.run(third), 0, only_asking=True))
     harmless = lab.submit(route("stack", "c", "trash"))
-    assert Safety().traps(lab.state, lab.run(harmless), 0) == []
+    assert Safety().list_trapped(lab.state, lab.run(harmless), 0) == []
     assert works(lab), lab.describe_stuck()
 
 
@@ -232,10 +234,12 @@ def test_the_next_motion_of_a_witness_needs_no_new_search() -> None:
     lab = make_crossed()
     lab.finish("A2")
     safety = Safety()
-    ways = [s for s in ("R1#1", "R2#1") if not safety.traps(lab.state, lab.run(s[:2]), 1, only_asking=True)]
+    ways = [
+        s for s in ("R1#1", "R2#1") if not safety.list_trapped(lab.state, lab.run(s[:2]), 1, only_asking=True)
+    ]
     assert ways == ["R2#1"]
     before = safety.searches
-    assert safety.traps(lab.state, lab.run("R2"), 1) == []
+    assert safety.list_trapped(lab.state, lab.run("R2"), 1) == []
     assert safety.searches == before
 
 
@@ -399,7 +403,7 @@ def test_a_parked_plate_is_counted_once() -> None:
     assert works(lab)
     second = lab.submit(route("stack", "gate", "park"), experiment=name)
     assert lab.pump() == []
-    assert Safety().traps(lab.state, lab.run(second), 0) == [second, f"experiment:{name}"]
+    assert Safety().list_trapped(lab.state, lab.run(second), 0) == [second, f"experiment:{name}"]
 
 
 def test_nobody_blocks_the_way_of_a_parked_plate_to_its_end() -> None:
@@ -409,9 +413,9 @@ def test_nobody_blocks_the_way_of_a_parked_plate_to_its_end() -> None:
     assert works(lab)
     blocker = lab.submit(route("stack", "gate", "park", "trash"), user="bob")
     assert lab.pump() == []
-    assert Safety().traps(lab.state, lab.run(blocker), 0) == [blocker, f"experiment:{name}"]
+    assert Safety().list_trapped(lab.state, lab.run(blocker), 0) == [blocker, f"experiment:{name}"]
     settled = lab.submit(route("stack", "gate"), user="bob")
-    assert Safety().traps(lab.state, lab.run(settled), 0) == [f"experiment:{name}"]
+    assert Safety().list_trapped(lab.state, lab.run(settled), 0) == [f"experiment:{name}"]
     lab.end(name)
     assert works(lab)
     lab.check_log()
@@ -517,9 +521,9 @@ def test_a_judge_that_only_asks_changes_nothing() -> None:
     asked = Scheduler()
     for _ in range(2):
         for run in lab.state.runs.active.values():
-            asked.waits(lab.state, run, lab.now)
-    first = next(iter(asked.proposals(lab.state, lab.now)))
-    assert first == next(iter(Scheduler().proposals(lab.state, lab.now)))
+            asked.list_waits(lab.state, run, lab.now)
+    first = next(iter(asked.iterate_proposals(lab.state, lab.now)))
+    assert first == next(iter(Scheduler().iterate_proposals(lab.state, lab.now)))
 
 
 def test_nobody_inside_waits_for_an_application_to_end() -> None:
@@ -530,9 +534,9 @@ def test_nobody_inside_waits_for_an_application_to_end() -> None:
     lab.step(lab.submit(route("stack", "park"), experiment=name))
     other = lab.submit(route("stack", "gate", "park", "trash", arm="arm2"))
     assert lab.pump() == [], "what is parked may stay for ever"
-    waits = lab.scheduler.waits(lab.state, lab.run(other), lab.now)
+    waits = lab.scheduler.list_waits(lab.state, lab.run(other), lab.now)
     assert [wait.code for _, wait in waits] == ["no_way_out"]
-    assert obstacle(Safety(), lab.state, lab.run(other)) == (
+    assert find_obstacle(Safety(), lab.state, lab.run(other)) == (
         "'to park' needs room at park, where P1 of experiment E1 stands"
     )
     again = lab.submit(route("park", "gate", "park"), experiment=name)
@@ -552,7 +556,7 @@ def test_nobody_parks_for_long_where_somebody_who_is_stuck_has_to_pass() -> None
     lab.do(PauseRun(lab.run(first).id))
     name = lab.experiment(closing=route("park", "trash"))
     parks = lab.submit(route("stack", "park"), experiment=name)
-    assert Safety().traps(lab.state, lab.run(parks), 0) == [first]
+    assert Safety().list_trapped(lab.state, lab.run(parks), 0) == [first]
     lab.do(ResumeRun(lab.run(first).id))
     assert works(lab), lab.describe_stuck()
     lab.end(name)
@@ -594,7 +598,7 @@ def test_who_finds_that_its_labware_does_not_fit_is_in_the_way(why: str) -> None
     lab.finish(lab.list_flying()[0])
     lab.work(random.Random(0))
     assert other not in lab.state.runs.active
-    waits = lab.scheduler.waits(lab.state, lab.run(needing), lab.now)
+    waits = lab.scheduler.list_waits(lab.state, lab.run(needing), lab.now)
     assert [wait.code for _, wait in waits] == ["no_way_out"]
 
 
@@ -640,7 +644,7 @@ def test_nobody_is_buried_by_one_who_waits_for_him() -> None:
         lab.step(run)
     lab.step(first, 1)
     assert lab.code(second, 1) == "", "there is room on the pile"
-    assert Safety().traps(lab.state, lab.run(second), 1) != []
+    assert Safety().list_trapped(lab.state, lab.run(second), 1) != []
     assert works(lab)
 
 
@@ -672,7 +676,7 @@ def test_a_run_that_only_uses_modules_is_let_in_without_a_search() -> None:
     lab.step(passer)
     assert safety.searches == searches
     other = lab.submit(route("stack", "y", "x", "trash", arm="arm2"))
-    assert safety.traps(lab.state, lab.run(other), 0), "what was known of the others still holds"
+    assert safety.list_trapped(lab.state, lab.run(other), 0), "what was known of the others still holds"
     assert works(lab)
 
 
@@ -688,4 +692,4 @@ def test_a_run_that_could_not_use_its_module_now_is_looked_at_closely() -> None:
     safety = lab.scheduler.safety
     newcomer = lab.run(lab.submit(plan(step("cam"), step("dev"), name="pass")))
     assert not safety._can_pass(lab.state, newcomer, "cell")
-    assert safety.traps(lab.state, newcomer, 0) == []
+    assert safety.list_trapped(lab.state, newcomer, 0) == []

@@ -12,7 +12,7 @@ import pytest
 from labos.core.ids import ActionId
 from labos.core.model import OnError, Plan, PlanStep
 from labos.planning.layout import lay_out
-from labos.planning.safety import Safety, View, as_seen
+from labos.planning.safety import Safety, View, view_actor
 from tests.support.bench import (
     CELL,
     Driver,
@@ -66,7 +66,7 @@ def test_the_motions_of_a_step_follow_one_another_in_a_witness() -> None:
     lab.step("R2", 0)
     safety = Safety()
     view = View(CELL, hopeful=True, closing=True)
-    actors = [as_seen(actor, view) for actor in safety.actors(lab.state, CELL)]
+    actors = [view_actor(actor, view) for actor in safety.list_actors(lab.state, CELL)]
     order, ends = safety.find(lay_out(lab.state, CELL, actors, hopeful=True), actors, {"R1", "R2"})
     assert ends == {"R1", "R2"}
     assert [name for name, _ in groupby(order)] == list(dict.fromkeys(order))
@@ -200,7 +200,7 @@ def test_a_run_that_went_on_without_a_step_that_changes_nothing_is_still_on_its_
     lab.finish("A1")
     lab.pump()
     lab.fail("A2", "none")
-    (actor,) = Safety().actors(lab.state, CELL)
+    (actor,) = Safety().list_actors(lab.state, CELL)
     assert (actor.name, [motion.step for motion in actor.motions]) == (run, [2])
     assert len(actor.forks) == 2
 

@@ -13,10 +13,10 @@ from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
 from labos.core.shares import Usage
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import every_wait_key
-from labos.planning.waiting import PATIENCE, PRIORITY_WEIGHT, head_of
+from labos.planning.waiting import PATIENCE, PRIORITY_WEIGHT, find_head
 from tests.support.bench import (
     SECOND,
     Driver,
@@ -145,14 +145,14 @@ def test_a_step_sleeps_until_its_time_has_come() -> None:
     lab.pump()
     lab.finish("A1")
     assert lab.pump() == []
-    assert lab.scheduler.next_deadline(lab.state) == lab.now + 60 * SECOND
+    assert lab.scheduler.find_next_deadline(lab.state) == lab.now + 60 * SECOND
     lab.wait(59.0)
     before = lab.scheduler.evaluations
     assert lab.pump() == []
     assert lab.scheduler.evaluations == before
     lab.wait(1.0)
     assert lab.pump() == ["R1#1"]
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
 
 
 @pytest.mark.parametrize("on_breach", ["continue", "fail"])
@@ -163,7 +163,7 @@ def test_a_window_that_passes_is_breached_once(on_breach: str) -> None:
     lab.do(TakeOut(ModuleName("cell/cam"), "service"))
     lab.finish("A1")
     lab.pump()
-    assert lab.scheduler.next_deadline(lab.state) == lab.now + 30 * SECOND + 1
+    assert lab.scheduler.find_next_deadline(lab.state) == lab.now + 30 * SECOND + 1
     lab.wait(30.0)
     lab.pump()
     assert "window.breached" not in lab.types()
@@ -171,7 +171,7 @@ def test_a_window_that_passes_is_breached_once(on_breach: str) -> None:
     lab.pump()
     lab.pump()
     assert lab.types().count("window.breached") == 1
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
     assert (lab.types()[-1] == "run.failed") == (on_breach == "fail")
     if on_breach == "continue":
         lab.do(PutBack(ModuleName("cell/cam")))
@@ -183,9 +183,9 @@ def test_a_window_whose_anchor_has_not_ended_runs_for_nobody() -> None:
     other = step("arm", take("stack", "a"))
     late = step("cam", windows=(Window(1, wait_s=5.0, within_s=9.0),))
     lab.submit(plan(step("dev"), other, late, parallel=True))
-    assert list(lab.scheduler.due(lab.state, lab.now)) == []
+    assert list(lab.scheduler.iterate_due(lab.state, lab.now)) == []
     assert lab.pump()[0] == "R1#0"
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
 
 
 def test_alarms_of_steps_that_have_gone_on_are_forgotten() -> None:
@@ -196,7 +196,7 @@ def test_alarms_of_steps_that_have_gone_on_are_forgotten() -> None:
     lab.pump()
     lab.do(CancelRun(lab.run("R1").id))
     lab.pump()
-    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.scheduler.find_next_deadline(lab.state) is None
 
 
 # -- the queue costs nothing ------------------------------------------------------------------------
@@ -259,7 +259,7 @@ def test_only_the_head_of_a_class_is_looked_at() -> None:
     lab.pump()
     assert lab.scheduler.evaluations == before, "behind a head that waits nobody is looked at"
     (group,) = lab.state.runs.queue
-    assert head_of(lab.state, group).id == "R2"
+    assert find_head(lab.state, group).id == "R2"
 
 
 def test_a_class_goes_on_with_its_next_head() -> None:
@@ -273,7 +273,7 @@ def test_a_plan_with_several_first_steps_starts_with_one_that_can() -> None:
     lab = small()
     lab.start(lab.submit(QUERY, user="eve"))
     run = lab.submit(plan(step("dev"), step("cam"), parallel=True, name="both"))
-    waits = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    waits = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
     assert [(index, wait.code) for index, wait in waits] == [(0, "module_busy")]
     assert lab.pump() == ["R2#1"]
     lab.finish("A1")
@@ -352,7 +352,7 @@ def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> Non
     wait = lab.scheduler.check_start(lab.state, lab.run(elder), 0, lab.now)
     assert wait is not None
     assert (wait.code, wait.blocked) == ("module_down", True)
-    assert sentence(wait) == "cam is GONE (silence)"
+    assert describe_wait(wait) == "cam is GONE (silence)"
 
 
 def test_nobody_waits_for_an_elder_who_waits_for_an_application() -> None:
@@ -410,7 +410,7 @@ def test_a_start_that_is_rejected_is_not_proposed_for_ever() -> None:
     for _ in range(3):
         lab.submit(QUERY)
     lab.submit(plan(step("cam")))
-    proposed = [start.run for start in lab.scheduler.proposals(lab.state, lab.now)]
+    proposed = [start.run for start in lab.scheduler.iterate_proposals(lab.state, lab.now)]
     assert sorted(proposed) == ["R1", "R4"]
 
 
@@ -420,7 +420,7 @@ def test_a_new_scheduler_looks_at_everything_once() -> None:
     lab.step("R1")
     lab.submit(plan(step("cam")))
     fresh = Scheduler()
-    assert {(s.run, s.step) for s in fresh.proposals(lab.state, lab.now)} >= {("R1", 1)}
+    assert {(s.run, s.step) for s in fresh.iterate_proposals(lab.state, lab.now)} >= {("R1", 1)}
 
 
 def test_a_run_that_has_ended_in_between_waits_for_nothing() -> None:
@@ -430,7 +430,7 @@ def test_a_run_that_has_ended_in_between_waits_for_nothing() -> None:
     assert wait.code == "gone"
     for _ in range(2):
         lab.scheduler.note_changes(lab.state, ("run:R9",))
-        assert list(lab.scheduler.proposals(lab.state, lab.now)) == []
+        assert list(lab.scheduler.iterate_proposals(lab.state, lab.now)) == []
 
 
 def test_pausing_and_resuming_wake() -> None:

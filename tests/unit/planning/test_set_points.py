@@ -8,7 +8,7 @@ import pytest
 
 from labos.core.model import Plan, Window
 from labos.core.setups import Setup
-from labos.core.state import from_picture, picture
+from labos.core.state import encode_picture, from_picture
 from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab
 from labos.planning.waiting import PATIENCE
@@ -44,7 +44,7 @@ def bake(celsius: int, bakes_s: float = 1800.0) -> Plan:
 
 
 def play(lab: Driver) -> Play:
-    state = from_picture(picture(lab.state))
+    state = from_picture(encode_picture(lab.state))
     return VirtualLab(state, lab.now, lambda _, one: find_usual_time(state, one)).go_on()
 
 

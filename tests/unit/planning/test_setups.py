@@ -7,13 +7,13 @@ import random
 
 import pytest
 
-from labos.cli.explain import sentences
-from labos.core.lengths import kind_of
+from labos.cli.explain import list_sentences
+from labos.core.lengths import make_kind
 from labos.core.model import Plan, Window
 from labos.core.setups import Setup, SetupChange
-from labos.core.state import picture
+from labos.core.state import encode_picture
 from labos.planning.certificate import certify, find_order
-from labos.planning.forecast import find_usual_time, setup_ns
+from labos.planning.forecast import find_setup_ns, find_usual_time
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.timetable import find_setups, make_timetable, with_setups
 from labos.planning.waiting import PATIENCE
@@ -56,7 +56,7 @@ def order(lab: Driver, rounds: int = 100) -> list[str]:
     ],
 )
 def test_what_a_change_costs(before: str | None, args: dict[str, object], cost_s: float) -> None:
-    assert TEN_MIN.cost_s(before, args) == cost_s
+    assert TEN_MIN.compute_cost_s(before, args) == cost_s
 
 
 def test_a_module_is_set_up_for_its_last_action_until_one_does_not_succeed() -> None:
@@ -64,13 +64,13 @@ def test_a_module_is_set_up_for_its_last_action_until_one_does_not_succeed() -> 
     run = lab.submit(does("a"))
     one = lab.state.runs.plan_of(lab.run(run)).steps[0]
     dev = lab.state.modules.by_name[one.module]
-    assert (dev.set_up_for, setup_ns(lab.state, one), find_usual_time(lab.state, one)) == (
+    assert (dev.set_up_for, find_setup_ns(lab.state, one), find_usual_time(lab.state, one)) == (
         None,
         600 * SECOND,
         900 * SECOND,
     )
     action = lab.start(run)
-    assert (dev.set_up_for, dev.in_flight[action].setup_s, setup_ns(lab.state, one)) == ("a", 600.0, 0)
+    assert (dev.set_up_for, dev.in_flight[action].setup_s, find_setup_ns(lab.state, one)) == ("a", 600.0, 0)
     lab.finish(action)
     assert dev.set_up_for == "a"
     lab.fail(lab.start(lab.submit(does("b"))), "none")
@@ -130,7 +130,7 @@ def test_a_forecast_counts_each_change_once() -> None:
     lab = bench()
     for protocol in "abab":
         lab.submit(does(protocol))
-    told = forecast_lab(ForecastRequest(picture(lab.state), lab.now))
+    told = forecast_lab(ForecastRequest(encode_picture(lab.state), lab.now))
     ends = sorted((run.ends.expected_at - lab.now) // SECOND for run in told.runs if run.ends)
     assert ends == [900, 1200, 1560, 1860]  # a changes from nothing (600 s), b from a (60 s)
 
@@ -139,7 +139,7 @@ def test_a_forecast_knows_what_is_being_set_up() -> None:
     lab = bench()
     lab.start(lab.submit(does("a")))
     lab.wait(100.0)
-    told = forecast_lab(ForecastRequest(picture(lab.state), lab.now))
+    told = forecast_lab(ForecastRequest(encode_picture(lab.state), lab.now))
     assert told.runs[0].ends is not None
     assert told.runs[0].ends.expected_at == lab.now + 800 * SECOND
 
@@ -153,15 +153,15 @@ def test_what_is_learned_of_an_action_is_without_its_set_up() -> None:
         action = lab.start(run)
         lab.wait(400.0 + lab.state.modules.by_name[one.module].in_flight[action].setup_s)
         lab.finish(action)
-    times = lab.state.lengths.by_kind[kind_of(does("a").steps[0])]
+    times = lab.state.lengths.by_kind[make_kind(does("a").steps[0])]
     assert times.took == [400 * SECOND] * 2, "those for which nothing was changed"
     lab.step(lab.submit(does("b")))
     run = lab.submit(does("b"))
     assert find_usual_time(lab.state, lab.state.runs.plan_of(lab.run(run)).steps[0]) < 400 * SECOND
     run = lab.submit(does("a"))
     one = lab.state.runs.plan_of(lab.run(run)).steps[0]
-    assert find_usual_time(lab.state, one) - setup_ns(lab.state, one) < 401 * SECOND
-    assert setup_ns(lab.state, one) == 600 * SECOND
+    assert find_usual_time(lab.state, one) - find_setup_ns(lab.state, one) < 401 * SECOND
+    assert find_setup_ns(lab.state, one) == 600 * SECOND
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -223,4 +223,4 @@ def test_explain_says_that_a_module_is_set_up_first() -> None:
     lab.start(run)
     steps = [StepHistory(0, "do", "cell/dev", "act", "in flight")]
     story = RunHistory(run, "do a", "cell", "ada", "", 0, steps)
-    assert "; dev is set up for it first, 10 min 00 s" in sentences(lab.state, story, lab.now)[0]
+    assert "; dev is set up for it first, 10 min 00 s" in list_sentences(lab.state, story, lab.now)[0]

@@ -14,7 +14,7 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.ids import CampaignId, RunId
 from labos.core.model import Plan
 from labos.core.shares import DAY_NS, Group, Member, Quota
-from labos.services.shares import ledger
+from labos.services.shares import make_ledger
 from tests.support.bench import SECOND, Driver, consumes, module, plan, small, step, workcell
 
 READ = plan(step("dev", key="read", duration_s=600.0), name="read")
@@ -69,12 +69,14 @@ def test_what_a_group_has_had_is_what_its_members_have_had() -> None:
         lab.submit(READ, user)
     order(lab)
     apply(lab, Group("g", 1.0, {"a": Member(), "b": Member()}))
-    accounts = {account.user: account for account in ledger(lab.state, lab.now)}
+    accounts = {account.user: account for account in make_ledger(lab.state, lab.now)}
     assert accounts["a"].group == "g"
     assert accounts["a"].wanted == accounts["b"].wanted == 0.5
     assert accounts["a"].lab_hours == pytest.approx(600 / 3600)
-    level = lab.state.shares.group_usage["g"].level(lab.now)
-    assert level == pytest.approx(sum(usage.level(lab.now) for usage in lab.state.shares.usage.values()))
+    level = lab.state.shares.group_usage["g"].compute_level(lab.now)
+    assert level == pytest.approx(
+        sum(usage.compute_level(lab.now) for usage in lab.state.shares.usage.values())
+    )
 
 
 def test_one_run_at_a_time_and_nobody_waits_with_it() -> None:
@@ -83,7 +85,7 @@ def test_one_run_at_a_time_and_nobody_waits_with_it() -> None:
     first, second = lab.submit(READ, "a"), lab.submit(LOOK, "a")
     other = lab.submit(LOOK, "b")
     assert lab.pump() == [f"{first}#0", f"{other}#0"]
-    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(second), lab.now)
+    ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(second), lab.now)
     assert (wait.code, wait.names) == ("quota", ("a", "1 runs at a time"))
     lab.finish("A2")
     assert lab.pump() == []

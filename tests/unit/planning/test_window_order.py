@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.explain import sentence
+from labos.planning.explain import describe_wait
 from labos.planning.window_order import MOST_WAITING, TRIES_EACH, TRIES_NEW
 from tests.support.bench import Driver
 from tests.unit.planning.test_pilot import LONG_FIRST, lab_with, way
@@ -41,7 +41,7 @@ def go_on(lab: Driver) -> None:
             found = lab.state.actions.open[action]
             step = lab.state.runs.plan_of(lab.run(found.run)).steps[found.step]
             ends.setdefault(action, found.requested_at + int(step.duration_s * 1e9))
-        wake = lab.scheduler.next_deadline(lab.state)
+        wake = lab.scheduler.find_next_deadline(lab.state)
         first = min((at for name, at in ends.items() if name in lab.state.actions.open), default=None)
         if first is None:
             return
@@ -63,7 +63,7 @@ def test_a_run_waits_outside_for_its_time() -> None:
     wait = lab.scheduler.adviser.check_start(lab.state, lab.run("R2"), 0, lab.now)
     assert wait is not None
     assert wait.until == begins
-    assert re.fullmatch(r"all work ends sooner if .* starts later \(at about .*\)", sentence(wait))
+    assert re.fullmatch(r"all work ends sooner if .* starts later \(at about .*\)", describe_wait(wait))
 
 
 def test_all_windows_are_kept_and_all_come_to_the_end() -> None:

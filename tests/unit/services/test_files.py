@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from labos.http.files import part_of
-from labos.services.files import files_in
+from labos.http.files import find_part
+from labos.services.files import iterate_files
 
 PICTURE = {"file": "plate.png", "sha256": "a" * 64, "bytes": 12}
 TRACE = {"file": "trace.csv", "sha256": "b" * 64, "bytes": 3}
@@ -25,7 +25,7 @@ TRACE = {"file": "trace.csv", "sha256": "b" * 64, "bytes": 3}
     ],
 )
 def test_files_at_any_depth(result: Any, names: list[str]) -> None:
-    assert [name for name, _, _ in files_in(result)] == names
+    assert [name for name, _, _ in iterate_files(result)] == names
 
 
 @pytest.mark.parametrize(
@@ -44,4 +44,4 @@ def test_files_at_any_depth(result: Any, names: list[str]) -> None:
     ],
 )
 def test_ranges(first: str, last: str, part: tuple[int, int] | None) -> None:
-    assert part_of(10, first, last) == part
+    assert find_part(10, first, last) == part

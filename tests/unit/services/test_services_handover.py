@@ -10,7 +10,7 @@ from labos.core.decide.nodes import TakeOut
 from labos.core.decide.stock import Replenish
 from labos.core.ids import LabwareId, ModuleName, Owner
 from labos.core.resources import LevelSet
-from labos.services.handover import Handover, handover
+from labos.services.handover import Handover, read_handover
 from labos.store import open_store
 from tests.unit.services.logbook import SECOND, START_NS, Logbook
 
@@ -20,7 +20,7 @@ SEALER = ModuleName("rpl/sealer")
 def report(book: Logbook, home: Path, since_s: float, until_s: float) -> Handover:
     store = open_store(book.save(home), create=False, read_only=True)
     try:
-        return handover(store, START_NS + int(since_s * SECOND), START_NS + int(until_s * SECOND))
+        return read_handover(store, START_NS + int(since_s * SECOND), START_NS + int(until_s * SECOND))
     finally:
         store.close()
 

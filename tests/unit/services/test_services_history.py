@@ -18,12 +18,12 @@ from labos.core.registry import TYPES, Event
 from labos.core.state import LabState
 from labos.errors import BadInput, LogDamaged, NotFound
 from labos.runtime.ledger import fold
-from labos.services.catalogue import catalogue_of
+from labos.services.catalogue import read_catalogue
 from labos.services.describe import describe
 from labos.services.filters import FilteredLog, LogFilter
-from labos.services.history import position_at, state_at
-from labos.services.labware import fold_histories, labware_histories, labware_history
-from labos.services.log import events
+from labos.services.history import find_position_at, fold_state_at
+from labos.services.labware import fold_histories, list_labware_histories, read_labware_history
+from labos.services.log import decode_events
 from labos.services.runs import run_histories, run_history
 from labos.services.times import Moment
 from labos.store import SqlEventStore, open_store
@@ -61,7 +61,7 @@ def fold_to(upto: int) -> Any:
 
 def test_the_state_at_every_tenth_position(log: SqlEventStore) -> None:
     for position in range(1, two_users().position + 1, 10):
-        assert msgspec.to_builtins(state_at(log, Moment(position=position))) == fold_to(position)
+        assert msgspec.to_builtins(fold_state_at(log, Moment(position=position))) == fold_to(position)
 
 
 def test_a_time_means_everything_recorded_up_to_it(log: SqlEventStore) -> None:
@@ -69,33 +69,33 @@ def test_a_time_means_everything_recorded_up_to_it(log: SqlEventStore) -> None:
     for record in records[::7]:
         at = record.head.recorded_at
         last = max(r.head.position for r in records if r.head.recorded_at <= at)
-        assert position_at(log, Moment(at_ns=at)) == last
+        assert find_position_at(log, Moment(at_ns=at)) == last
         if at > START_NS:
             before = max(r.head.position for r in records if r.head.recorded_at < at)
-            assert position_at(log, Moment(at_ns=at - 1)) == before
-    assert position_at(log, Moment(at_ns=2**62)) == len(records) == position_at(log)
+            assert find_position_at(log, Moment(at_ns=at - 1)) == before
+    assert find_position_at(log, Moment(at_ns=2**62)) == len(records) == find_position_at(log)
 
 
 def test_moments_outside_the_log_are_refused(log: SqlEventStore) -> None:
     with pytest.raises(BadInput, match=r"there was no log yet\. It begins at"):
-        state_at(log, Moment(at_ns=START_NS - 1))
+        fold_state_at(log, Moment(at_ns=START_NS - 1))
     for position in (0, two_users().position + 1):
         with pytest.raises(BadInput, match=rf"no position {position}\. It reaches from 1"):
-            state_at(log, Moment(position=position))
+            fold_state_at(log, Moment(position=position))
 
 
 def test_a_snapshot_is_used_only_for_what_comes_after_it(tmp_path: Path, open_log: Open) -> None:
     log = open_log(two_users().save(tmp_path, with_snapshot=True))
     end = two_users().position
-    assert msgspec.to_builtins(state_at(log)) == fold_to(end)
-    assert msgspec.to_builtins(state_at(log, Moment(position=end - 5))) == fold_to(end - 5)
+    assert msgspec.to_builtins(fold_state_at(log)) == fold_to(end)
+    assert msgspec.to_builtins(fold_state_at(log, Moment(position=end - 5))) == fold_to(end - 5)
 
 
 def test_a_record_that_contradicts_the_log_is_named() -> None:
     records = list(two_users().records[:90])
     records[80] = msgspec.structs.replace(records[80], payload=b"{}")
     with pytest.raises(LogDamaged, match=r"position 81 .* labos verify"):
-        list(events(records))
+        list(decode_events(records))
 
 
 # -- sentences ------------------------------------------------------------------------------------
@@ -126,8 +126,8 @@ def test_every_type_of_event_is_told_in_a_sentence(kind: str) -> None:
 
 
 def test_sentences_bear_the_names_of_steps(log: SqlEventStore) -> None:
-    names = catalogue_of(log)
-    told = [describe(event, head, names) for event, head in events(log.read())]
+    names = read_catalogue(log)
+    told = [describe(event, head, names) for event, head in decode_events(log.read())]
     assert "R1 #4 'Seal plate/Seal': sealer.seal requested (attempt 1)" in told
     assert "R1: P1 moved from sciclops.exchange to ot2_pcr_alpha.deck1_cooler" in told
     assert "R1: ada submitted 'pcr'" in told
@@ -232,7 +232,7 @@ def test_later_events_pass_the_same_sieve(log: SqlEventStore) -> None:
 
 
 def test_the_story_of_a_plate(log: SqlEventStore) -> None:
-    story = labware_history(log, "P1")
+    story = read_labware_history(log, "P1")
     assert story is not None
     assert [stay.places[0].partition("/")[2] for stay in story.stays] == [
         "sciclops.exchange",
@@ -251,8 +251,8 @@ def test_the_story_of_a_plate(log: SqlEventStore) -> None:
         record = two_users().records[stay.proof.position - 1]
         assert record.hash.hex() == stay.proof.hash
         assert record.head.recorded_at == stay.since
-    assert labware_history(log, "P9") is None
-    assert labware_history(log, "P1", upto=story.stays[2].proof.position).place == "sealer.default"  # type: ignore[union-attr]
+    assert read_labware_history(log, "P9") is None
+    assert read_labware_history(log, "P1", upto=story.stays[2].proof.position).place == "sealer.default"  # type: ignore[union-attr]
 
 
 def test_uncertain_and_gone_are_said(log: SqlEventStore) -> None:
@@ -262,9 +262,9 @@ def test_uncertain_and_gone_are_said(log: SqlEventStore) -> None:
     from tests.unit.services.logbook import seal_records
 
     doubt = seal_records([(500, "rpl/pf400", event)])
-    told = fold_histories([*book.records, *doubt], catalogue_of(log))
+    told = fold_histories([*book.records, *doubt], read_catalogue(log))
     assert told["P2"].place == "not known: pf400.gripper or wc.output.1"
-    assert list(labware_histories(log)) == ["P1", "P2"]
+    assert list(list_labware_histories(log)) == ["P1", "P2"]
 
 
 def test_the_story_of_runs(log: SqlEventStore) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import ModuleName, StationName
 from labos.core.resources import LevelSet
-from labos.services.inventory import Contents, LotLeft, inventory, list_shortfalls
+from labos.services.inventory import Contents, LotLeft, count_inventory, list_shortfalls
 from tests.support.bench import SECOND, Driver, consumes, full, plan, route, small, step
 
 DEV = ModuleName(full("dev"))
@@ -26,7 +26,7 @@ def make_with_foil(level: float) -> Driver:
 def test_the_run_that_finds_too_little_is_named_with_its_time() -> None:
     lab = make_with_foil(5)
     runs = [make_sealing(lab) for _ in range(4)]
-    found = inventory(lab.state, lab.now, TODAY)
+    found = count_inventory(lab.state, lab.now, TODAY)
     (foil,) = [left for left in found.resources if left.resource == "foil"]
     assert (foil.level, foil.promised) == (5, 8)
     assert foil.runs_out is not None
@@ -40,7 +40,9 @@ def test_who_has_priority_uses_it_first() -> None:
     lab = make_with_foil(3)
     last, first = make_sealing(lab), make_sealing(lab, priority=5)
     assert first != last
-    out = next(left.runs_out for left in inventory(lab.state, lab.now, TODAY).resources if left.runs_out)
+    out = next(
+        left.runs_out for left in count_inventory(lab.state, lab.now, TODAY).resources if left.runs_out
+    )
     assert out.run == last
 
 
@@ -48,14 +50,18 @@ def test_what_is_done_is_not_counted_again() -> None:
     lab = make_with_foil(4)
     run = lab.submit(plan(*[step("dev", consumes("foil", 2))] * 2))
     lab.step(run)
-    (foil,) = [left for left in inventory(lab.state, lab.now, TODAY).resources if left.resource == "foil"]
+    (foil,) = [
+        left for left in count_inventory(lab.state, lab.now, TODAY).resources if left.resource == "foil"
+    ]
     assert (foil.level, foil.promised, foil.runs_out) == (2, 2, None)
 
 
 def test_lots_and_their_days() -> None:
     lab = make_with_foil(3)
     lab.do(Replenish(DEV, "foil", 5, "new", "2026-05-31"))
-    (foil,) = [left for left in inventory(lab.state, lab.now, TODAY).resources if left.resource == "foil"]
+    (foil,) = [
+        left for left in count_inventory(lab.state, lab.now, TODAY).resources if left.resource == "foil"
+    ]
     assert foil.lots == (LotLeft("old", 3), LotLeft("new", 5, "2026-05-31", expired=True))
 
 
@@ -65,7 +71,7 @@ def test_stacks_by_type_and_lot_and_who_finds_them_empty() -> None:
     lab.do(LoadStation(STACK, "plate", 2, "L1"))
     lab.do(LoadStation(STACK, "plate", 1, "L2"))
     runs = [lab.submit(route("stack", "a", "trash")) for _ in range(4)]
-    (stack,) = inventory(lab.state, lab.now, TODAY).stacks
+    (stack,) = count_inventory(lab.state, lab.now, TODAY).stacks
     assert stack.contents == (Contents("plate", "L2", 1), Contents("plate", "L1", 2))
     assert (stack.count, stack.promised, stack.known) == (3, 4, True)
     assert stack.runs_out is not None

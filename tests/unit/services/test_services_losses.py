@@ -8,9 +8,9 @@ from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.decide.stock import Replenish
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.resources import LevelSet
-from labos.services.inventory import inventory
-from labos.services.losses import LossAccount, account
-from labos.services.next_touch import next_touches
+from labos.services.inventory import count_inventory
+from labos.services.losses import LossAccount, sum_losses
+from labos.services.next_touch import list_next_touches
 from labos.services.standstill import Cause
 from tests.unit.services.logbook import SECOND, Logbook
 
@@ -43,7 +43,7 @@ def test_pauses_hands_and_modules_out_of_service_are_told_apart() -> None:
     lab.at(190)
     lab.do(PutBack(ModuleName("rpl/pf400")))
     lab.carry_through("R1", seconds=10, steps=1)  # 190 to 200
-    found = account(lab.records)
+    found = sum_losses(lab.records)
     expected = {"person paused": 100, "planned hands in the workcell": 30, "person out of service": 40}
     assert seconds(found.runs["R1"]) == expected
     run = found.runs["R1"]
@@ -62,7 +62,7 @@ def test_what_is_in_flight_goes_on_though_its_module_is_taken_out() -> None:
     lab.do(TakeOut(ModuleName("rpl/sciclops"), "after this one"))
     lab.at(70)
     lab.finish(action)
-    assert not account(lab.records).runs["R1"].losses
+    assert not sum_losses(lab.records).runs["R1"].losses
 
 
 def test_who_waits_for_one_that_stands_still_is_charged_with_the_same_cause() -> None:
@@ -72,7 +72,7 @@ def test_who_waits_for_one_that_stands_still_is_charged_with_the_same_cause() ->
     lab.carry_through("R2", seconds=10, steps=1)  # 30 to 40
     lab.do(TakeOut(ModuleName("rpl/ot2_pcr_alpha"), "smoke"))
     lab.at(100)
-    found = account(lab.records, lab.clock.now)
+    found = sum_losses(lab.records, lab.clock.now)
     cause = Cause("person", "out of service", "rpl/ot2_pcr_alpha")
     assert {loss.cause: loss.lost_ns for loss in found.runs["R2"].losses}[cause] == 60 * SECOND
     assert {spell.run for spell in found.intervals if spell.cause == cause} == {"R1", "R2", ""}
@@ -87,7 +87,7 @@ def test_what_is_used_up_is_charged_to_its_module_before_anything_has_begun_too(
     lab.do(Replenish(*FOIL, 1000, "F2"))
     lab.at(610)
     lab.carry_through("R1", seconds=10, steps=1)
-    found = account(lab.records)
+    found = sum_losses(lab.records)
     assert seconds(found.lab) == {"resource foil": 600, "other about to start": 10}
     assert found.lab.losses[0].cause.module == "rpl/sealer"
     assert found.lab.losses[0].on_clock_ns == 0, "no clock runs before the first step"
@@ -102,7 +102,7 @@ def test_the_next_touches_are_what_waits_and_what_will() -> None:
     lab.carry_through("R1", seconds=10, steps=1)
     lab.do(RequestAccess("rpl", "bo"))
     now = lab.clock.now
-    touches = next_touches(lab.state, now)
+    touches = list_next_touches(lab.state, now)
     assert [touch.kind for touch in touches] == ["access", "module", "supply"]
     assert [touch.run for touch in touches] == ["", "R1", "R2"]
     assert touches[0].at <= now < touches[1].at < touches[2].at
@@ -114,7 +114,7 @@ def test_the_room_in_a_waste_is_looked_ahead_to() -> None:
     lab = Logbook()
     lab.furnish()
     lab.submit("cp_trashplate")
-    (waste,) = inventory(lab.state, lab.clock.now, "2026-01-01").wastes
+    (waste,) = count_inventory(lab.state, lab.clock.now, "2026-01-01").wastes
     assert (waste.station, waste.promised) == (StationName("rpl/wc.trash"), 1)
     assert waste.room >= 1
     assert waste.runs_out is None

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from labos.services.results import COLUMNS, Reading, ValueTable, tables
+from labos.services.results import COLUMNS, Reading, ValueTable, iterate_tables
 from tests.docs.markdown import REFERENCE, blocks
 
 
@@ -31,11 +31,11 @@ from tests.docs.markdown import REFERENCE, blocks
     ],
 )
 def test_tables(result: Any, found: list[ValueTable]) -> None:
-    assert list(tables(result)) == found
+    assert list(iterate_tables(result)) == found
 
 
 def test_the_wells_of_a_table_stand_in_the_order_of_the_plate() -> None:
-    (table,) = tables({"wells": {"B1": 4, "A10": 3, "A1": 1, "A2": 2}})
+    (table,) = iterate_tables({"wells": {"B1": 4, "A10": 3, "A1": 1, "A2": 2}})
     assert list(table.values) == ["A1", "A2", "A10", "B1"]
 
 
@@ -43,6 +43,6 @@ def test_the_reference_is_right() -> None:
     page = (REFERENCE / "samples.md").read_text()
     (examples,) = (block.text for block in blocks(page) if block.language == "json")
     for line in examples.strip().splitlines():
-        assert list(tables(msgspec.json.decode(line))), line
+        assert list(iterate_tables(msgspec.json.decode(line))), line
     assert list(COLUMNS) == list(Reading.__struct_fields__)
     assert all(f"`{name}`" in page for name in COLUMNS)

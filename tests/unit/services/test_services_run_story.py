@@ -13,7 +13,7 @@ from labos.errors import NotFound
 from labos.ports import LogQuery
 from labos.services.runs import run_histories, run_history
 from labos.store import SqlEventStore, open_store
-from labos.store._select import selection
+from labos.store._select import make_selection
 from tests.unit.services.logbook import Logbook
 
 
@@ -60,7 +60,9 @@ def test_a_stream_is_found_by_its_index(tmp_path: Path) -> None:
     store = open_store(lab(2).save(tmp_path), create=False, read_only=True)
     try:
         backend = store._backend
-        query = selection(LogQuery(streams=("R1",)), backend.contains).order_by(text("position")).limit(500)
+        query = (
+            make_selection(LogQuery(streams=("R1",)), backend.contains).order_by(text("position")).limit(500)
+        )
         plain = str(query.compile(backend.reading, compile_kwargs={"literal_binds": True}))
         steps = [str(row[3]) for row in backend.fetch(f"EXPLAIN QUERY PLAN {plain}", ())]
         assert any("USING INDEX" in step and "stream=?" in step for step in steps), steps

@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from labos.errors import Refused
-from labos.services.capacity import CAP, capacity
-from labos.services.summary import summarise, union_ns
+from labos.services.capacity import CAP, measure_capacity
+from labos.services.summary import measure_union_ns, summarise
 from labos.spec import compile_workflow, find_spec, parse_workflow
 from tests.simulation import mixes
 from tests.unit.services.logbook import Logbook, two_users
@@ -68,8 +68,8 @@ def test_an_empty_log_has_an_empty_account() -> None:
 
 
 def test_overlapping_times_count_once() -> None:
-    assert union_ns([(0, 10), (5, 20), (30, 40), (32, 35)]) == 30
-    assert union_ns([]) == 0
+    assert measure_union_ns([(0, 10), (5, 20), (30, 40), (32, 35)]) == 30
+    assert measure_union_ns([]) == 0
 
 
 def copies_of(name: str) -> tuple[int, str]:
@@ -77,7 +77,7 @@ def copies_of(name: str) -> tuple[int, str]:
     compiled = compile_workflow(
         path, mixes.PAYLOADS[name], CELL, mixes.DESCRIPTIONS, simulate=True, bench=mixes.CELL.bench
     )
-    found = capacity(CELL, STOCK, compiled.plan, compiled.inputs)
+    found = measure_capacity(CELL, STOCK, compiled.plan, compiled.inputs)
     return found.copies, found.why
 
 
@@ -99,17 +99,17 @@ steps:
   - {name: Look again, module: camera_module, action: take_picture, args: {file_name: b.jpg}}
 """
     compiled = compile_workflow(parse_workflow(text), {}, CELL, mixes.DESCRIPTIONS, simulate=True)
-    found = capacity(CELL, STOCK, compiled.plan, compiled.inputs)
+    found = measure_capacity(CELL, STOCK, compiled.plan, compiled.inputs)
     assert found.copies >= 1
 
 
 def test_an_empty_stack_admits_nobody() -> None:
     plan = mixes.PLANS["pcr"].plan
-    found = capacity(CELL, [], plan)
+    found = measure_capacity(CELL, [], plan)
     assert (found.copies, found.why) == (0, "the stack sciclops.tower2 is empty")
 
 
 def test_a_plan_of_another_workcell_is_refused() -> None:
     plan = msgspec.structs.replace(mixes.PLANS["pcr"].plan, workcell="elsewhere")
     with pytest.raises(Refused, match="no workcell 'elsewhere'"):
-        capacity(CELL, STOCK, plan)
+        measure_capacity(CELL, STOCK, plan)

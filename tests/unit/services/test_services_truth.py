@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.state import LabState
 from labos.node import World
-from labos.services.truth import differences
+from labos.services.truth import list_differences
 
 
 def test_readings_of_an_instrument_are_no_alarm() -> None:
@@ -12,7 +12,7 @@ def test_readings_of_an_instrument_are_no_alarm() -> None:
     world = World(":memory:")
     world.work("reader", "read", "", nm=400)
     world.work("reader", "read", "", nm=420)
-    assert differences(world, LabState(), []) == []
+    assert list_differences(world, LabState(), []) == []
 
 
 def test_work_that_the_log_does_not_know_is_one() -> None:
@@ -21,4 +21,4 @@ def test_work_that_the_log_does_not_know_is_one() -> None:
     (plate,) = world.at("sealer.default")
     world.work("sealer", "seal", "sealer.default")
     world.carry(plate, "")
-    assert differences(world, LabState(), []) == ["sealer did seal 1 times, the log says 0"]
+    assert list_differences(world, LabState(), []) == ["sealer did seal 1 times, the log says 0"]

@@ -26,7 +26,7 @@ from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
 from labos.core.topics import Choice
-from labos.services.log import events
+from labos.services.log import decode_events
 from labos.services.twh import Meter, Twh, TwhReport, measure
 from tests.simulation import mixes
 from tests.unit.services.logbook import SECOND, START_NS, Logbook, seal_records
@@ -308,7 +308,7 @@ def test_one_shift_is_measured_by_itself() -> None:
     told = [*preface(), (0.0, "ada", make_submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
     told += [(600, "ada", tips()), (3600, "ada", tips()), (3900, "labos", RunCompleted(RunId("R1"), 1))]
     meter = Meter()
-    for event, head in events(seal_records(told)):
+    for event, head in decode_events(seal_records(told)):
         if head.recorded_at == START_NS + 3600 * SECOND:
             meter.start_over(START_NS + 3000 * SECOND)
         meter.add(event, head)

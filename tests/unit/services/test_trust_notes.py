@@ -47,27 +47,27 @@ def test_the_example_of_go_verifies() -> None:
     assert note.encode() == SPECIFIED.encode()
     key = parse_public_key(PETER)
     assert key.text == PETER
-    assert note.signers([key]) == [key]
+    assert note.find_signers([key]) == [key]
 
 
 def test_a_note_is_read_as_it_was_written() -> None:
     note = sign_tree(HEAD, KEY)
     assert parse_note(note.encode()) == note
     assert parse_tree_head(note.text) == HEAD
-    assert note.signers([KEY.public, OTHER.public]) == [KEY.public]
+    assert note.find_signers([KEY.public, OTHER.public]) == [KEY.public]
 
 
 def test_a_changed_text_is_not_what_was_signed() -> None:
     data = sign_tree(HEAD, KEY).encode().replace(b"\n0\n", b"\n1\n")
     with pytest.raises(BadInput, match=r"not what example\.org/lab has signed"):
-        parse_note(data).signers([KEY.public])
+        parse_note(data).find_signers([KEY.public])
 
 
 def test_a_cosignature_tells_its_time() -> None:
     witness = make_key("w", COSIGNS, bytes(32))
     signature = witness.sign(HEAD.text, 1_679_315_147)
     note = Note(HEAD.text, (KEY.sign(HEAD.text), signature))
-    assert note.signers([witness.public, KEY.public]) == [witness.public, KEY.public]
+    assert note.find_signers([witness.public, KEY.public]) == [witness.public, KEY.public]
     assert signature.time_s == 1_679_315_147
     later = (signature.time_s + 1).to_bytes(8) + signature.raw[8:]
     assert not witness.public.verifies(HEAD.text.encode(), later)
@@ -134,7 +134,7 @@ def test_a_private_key_does_not_show_itself() -> None:
 def test_a_key_is_made_once_and_is_private(tmp_path: Path) -> None:
     keys = SigningKeys(tmp_path)
     public = keys.create("example.org/lab")
-    assert keys.read_signing_key().public == public == keys.public()[-1]
+    assert keys.read_signing_key().public == public == keys.list_public_keys()[-1]
     if os.name != "nt":
         modes = [path.stat().st_mode & 0o777 for path in (keys.folder, *keys.folder.iterdir())]
         assert modes == [0o700, 0o600, 0o600]
@@ -151,16 +151,16 @@ def test_who_trusts_an_old_key_goes_on_with_its_successors(tmp_path: Path) -> No
     keys.rotate(10, "2026-05-04T10:00:00Z")
     keys.rotate(20, "2026-05-05T10:00:00Z")
     third = keys.read_signing_key()
-    rotations = parse_rotations(encode_rotations(keys.rotations()))
-    assert rotations == keys.rotations()
+    rotations = parse_rotations(encode_rotations(keys.read_rotations()))
+    assert rotations == keys.read_rotations()
     assert len(rotations) == 2
     trusted = TrustedKeys([first], rotations)
-    assert trusted.keys == keys.public()
+    assert trusted.keys == keys.list_public_keys()
     at_30 = TreeHead("example.org/lab", 30, bytes(32))
-    assert trusted.signers(sign_tree(at_30, third), at_30) == [third.public]
-    assert trusted.signers(sign_tree(at_30, old), at_30) == [], "it was to sign nothing behind 10"
+    assert trusted.find_signers(sign_tree(at_30, third), at_30) == [third.public]
+    assert trusted.find_signers(sign_tree(at_30, old), at_30) == [], "it was to sign nothing behind 10"
     at_10 = TreeHead("example.org/lab", 10, bytes(32))
-    assert trusted.signers(sign_tree(at_10, old), at_10) == [first]
+    assert trusted.find_signers(sign_tree(at_10, old), at_10) == [first]
     assert TrustedKeys([OTHER.public], rotations).keys == [OTHER.public]
 
 
@@ -180,7 +180,7 @@ def test_no_lab_speaks_for_another_and_no_witness_for_a_lab() -> None:
     foreign = make_key("example.org/other", SIGNS, bytes(32))
     witness = make_key("example.org/lab", COSIGNS, bytes(32))
     note = Note(HEAD.text, (foreign.sign(HEAD.text), witness.sign(HEAD.text, 1)))
-    assert TrustedKeys([foreign.public, witness.public]).signers(note, HEAD) == []
+    assert TrustedKeys([foreign.public, witness.public]).find_signers(note, HEAD) == []
 
 
 def test_keys_are_given_as_text_or_as_files(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from labos.adapter import describe_foreign
 from labos.errors import BadInput, DeviceError
-from labos.spec.interfaces import config_at, list_missing_keys
+from labos.spec.interfaces import list_missing_keys, make_config_at
 
 
 @pytest.mark.parametrize(
@@ -26,14 +26,14 @@ from labos.spec.interfaces import config_at, list_missing_keys
     ],
 )
 def test_an_address_is_what_the_adapter_wants(interface: str, address: str, config: dict[str, Any]) -> None:
-    assert config_at(interface, address) == config
+    assert make_config_at(interface, address) == config
     assert set(list_missing_keys(interface, config)) <= {"opcua", "epics"}
 
 
 @pytest.mark.parametrize("address", ["reader", "reader:", "reader:http"])
 def test_a_port_that_is_missing_is_said(address: str) -> None:
     with pytest.raises(BadInput, match="host:port"):
-        config_at("tcp_node", address)
+        make_config_at("tcp_node", address)
 
 
 @pytest.mark.parametrize("interface", ["rest_node", "epics_node", "opcua_node", "wei_tcp_node"])

@@ -10,12 +10,12 @@ from labos.adapter import ADAPTERS
 from labos.adapter._types import type_of
 from labos.adapter.madsci import describe as describe_madsci
 from labos.adapter.wei import describe as describe_wei
-from labos.adapter.wei import read_state, works
+from labos.adapter.wei import is_working, read_state
 from labos.core.effects import Move, Needs
 from labos.core.model import Description
 from labos.errors import SpecError
 from labos.spec import SpecErrors, compile_workflow, parse_workcell, parse_workflow
-from labos.spec.about import About, about_of, description_of, find_description
+from labos.spec.about import About, description_of, find_description, make_about
 from labos.spec.interfaces import PLANNED, REACHED
 
 CELL = """
@@ -141,14 +141,14 @@ def test_a_description_survives_being_written_down() -> None:
         },
     }
     told = describe_madsci(info)
-    again = description_of(About.model_validate(about_of(told)), told.driver)
+    again = description_of(About.model_validate(make_about(told)), told.driver)
     assert again.actions == told.actions
     assert [arg.type for arg in told.actions[0].args] == ["float", "station", "file"]
-    assert about_of(Description("d", "1", "")) == {"actions": {}}
+    assert make_about(Description("d", "1", "")) == {"actions": {}}
 
 
 def test_effects_are_written_down_too() -> None:
-    told = about_of(parse_about())
+    told = make_about(parse_about())
     assert told["actions"]["seal"]["effects"] == [{"needs": {}}, {"needs": {"station": "nest"}}]
 
 
@@ -182,9 +182,9 @@ def test_wei_states_of_all_ages() -> None:
     assert read_state({"State": "IDLE"}) == ({"IDLE"}, "")
     assert read_state("BUSY") == ({"BUSY"}, "")
     assert read_state({"status": "ERROR", "error": ["a", "b"]}) == ({"ERROR"}, "a; b")
-    assert works({"BUSY"})
+    assert is_working({"BUSY"})
     # An action that raised leaves the node busy in its own eyes.
-    assert not works({"BUSY", "ERROR"})
+    assert not is_working({"BUSY", "ERROR"})
 
 
 def test_wei_files_are_arguments() -> None:

@@ -11,7 +11,7 @@ from labos.core.counts import Count
 from labos.core.effects import Consumes
 from labos.errors import SpecError
 from labos.spec import compile_workflow, find_spec, parse_workflow
-from labos.spec.amounts import amount_of, arguments_of
+from labos.spec.amounts import compute_amount, list_arguments
 from labos.spec.findings import SpecErrors
 from tests.simulation.mixes import CELL, DESCRIPTIONS, PAYLOADS
 
@@ -29,7 +29,7 @@ FILES = {"p.yaml": b"resources:\n  tips: 96\n  ink: much\n  count: '{wells.count
 
 
 def amount(text: str) -> float:
-    return amount_of(text, VALUES, FILES.get).amount
+    return compute_amount(text, VALUES, FILES.get).amount
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_the_file_says_it_or_the_driver_counts_it_or_it_is_assumed(
     text: str, counter: Any, found: Count
 ) -> None:
     files = {**FILES, "-1": b"of a format of its own"}
-    assert amount_of(text, VALUES, files.get, counter) == found
+    assert compute_amount(text, VALUES, files.get, counter) == found
 
 
 def test_what_is_assumed_is_a_warning_and_what_is_counted_is_not() -> None:
@@ -149,9 +149,9 @@ steps:
 
 
 def test_which_arguments_decide() -> None:
-    assert arguments_of("{volumes.sum}") == {"volumes"}
-    assert arguments_of("{file:protocol:resources.tips|8}") == {"protocol"}
-    assert arguments_of("8") == set()
+    assert list_arguments("{volumes.sum}") == {"volumes"}
+    assert list_arguments("{file:protocol:resources.tips|8}") == {"protocol"}
+    assert list_arguments("8") == set()
 
 
 def test_a_protocol_says_what_it_uses_and_the_run_keeps_it() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.bootstrap import descriptions
 from labos.spec.importing import Imported, import_spec
-from labos.spec.source import parse, plain
+from labos.spec.source import make_plain, parse
 from labos.spec.uses import read_uses
 
 CELL = """\
@@ -40,12 +40,12 @@ def import_flows(*flows: str) -> tuple[Imported, list[Imported]]:
 
 
 def reach(cell: Imported) -> dict[str, object]:
-    stations = plain(parse(cell.text).data).get("stations", {})
+    stations = make_plain(parse(cell.text).data).get("stations", {})
     return {place: entry["reach"]["arm"] for place, entry in stations.items() if "reach" in entry}
 
 
 def args(file: Imported) -> list[dict[str, object]]:
-    return [step["args"] for step in plain(parse(file.text).data)["steps"]]
+    return [step["args"] for step in make_plain(parse(file.text).data)["steps"]]
 
 
 def test_what_all_say_alike_stands_in_the_workcell() -> None:
@@ -76,7 +76,7 @@ def test_what_they_do_not_agree_on_stays_where_it_is() -> None:
 def test_an_approach_goes_to_the_arm() -> None:
     through = carry("wc.shelf", "sealer.default", source_approach="wc.gate")
     cell, (file,) = import_flows(flow("one", through))
-    arm = next(module for module in plain(parse(cell.text).data)["modules"] if module["name"] == "arm")
+    arm = next(module for module in make_plain(parse(cell.text).data)["modules"] if module["name"] == "arm")
     assert arm["config"] == {"approach": {"wc.shelf": "wc.gate"}}
     assert args(file) == [{"source": "wc.shelf", "target": "sealer.default"}]
 

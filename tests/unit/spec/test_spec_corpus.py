@@ -16,9 +16,9 @@ from labos.core.model import Description
 from labos.errors import SpecError
 from labos.spec import Finding, SpecErrors, compile_workcell, compile_workflow, find_spec, load_workcell
 from labos.spec.comments import read_comments
-from labos.spec.dialects import find_kind, no_spec, workcell_form, workflow_form
+from labos.spec.dialects import convert_workcell, convert_workflow, find_kind, make_unknown_error
 from labos.spec.findings import FindingList, make_finding
-from labos.spec.importing import complete, import_spec
+from labos.spec.importing import complete_workcell, import_spec
 from labos.spec.models import WorkcellFile, WorkflowFile
 from labos.spec.source import Source, parse, read
 from labos.spec.validation import validate
@@ -63,7 +63,7 @@ def load(path: Path) -> tuple[str, list[Finding]]:
         source = read(path, last_wins=True)
         found = find_kind(source)
         if found is None:
-            return "", [make_finding(no_spec(source))]
+            return "", [make_finding(make_unknown_error(source))]
         text = import_spec(source, drivers()).text
         kept = Counter(comment.text for comment in read_comments(text))
         assert not Counter(comment.text for comment in read_comments(source.text)) - kept, path
@@ -110,19 +110,19 @@ def check_round_trip(source: Source) -> None:
     again = parse(found.text, "again.yaml")
     report = FindingList("again.yaml")
     if found.kind == "workflow":
-        form, _ = workflow_form(source, FindingList(source.file))
-        written, dialect = workflow_form(again, report)
+        form, _ = convert_workflow(source, FindingList(source.file))
+        written, dialect = convert_workflow(again, report)
         assert dialect == "labos"
         assert validate(WorkflowFile, written, report) == validate(WorkflowFile, form, report)
         assert report.sort_findings() == ()
         return
-    form, _ = workcell_form(source, FindingList(source.file))
-    written, dialect = workcell_form(again, report)
+    form, _ = convert_workcell(source, FindingList(source.file))
+    written, dialect = convert_workcell(again, report)
     assert dialect == "labos"
     file = validate(WorkcellFile, form, report)
     before, after = compile_workcell(source, drivers()), compile_workcell(again, drivers())
     assert file is not None
-    assert validate(WorkcellFile, written, report) == complete(file, before, drivers())
+    assert validate(WorkcellFile, written, report) == complete_workcell(file, before, drivers())
     assert after.findings == ()
     assert after.workcell.modules == before.workcell.modules
     assert {s.name: s for s in after.workcell.stations} == {s.name: s for s in before.workcell.stations}

@@ -8,7 +8,15 @@ import pytest
 
 from labos.errors import NotFound
 from labos.spec import SpecErrors
-from labos.spec.describing import for_model, load_description, parts_at, places, places_at, plain_of, variant
+from labos.spec.describing import (
+    apply_model,
+    apply_variant,
+    load_description,
+    locate_parts,
+    locate_places,
+    make_plain,
+    places,
+)
 from labos.spec.frames import frame, from_quaternion, spin
 from labos.spec.source import parse
 
@@ -51,26 +59,26 @@ def change_text(old: str, new: str) -> str:
 def test_a_description_is_read() -> None:
     shaker = load_description(parse(SHAKER))
     assert list(places(shaker)) == ["nest", "shelf2", "shelf3", "shelf4"]
-    at = places_at(shaker, {"drawer": 150})
+    at = locate_places(shaker, {"drawer": 150})
     assert at["nest"].at == pytest.approx((0, 150, 65))
     assert at["shelf4"].at == pytest.approx((0, 0, 50))
-    assert sorted(plain_of(shaker)["stations"]) == ["nest", "shelf2", "shelf3", "shelf4"]
+    assert sorted(make_plain(shaker)["stations"]) == ["nest", "shelf2", "shelf3", "shelf4"]
 
 
 def test_what_is_not_told_to_move_stands_at_its_nearest_limit() -> None:
     shaker = load_description(parse(SHAKER))
-    assert parts_at(shaker)["left"].at == pytest.approx((-40, 0, 60))
-    assert parts_at(shaker, {"left": 55})["right"].at == pytest.approx((55, 0, 60))
+    assert locate_parts(shaker)["left"].at == pytest.approx((-40, 0, 60))
+    assert locate_parts(shaker, {"left": 55})["right"].at == pytest.approx((55, 0, 60))
 
 
 def test_variants_stand_in_place_of_what_they_change() -> None:
     shaker = load_description(parse(SHAKER))
-    assert variant(shaker, "wide").footprint.size_mm == [400, 300]
-    assert for_model(shaker, "Shaker_XL").footprint.size_mm == [400, 300]
-    assert for_model(shaker, "shaker").footprint.size_mm == [200, 300]
-    assert variant(shaker, "wide").parts == shaker.parts
+    assert apply_variant(shaker, "wide").footprint.size_mm == [400, 300]
+    assert apply_model(shaker, "Shaker_XL").footprint.size_mm == [400, 300]
+    assert apply_model(shaker, "shaker").footprint.size_mm == [200, 300]
+    assert apply_variant(shaker, "wide").parts == shaker.parts
     with pytest.raises(NotFound, match="Did you mean 'wide'"):
-        variant(shaker, "wyde")
+        apply_variant(shaker, "wyde")
 
 
 @pytest.mark.parametrize(

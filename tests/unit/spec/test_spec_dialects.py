@@ -19,7 +19,7 @@ from labos.spec import (
     parse_workflow,
     validate_workflow,
 )
-from labos.spec.dialects import workflow_form
+from labos.spec.dialects import convert_workflow
 from labos.spec.findings import FindingList
 from labos.spec.models import WorkflowFile
 from labos.spec.validation import validate
@@ -132,7 +132,7 @@ flowdef:
 """
     source = parse_workflow(text, "wei.yaml")
     report = FindingList("wei.yaml")
-    file = validate(WorkflowFile, workflow_form(source, report)[0], report)
+    file = validate(WorkflowFile, convert_workflow(source, report)[0], report)
     assert file is not None
     [step] = file.steps
     assert (step.name, step.module, step.action) == ("say $which", "payload.which", "payload.which")

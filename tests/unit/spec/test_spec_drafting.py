@@ -19,9 +19,9 @@ from labos.spec import (
     parse_workflow,
 )
 from labos.spec.importing import import_spec
-from labos.spec.serving import drivers_of, suggest_driver
+from labos.spec.serving import list_drivers, suggest_driver
 from labos.spec.source import parse
-from labos.spec.uses import read_uses, workflows_by_workcell
+from labos.spec.uses import read_uses, sort_workflows_by_workcell
 
 CELL = """\
 name: corner
@@ -192,7 +192,7 @@ def test_what_a_name_speaks_of(model: str, driver: str | None) -> None:
 
 
 def test_spelling_of_models_does_not_matter() -> None:
-    assert drivers_of("a4s sealer", drivers()) == drivers_of("A4S_Sealer", drivers()) == ["a4s_sealer"]
+    assert list_drivers("a4s sealer", drivers()) == list_drivers("A4S_Sealer", drivers()) == ["a4s_sealer"]
 
 
 def test_workflows_belong_to_the_workcell_that_they_name_or_that_has_their_modules() -> None:
@@ -205,7 +205,7 @@ def test_workflows_belong_to_the_workcell_that_they_name_or_that_has_their_modul
         parse("name: x\nflowdef:\n  - {name: s, module: nobody, action: rest}\n", "a/none.yaml"),
     ]
     found = {
-        cell: [source.file for source in flows] for cell, flows in workflows_by_workcell(sources).items()
+        cell: [source.file for source in flows] for cell, flows in sort_workflows_by_workcell(sources).items()
     }
     assert found == {"a/corner.yaml": ["b/bake.yaml"], "b/other.yaml": ["a/named.yaml"]}
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from labos.bootstrap import descriptions
 from labos.spec.emit import to_yaml
 from labos.spec.importing import import_spec
-from labos.spec.source import parse, plain
+from labos.spec.source import make_plain, parse
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12) | st.sampled_from(
     ["yes", "No", "null", "~", "1e3", "5", "0x10", ".5", "<<", "- a", "a: b", "a #b", "{x}", "'", "payload.x"]
@@ -32,7 +32,7 @@ VALUE = st.recursive(
 
 @given(st.dictionaries(TEXT, VALUE, min_size=1, max_size=6))
 def test_every_value_is_read_back_as_it_was(value: dict[str, Any]) -> None:
-    assert plain(parse(to_yaml(value, {"": ["é # x"], "a.b": ["y\n- z"]})).data) == value
+    assert make_plain(parse(to_yaml(value, {"": ["é # x"], "a.b": ["y\n- z"]})).data) == value
 
 
 def test_comments_stand_above_what_they_speak_of() -> None:

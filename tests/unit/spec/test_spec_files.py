@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.spec.files import FileFinder, lab_folder
+from labos.spec.files import FileFinder, find_lab_folder
 
 CELL = "name: corner\nmodules:\n  - {name: arm, model: pf400}\n"
 FLOW = "name: x\nmodules: [arm]\nflowdef:\n  - {name: s, module: arm, action: home}\n"
@@ -27,7 +27,7 @@ def lab(tmp_path: Path) -> Path:
 def test_a_protocol_beside_the_workflows_folder_is_found(lab: Path) -> None:
     finder = FileFinder({}, [lab / "workflows"])
     assert finder.find("../protocols/mix.py").content == b"mix"
-    assert lab_folder(lab / "workflows") == lab
+    assert find_lab_folder(lab / "workflows") == lab
 
 
 @pytest.mark.parametrize("name", ["../../secret.txt", "../protocols/../../secret.txt", "/etc/hostname"])
@@ -44,5 +44,5 @@ def test_a_link_does_not_lead_out(lab: Path) -> None:
 @pytest.mark.parametrize("text", [FLOW, "a: 1\n", "services: {}\n", "steps: []\nmodules: []\n", "\0\n"])
 def test_a_folder_without_a_workcell_is_no_lab(lab: Path, text: str) -> None:
     (lab / "cell.yaml").write_text(text)
-    assert lab_folder(lab / "workflows") == lab / "workflows"
+    assert find_lab_folder(lab / "workflows") == lab / "workflows"
     assert FileFinder({}, [lab / "workflows"]).find("../protocols/mix.py").content is None

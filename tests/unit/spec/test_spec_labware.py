@@ -10,8 +10,8 @@ import pytest
 from labos.bootstrap import descriptions
 from labos.core.model import LabwareSpec, WellGrid
 from labos.spec import CompiledWorkcell, SpecErrors, load_workcell, parse_workcell
-from labos.spec.dialects import kind_of
-from labos.spec.labware import labware_files
+from labos.spec.dialects import detect_kind
+from labos.spec.labware import read_labware_files
 from labos.spec.source import read
 
 DEEP = """\
@@ -74,10 +74,10 @@ def test_a_type_of_the_labs_own_is_kept_with_the_workcell(folder: Path) -> None:
     assert {"plate96", "pcr96"} <= set(known), "and those that come with LabOS"
     stations = {station.name: station for station in cell.workcell.stations}
     arm = cell.workcell.modules[1].name
-    assert stations["corner/wc.shelf"].grips(arm, "deep96") == ("narrow",)  # type: ignore[index]
-    assert stations["corner/wc.shelf"].grips(arm, "plate96") == ()  # type: ignore[index]
+    assert stations["corner/wc.shelf"].list_grips(arm, "deep96") == ("narrow",)  # type: ignore[index]
+    assert stations["corner/wc.shelf"].list_grips(arm, "plate96") == ()  # type: ignore[index]
     assert stations["corner/stacker.tower1"].refuses == ("deep96",)  # type: ignore[index]
-    assert kind_of(read(folder / "corner.yaml")) == ("workcell", "labos")
+    assert detect_kind(read(folder / "corner.yaml")) == ("workcell", "labos")
 
 
 def test_a_change_of_a_labware_file_is_a_change_of_the_workcell(folder: Path) -> None:
@@ -107,7 +107,7 @@ def test_a_folder_of_files_some_of_them_opentrons(folder: Path) -> None:
 
 def test_a_text_comes_with_its_labware_files(folder: Path) -> None:
     cell = load(folder)
-    sent = labware_files(read(folder / "corner.yaml"))
+    sent = read_labware_files(read(folder / "corner.yaml"))
     assert sent == {"labware/deep.yaml": DEEP.encode()}
     (folder / "labware" / "deep.yaml").unlink()
     again = parse_workcell(CELL, descriptions(), "elsewhere/corner.yaml", sent)

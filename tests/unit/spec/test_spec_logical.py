@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from labos.client import workflow_text
-from labos.spec.files import FileFinder, find_logical, lab_folder
+from labos.spec.files import FileFinder, find_lab_folder, find_logical
 
 CELL = "labos: 1\nname: cell\nmodules: [{name: sealer, model: A4S_sealer}]\n"
 
@@ -42,14 +42,14 @@ def test_a_logical_name_means_the_only_file_of_that_name(name: str, means: str, 
         mix_dot_py="4",
     )
     assert find_logical(name, tmp_path) == means
-    assert FileFinder({}, [tmp_path]).full_name(name) == means
+    assert FileFinder({}, [tmp_path]).find_full_name(name) == means
     handed_in = {
         "protocols/mix.py": b"1",
         "protocols/two.py": b"2",
         "protocols/two.hso": b"3",
         "mix.py": b"4",
     }
-    assert FileFinder(handed_in, []).full_name(name) == means
+    assert FileFinder(handed_in, []).find_full_name(name) == means
 
 
 def test_it_is_sent_along_under_its_full_name(tmp_path: Path) -> None:
@@ -66,10 +66,10 @@ def test_a_lab_may_keep_its_workcells_in_a_folder(tmp_path: Path) -> None:
         parts__seal_dot_yaml="name: s",
     )
     deep = tmp_path / "apps" / "growth" / "rpl"
-    assert lab_folder(deep) == tmp_path
+    assert find_lab_folder(deep) == tmp_path
     assert FileFinder({}, [deep]).find("../../../parts/seal.yaml").content == b"name: s"
     assert FileFinder({}, [deep]).find("../../../../secret").problem == "lies outside the workflow's folder"
     (deep / "below").mkdir()
-    assert lab_folder(deep / "below") == deep / "below", "three folders above at the most"
+    assert find_lab_folder(deep / "below") == deep / "below", "three folders above at the most"
     (tmp_path / "workcells" / "cell.yaml").write_text("no: workcell\n")
-    assert lab_folder(deep) == deep
+    assert find_lab_folder(deep) == deep

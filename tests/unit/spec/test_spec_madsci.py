@@ -17,7 +17,7 @@ from labos.spec import (
     validate_workcell,
     validate_workflow,
 )
-from labos.spec.dialects import kind_of, workcell_form, workflow_form
+from labos.spec.dialects import convert_workcell, convert_workflow, detect_kind
 from labos.spec.findings import Finding, FindingList
 from labos.spec.importing import import_spec
 from labos.spec.models import WorkcellFile, WorkflowFile
@@ -55,8 +55,8 @@ location_transfer_capabilities: {transfer_templates: []}
 def workcell(text: str, folder: Path | None = None) -> tuple[WorkcellFile, tuple[Finding, ...]]:
     source = parse_source(text, str(folder / "settings.yaml") if folder else "settings.yaml", folder)
     report = FindingList(source.file)
-    assert kind_of(source) == ("workcell", "madsci")
-    form, dialect = workcell_form(source, report)
+    assert detect_kind(source) == ("workcell", "madsci")
+    form, dialect = convert_workcell(source, report)
     assert dialect == "madsci"
     file = validate(WorkcellFile, form, report)
     assert file is not None, report.sort_findings()
@@ -199,8 +199,8 @@ steps:
 def workflow(text: str) -> tuple[WorkflowFile, tuple[Finding, ...]]:
     source = parse_workflow(text, "flow.yaml")
     report = FindingList(source.file)
-    assert kind_of(source) == ("workflow", "madsci")
-    form, dialect = workflow_form(source, report)
+    assert detect_kind(source) == ("workflow", "madsci")
+    form, dialect = convert_workflow(source, report)
     assert dialect == "madsci"
     file = validate(WorkflowFile, form, report)
     assert file is not None, report.sort_findings()
@@ -318,7 +318,7 @@ def test_workflows_that_are_not_understood(text: str, line: int, column: int, sa
 )
 def test_files_that_are_no_specs_say_what_they_are(text: str, says: str) -> None:
     with pytest.raises(SpecError) as caught:
-        kind_of(parse_source(text, "f.yaml"))
+        detect_kind(parse_source(text, "f.yaml"))
     assert says in caught.value.remedy
     assert caught.value.line == 1
 

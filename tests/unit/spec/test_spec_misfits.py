@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from labos.spec import parse_workflow, validate_workflow
-from labos.spec.flaws import flaw_in
-from labos.spec.mismatch import plainly
+from labos.spec.flaws import find_first_flaw
+from labos.spec.mismatch import explain_plainly
 from labos.spec.models import WorkcellFile, WorkflowFile
 
 LIBRARY = (
@@ -50,7 +50,7 @@ STEP = {"name": "s", "module": "m", "action": "a"}
     ],
 )
 def test_in_plain_words(told: dict[str, Any], says: str) -> None:
-    found = flaw_in(WorkflowFile, {"name": "w", **told})
+    found = find_first_flaw(WorkflowFile, {"name": "w", **told})
     assert says in found
     _, _, words = found.partition(": ")
     assert not [word for word in words.split() if word.strip(",.") in LIBRARY], found
@@ -62,7 +62,9 @@ def test_a_workflow_without_steps() -> None:
 
 
 def test_a_workcell_without_modules() -> None:
-    assert flaw_in(WorkcellFile, {"name": "w", "modules": []}) == "modules: should have at least 1 entry"
+    assert (
+        find_first_flaw(WorkcellFile, {"name": "w", "modules": []}) == "modules: should have at least 1 entry"
+    )
 
 
 class Asked(msgspec.Struct, forbid_unknown_fields=True):
@@ -85,4 +87,4 @@ class Asked(msgspec.Struct, forbid_unknown_fields=True):
 def test_a_request_in_plain_words(text: bytes, says: str) -> None:
     with pytest.raises(msgspec.MsgspecError) as error:
         msgspec.json.decode(text, type=Asked)
-    assert plainly(error.value) == says
+    assert explain_plainly(error.value) == says

@@ -10,7 +10,7 @@ from spec_bench import DESCRIPTIONS
 
 from labos.errors import SpecError
 from labos.spec import load_labware, parse_source
-from labos.spec.dialects import kind_of
+from labos.spec.dialects import detect_kind
 from labos.spec.importing import import_spec
 
 
@@ -36,7 +36,7 @@ def definition(columns: int, rows: int, *, dx: float = 9.0, dy: float = 9.0, **m
 
 def test_a_plate() -> None:
     source = parse_source(json.dumps(definition(12, 8)), "plate.json")
-    assert kind_of(source) == ("labware", "opentrons")
+    assert detect_kind(source) == ("labware", "opentrons")
     found = import_spec(source, DESCRIPTIONS)
     assert (found.counts, found.findings) == ({"types": 1}, ())
     [(name, plate)] = load_labware(source).items()

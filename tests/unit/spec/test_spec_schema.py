@@ -8,23 +8,23 @@ import pytest
 from spec_bench import WORKCELL
 
 from labos.errors import NotFound
-from labos.spec import find_spec, list_specs, specs_folder
-from labos.spec.schema import FILES, MODELINE, schema_of
-from labos.spec.source import parse, plain, read
+from labos.spec import find_spec, find_specs_folder, list_specs
+from labos.spec.schema import FILES, MODELINE, make_schema
+from labos.spec.source import make_plain, parse, read
 
 FOLDERS = {"workcell": "workcells", "workflow": "workflows", "labware": "labware"}
 
 
 def faults(kind: str, data: Any) -> list[str]:
     jsonschema = pytest.importorskip("jsonschema")
-    schema = schema_of(kind)
+    schema = make_schema(kind)
     jsonschema.Draft202012Validator.check_schema(schema)
     return [error.message for error in jsonschema.Draft202012Validator(schema).iter_errors(data)]
 
 
 @pytest.mark.parametrize("kind", FILES)
 def test_every_field_is_described(kind: str) -> None:
-    schema = schema_of(kind)
+    schema = make_schema(kind)
     parts = {FILES[kind].__name__: schema, **schema["$defs"]}  # type: ignore[index]
     silent = [
         f"{name}.{field}"
@@ -40,15 +40,15 @@ def test_every_field_is_described(kind: str) -> None:
 def test_packaged_files_fit_their_schema_and_name_it(kind: str) -> None:
     for name in list_specs(FOLDERS[kind]):
         path = find_spec(FOLDERS[kind], name)
-        assert faults(kind, plain(read(path).data)) == []
+        assert faults(kind, make_plain(read(path).data)) == []
         first = path.read_text("utf-8").partition("\n")[0]
         assert first.startswith(MODELINE)
         named = path.parent / first.removeprefix(MODELINE)
-        assert named.resolve() == specs_folder().parent / "docs/reference/schemas" / f"{kind}.json"
+        assert named.resolve() == find_specs_folder().parent / "docs/reference/schemas" / f"{kind}.json"
 
 
 def test_what_the_models_take_fits_and_what_they_refuse_does_not() -> None:
-    assert faults("workcell", plain(parse(WORKCELL).data)) == []
+    assert faults("workcell", make_plain(parse(WORKCELL).data)) == []
     step: dict[str, Any] = {"name": "a", "module": "b", "action": "c"}
     flow = {"labos": 1, "name": "w", "steps": [step]}
     for wait in (
@@ -66,4 +66,4 @@ def test_what_the_models_take_fits_and_what_they_refuse_does_not() -> None:
 
 def test_an_unknown_schema() -> None:
     with pytest.raises(NotFound, match="Did you mean 'workflow'"):
-        schema_of("workflwo")
+        make_schema("workflwo")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from labos.core.labware import Sample
-from labos.core.wells import well_index, well_name
+from labos.core.wells import normalise_well, parse_well
 from labos.spec.findings import FindingList
 from labos.spec.labware import load_packaged_labware
 from labos.spec.sheet import COLUMNS, SheetLine, check_wells, read_sheet
@@ -82,11 +82,11 @@ def test_one_well_of_two_plates_is_no_fault() -> None:
 
 
 def test_wells_of_large_plates() -> None:
-    assert well_name("af48") == "AF48"
-    assert well_index("AF48") == (31, 47)
-    assert well_index("A1") == (0, 0)
+    assert normalise_well("af48") == "AF48"
+    assert parse_well("AF48") == (31, 47)
+    assert parse_well("A1") == (0, 0)
     with pytest.raises(ValueError, match="no well"):
-        well_name("A0")
+        normalise_well("A0")
 
 
 def test_what_has_no_wells() -> None:

@@ -8,12 +8,12 @@ import pytest
 
 from labos.errors import SpecError
 from labos.spec.durations import parse_duration
-from labos.spec.source import MAX_BYTES, Place, parse, plain, read
+from labos.spec.source import MAX_BYTES, Place, make_plain, parse, read
 
 
 def test_every_key_and_value_remembers_its_place() -> None:
     source = parse("a: 1\nb:\n  - x\n  - c: {d: 'e'}\n")
-    assert plain(source.data) == {"a": 1, "b": ["x", {"c": {"d": "e"}}]}
+    assert make_plain(source.data) == {"a": 1, "b": ["x", {"c": {"d": "e"}}]}
     assert source.place(("a",)) == Place(1, 4)
     assert source.place(("a",), key=True) == Place(1, 1)
     assert source.place(("b", 1, "c", "d")) == Place(4, 12)
@@ -44,7 +44,7 @@ def test_values(text: str, value: object) -> None:
 
 def test_merge_keys_are_filled_in_and_do_not_override() -> None:
     source = parse("base: &b {x: 1, y: 2}\nuse:\n  <<: *b\n  y: 3\n")
-    assert plain(source.data["use"]) == {"x": 1, "y": 3}
+    assert make_plain(source.data["use"]) == {"x": 1, "y": 3}
 
 
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(

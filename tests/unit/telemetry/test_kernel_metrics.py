@@ -7,7 +7,7 @@ import re
 import pytest
 
 from labos.core.state import LabState
-from labos.services.log import events
+from labos.services.log import decode_events
 from labos.services.twh import HEARD, Meter, measure
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.node import NodeMetrics
@@ -43,23 +43,23 @@ def test_no_label_names_what_there_is_no_end_of() -> None:
 def test_time_without_intervention_is_the_same_from_the_events_that_are_heard(name: str) -> None:
     whole = measure(log(name))
     meter = Meter(keep=1000)
-    for event, head in events(log(name)):
+    for event, head in decode_events(log(name)):
         if head.type in HEARD:
             meter.add(event, head)
         else:
             meter.pass_time(head.recorded_at)
-    lab, workcells = meter.totals(0)
+    lab, workcells = meter.read_totals(0)
     assert (lab, workcells) == (whole.lab, whole.workcells)
 
 
 def test_what_has_ended_long_ago_is_forgotten() -> None:
     name = NAMES[0]
     meter, whole = Meter(keep=1), Meter()
-    for event, head in events(log(name)):
+    for event, head in decode_events(log(name)):
         meter.add(event, head)
         whole.add(event, head)
     ended = sum(
-        head.type in ("run.completed", "run.failed", "run.cancelled") for _, head in events(log(name))
+        head.type in ("run.completed", "run.failed", "run.cancelled") for _, head in decode_events(log(name))
     )
     assert ended > 2
     assert len(meter.report().runs) < len(whole.report().runs)

@@ -10,15 +10,17 @@ from labos.core.fold import evolve
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
 from labos.runtime.ledger import Entry
-from labos.services.log import events
-from labos.telemetry.spans import Span, SpanRecorder, trace_id
+from labos.services.log import decode_events
+from labos.telemetry.spans import Span, SpanRecorder, make_trace_id
 from tests.golden.test_golden import NAMES, log
 
 COMMIT_NS = 3_000_000
 
 
 def entries(name: str) -> list[Entry]:
-    return [Entry(record, event) for record, (event, _) in zip(log(name), events(log(name)), strict=True)]
+    return [
+        Entry(record, event) for record, (event, _) in zip(log(name), decode_events(log(name)), strict=True)
+    ]
 
 
 def spans_of(name: str, *, restart_at: int = 0) -> list[Span]:
@@ -64,7 +66,9 @@ def test_each_run_that_ended_and_each_sending_has_one(name: str) -> None:
     assert sent == over > 0
     runs = [entry.event.run for entry in log_lines if isinstance(entry.event, RunSubmitted)]
     lab = log_lines[0].record.head.lab
-    assert {span.trace for span in found if span.name.startswith("run ")} <= {trace_id(lab, r) for r in runs}
+    assert {span.trace for span in found if span.name.startswith("run ")} <= {
+        make_trace_id(lab, r) for r in runs
+    }
 
 
 @pytest.mark.parametrize("name", NAMES)
