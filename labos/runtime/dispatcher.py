@@ -10,6 +10,7 @@ was asked and fits the request; whatever else is said, the node that was asked i
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Sequence
 
 import msgspec
@@ -97,6 +98,7 @@ class Dispatcher:
         self._tasks = Tasks()
         self._spawn = self._tasks.spawn
         self._asking: dict[ActionId, asyncio.Task[None]] = {}
+        self._starting: dict[ActionId, tuple[ModuleName, str]] = {}
         self._handles: list[Handle] = []
         self._unacknowledged: set[ModuleName] = set()
         self._open_at: dict[ModuleName, dict[ActionId, int]] = {}
@@ -144,6 +146,7 @@ class Dispatcher:
         for asking in self._asking.values():
             asking.cancel()
         self._asking.clear()
+        self._starting.clear()
         self._open_at.clear()
         asked = self._kernel.state.interventions.open.values()
         self._by_person = {question.subject for question in asked if question.kind == PlannedWork.KIND}
@@ -159,9 +162,14 @@ class Dispatcher:
         self.sent += 1
         if telling := self._telling.get(event.module):  # it has to know first that a person's work has ended
             await asyncio.wait(list(telling.values()), timeout=SETTLED_S)
+        reply = None
+        self._starting[event.action] = (event.module, self._find_instance(event.module))
         try:
-            reply = await self._ask_node(event.module, start)
-        except BusError:
+            with contextlib.suppress(BusError):
+                reply = await self._ask_node(event.module, start)
+        finally:
+            self._starting.pop(event.action, None)
+        if reply is None:
             self.find_out(event.action)
             return
         self._take_answer(event.action, event.attempt, event.journal, reply, started=True)
@@ -187,7 +195,10 @@ class Dispatcher:
                 del self._telling[module]
 
     def find_out(self, action: ActionId) -> None:
-        """Ask the node what became of an action until it is known; once at a time."""
+        """Ask the node what became of an action until it is known; once at a time. A node that
+        has still to answer the request is not asked: the question could overtake it, and end the attempt."""
+        if self._is_being_started(action):
+            return
         running = self._asking.get(action)
         if running is None or running.done():
             self._asking[action] = self._spawn(self._find_out(action))
@@ -394,6 +405,20 @@ class Dispatcher:
 
     def _state(self) -> LabState:
         return self._kernel.state
+
+    def _is_being_started(self, name: ActionId) -> bool:
+        """Whether the process that is the node now has still to answer the request."""
+        if name not in self._starting:
+            return False
+        module, instance = self._starting[name]
+        return instance != "" and instance == self._find_instance(module)
+
+    def _find_instance(self, module: ModuleName) -> str:
+        """The process that is the module's node now; empty while the log is read again."""
+        try:
+            return self._state().modules.by_name[module].instance
+        except StoreError:
+            return ""
 
     def _open(self, name: ActionId) -> Action | None:
         return self._state().actions.open.get(name)

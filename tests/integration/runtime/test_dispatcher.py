@@ -14,8 +14,9 @@ import msgspec
 from labos.bus import open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.canonical import digest
+from labos.core.decide.actions import FinishAction
 from labos.core.decide.lab import ApplyWorkcell
-from labos.core.decide.nodes import JoinNode
+from labos.core.decide.nodes import JoinNode, LoseNode
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ActionId, ModuleName
 from labos.core.model import ModuleSpec, Plan, PlanStep, Workcell
@@ -119,6 +120,77 @@ def test_what_was_asked_of_an_attempt_that_was_never_written_is_asked_again(tmp_
             await until(lambda: attempt_of(kernel, action.id) == 1, 10.0)
             wire.hears = True
             wire.released.set()
+            await until(lambda: kernel.state.actions.open[action.id].status == "accepted", 10.0)
+
+    asyncio.run(main())
+
+
+class SlowNode:
+    """The node's end; it takes its time to accept a start, and knows nothing of it meanwhile."""
+
+    def __init__(self) -> None:
+        self.started: list[int] = []
+        self.asked: list[int] = []
+        self.accepts = asyncio.Event()
+
+    async def on_action(self, payload: bytes) -> bytes:
+        message = _decode(payload)
+        if isinstance(message, Start):
+            self.started.append(message.attempt)
+            await self.accepts.wait()
+            return msgspec.json.encode(ActionReply("accepted", "journal", attempt=message.attempt))
+        if isinstance(message, Ask):
+            self.asked.append(message.attempt)
+            return msgspec.json.encode(ActionReply("void", "journal", attempt=0))
+        return msgspec.json.encode(ActionReply("done", "journal", attempt=0))
+
+
+def test_a_node_is_not_asked_about_a_start_that_it_has_still_to_answer(tmp_path: Path) -> None:
+    """As when it is greeted twice: the question would end the attempt. Its successor is asked."""
+
+    async def main() -> None:
+        async with AsyncExitStack() as stack:
+            store = open_store(f"sqlite:///{tmp_path}/labos.db")
+            stack.callback(store.close)
+            kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), KernelSettings())
+            await kernel.open()
+            stack.push_async_callback(kernel.close)
+            endpoint = f"tcp/127.0.0.1:{free_port()}"
+            bus = await open_bus(mode="router", listen=[endpoint])
+            stack.push_async_callback(bus.close)
+            theirs = await open_bus(connect=[endpoint])
+            stack.push_async_callback(theirs.close)
+            node = SlowNode()
+            await theirs.serve(Keys(kernel.lab).operation(MODULE, "action"), node.on_action)
+            dispatcher = Dispatcher(kernel, bus, answer_s=60.0)
+            await dispatcher.start()
+            stack.push_async_callback(dispatcher.close)
+
+            await kernel.execute(ApplyWorkcell(WORKCELL), "ada")
+            await kernel.execute(
+                JoinNode(MODULE, "journal", "first", "driver", "1", "about", "IDLE"), str(MODULE)
+            )
+            await kernel.execute(SubmitRun(PLAN, "ada"), "ada")
+            (action,) = kernel.state.actions.open.values()
+            await until(lambda: node.started == [1], 10.0)
+            dispatcher.find_out(action.id)
+            node.accepts.set()
+            await until(lambda: kernel.state.actions.open[action.id].status == "accepted", 10.0)
+            assert (attempt_of(kernel, action.id), node.asked) == (1, [])
+
+            node.accepts.clear()
+            await kernel.execute(SubmitRun(PLAN, "bo"), "bo")
+            await kernel.execute(FinishAction(action.id, 1, True, "all"), str(MODULE))
+            (action,) = kernel.state.actions.open.values()
+            await until(lambda: node.started == [1, 1], 10.0)
+            await kernel.execute(LoseNode(MODULE, "first", "its process has ended"), str(MODULE))
+            await kernel.execute(
+                JoinNode(MODULE, "journal", "second", "driver", "1", "about", "IDLE"), str(MODULE)
+            )
+            dispatcher.find_out(action.id)
+            await until(lambda: attempt_of(kernel, action.id) == 2, 10.0)
+            assert node.asked == [1]
+            node.accepts.set()
             await until(lambda: kernel.state.actions.open[action.id].status == "accepted", 10.0)
 
     asyncio.run(main())
