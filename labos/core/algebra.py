@@ -84,7 +84,7 @@ class Store(BenchLookup[Carrying, Why], Protocol[Why]):
     def check_labware(self, needs: Needs) -> Why | None:
         """Whether labware stands where it is worked on."""
 
-    def value(self, requires: Requires) -> Why | None:
+    def check_value(self, requires: Requires) -> Why | None:
         """Whether a variable has the value that it must have."""
 
     def check_setpoint(self, claims: Claims) -> Why | None:
@@ -143,7 +143,7 @@ def check_effect(store: Store[Reason], effect: object) -> Reason | None:
         case Needs():
             return store.check_labware(effect)
         case Requires():
-            return store.value(effect)
+            return store.check_value(effect)
         case Claims():
             return store.check_setpoint(effect)
         case Consumes():

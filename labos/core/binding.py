@@ -72,7 +72,7 @@ def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait |
             case Needs():
                 start.check_labware(effect)
             case Requires(of="labware"):
-                wait = start.value(effect)
+                wait = start.check_value(effect)
         if wait is not None:
             return _make_final(wait)
         start.look_at(effect)
@@ -157,9 +157,9 @@ class StartCheck:
             return None
         return explain_missing(self.state, self.run, places[0] if places else StationName(self.step.module))
 
-    def value(self, requires: Requires) -> Wait | None:
+    def check_value(self, requires: Requires) -> Wait | None:
         if requires.of == "module":
-            value = self.state.modules.by_name[self.step.module].value(requires.variable)
+            value = self.state.modules.by_name[self.step.module].find_value(requires.variable)
             name, key = str(self.step.module), module_key(self.step.module)
         elif self.subject is not None:
             value = find_variable(self.subject, requires.variable)
@@ -411,7 +411,7 @@ def check_door_open(state: LabState, place: StationName) -> Wait | None:
     """Whether the doors and lids in front of a station are out of the way."""
     spec = state.bench.stations[place].spec
     for variable, value in spec.access.items():
-        if not is_same(state.modules.by_name[spec.module].value(variable), value):
+        if not is_same(state.modules.by_name[spec.module].find_value(variable), value):
             return Wait(reasons.NoAccess(place, variable, str(value)), (module_key(spec.module),))
     return None
 

@@ -183,7 +183,7 @@ class LabService:
         them."""
         state = self.kernel.state
         away = {
-            name: tuple(v for v, at in module.spec.rest.items() if module.value(v) not in (at, None))
+            name: tuple(v for v, at in module.spec.rest.items() if module.find_value(v) not in (at, None))
             for name, module in state.modules.by_name.items()
             if workcell_of(name) == workcell and not state.runs.holders.get(name)
         }

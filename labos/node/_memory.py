@@ -71,13 +71,13 @@ class Memory(msgspec.Struct):
     actions: dict[str, Known] = {}
     corrections: list[Corrected] = []
 
-    def attempts(self) -> list[Attempt]:
+    def list_attempts(self) -> list[Attempt]:
         """All that is not forgotten, in the order in which it was accepted."""
         return [attempt for known in self.actions.values() for attempt in known.attempts.values()]
 
     def list_spent(self, position: int) -> list[Attempt]:
         """What an acknowledgement of ``position`` lets the node forget."""
-        return [attempt for attempt in self.attempts() if _is_spent(attempt, position)]
+        return [attempt for attempt in self.list_attempts() if _is_spent(attempt, position)]
 
     def is_spent(self, position: int) -> bool:
         """Whether an acknowledgement of ``position`` lets the node forget something."""
@@ -100,7 +100,7 @@ class Memory(msgspec.Struct):
             case EpochRaised():
                 self.epoch = record.epoch
             case Restarted():
-                for attempt in self.attempts():
+                for attempt in self.list_attempts():
                     if attempt.status == "running":
                         attempt.status = "interrupted"
             case Pruned():

@@ -187,7 +187,7 @@ class Journal:
 
     def open_attempts(self) -> list[Attempt]:
         """All that is not forgotten, in the order in which it was accepted."""
-        return self.memory.attempts()
+        return self.memory.list_attempts()
 
     def list_unacknowledged(self) -> list[Unacknowledged]:
         """``open_attempts`` as they are reported."""
@@ -239,7 +239,7 @@ class Journal:
         if attempt.status == "running":
             self._record(GivenUp(attempt.action, attempt.attempt, why))
 
-    def void(self, action: str, attempt: int, position: int) -> None:
+    def forbid_attempts(self, action: str, attempt: int, position: int) -> None:
         """Let no attempt up to ``attempt`` start any more."""
         entry = self.memory.actions.get(action)
         if attempt > (entry.void if entry else 0):

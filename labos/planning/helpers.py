@@ -200,7 +200,7 @@ class _Clearing:
     def check_labware(self, needs: Needs) -> None:
         """Nobody knows who might bring it."""
 
-    def value(self, requires: Requires) -> None:
+    def check_value(self, requires: Requires) -> None:
         """Nobody knows who might change it."""
 
     def check_setpoint(self, claims: Claims) -> None:

@@ -351,7 +351,7 @@ class Turn:
         there = [owner for place in places for owner in self.scene.list_owners_within_reach(place)]
         return None if any(owner in self.player.party for owner in there) else NOBODY
 
-    def value(self, requires: Requires) -> Who | None:
+    def check_value(self, requires: Requires) -> Who | None:
         if requires.of != "module":
             return None
         value, by = self.scene.values.get((self.step.module, requires.variable), (None, NOBODY))

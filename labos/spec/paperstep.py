@@ -283,7 +283,7 @@ class StepOnPaper:
             self.paper.taken.append((places[0].name, Piece("", fresh=False)))
         return None
 
-    def value(self, requires: Requires) -> None:
+    def check_value(self, requires: Requires) -> None:
         piece = self.subject
         if requires.of == "module":
             variables = self.paper.variables.setdefault(self.step.module, {})

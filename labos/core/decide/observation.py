@@ -152,11 +152,6 @@ class Sight:
             self._left[name] = [other for other in self._left[name] if other != place] or [GONE]
         self._conclude()
 
-    def full(self, place: StationName) -> None:
-        """Nothing more stands there than what is known: only where there is no room."""
-        if not self.count_room(place):
-            self.add_empty(place)
-
     def _conclude(self) -> None:
         """What has one place left is there; a place that it fills is no place for others. At a place that
         has an observer it is there when it was seen there."""

@@ -94,7 +94,7 @@ MUTANTS = (
         (
             Change(
                 "node/server.py",
-                "            self.journal.void(ask.action, ask.attempt, ask.position)\n",
+                "            self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)\n",
                 '            return told or self._reply("void", attempt=ask.attempt)\n',
             ),
         ),
