@@ -17,6 +17,7 @@ from labos.core.effects import (
     Claims,
     Consumes,
     Draws,
+    Effect,
     Move,
     Needs,
     Reads,
@@ -145,7 +146,7 @@ class StartCheck:
             return check_entry(self.state, self.run, place)
         return check_reachable(self.state, self.run, place)
 
-    def check_room(self, what: Carrying, place: StationName) -> Wait | None:
+    def check_room(self, what: Effect, place: StationName) -> Wait | None:
         return check_room(self.state, place)
 
     def check_labware(self, needs: Needs) -> Wait | None:

@@ -13,6 +13,7 @@ from labos.core.effects import (
     Claims,
     Consumes,
     Draws,
+    Effect,
     Needs,
     Requires,
     Sets,
@@ -245,7 +246,7 @@ class StepOnPaper:
     def _was_taught(self, place: StationName) -> bool:
         return self.step.module in self.paper.stations[place].reach
 
-    def check_room(self, what: Carrying, place: StationName) -> None:
+    def check_room(self, what: Effect, place: StationName) -> None:
         """What there is room for one by one has to find room together: see ``_check_room_for_all``."""
 
     def _check_room_for_all(self) -> None:
