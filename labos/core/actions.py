@@ -14,7 +14,8 @@ from labos.core.registry import Event, event
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 
 FailureKind = Literal["software", "operational", "experiment"]
-"""The paper's classes of failure: told by the device, seen from outside, a result out of range."""
+"""The paper's classes of failure: ``software`` is reported by the device, ``operational`` is observed from
+outside, ``experiment`` is a result out of range."""
 
 
 class ActionEvent(Event, frozen=True):
@@ -149,8 +150,8 @@ class ActionDiscovered(Event, frozen=True):
 
 
 class ActionStatus(StrEnum):
-    """How far an action has come that has not ended. When its device has ``REPORTED`` success, somebody still
-    looks; when it is ``UNKNOWN`` how it ended, a sensor or a person has to say."""
+    """The progress of an action that has not ended. ``REPORTED``: its device has reported success, and an
+    observer still has to confirm it. ``UNKNOWN``: a sensor or a person has to find out how it ended."""
 
     REQUESTED = "requested"
     ACCEPTED = "accepted"
@@ -159,9 +160,9 @@ class ActionStatus(StrEnum):
 
 
 class Action(msgspec.Struct):
-    """An action that has not ended. Once its device has reported success, ``looks`` are the stations that are
-    looked at before that is believed, and ``result`` and ``ended_ns`` what it said. ``together`` are the
-    actions with which its device carries it out in one go, and itself."""
+    """An action that has not ended. ``looks`` are the stations that observers have to confirm after the
+    device has reported success; ``result`` and ``ended_ns`` are from this report. ``together`` are all
+    actions that its device carries out at once with this one, this one included."""
 
     id: ActionId
     run: RunId
@@ -192,9 +193,9 @@ class Settled(msgspec.Struct):
 
 
 class Actions(msgspec.Struct):
-    """``settled`` keeps the last reconciled actions, to judge late results; ``ended`` each
-    module's last ended ones, which its node may not have been told to forget yet; ``in_cell`` is an
-    index of the open ones by the workcell of their module."""
+    """Open actions, and the last ended ones. ``settled`` keeps the last reconciled actions, to judge late
+    results. ``ended`` keeps the last ended actions of each module; their nodes may not have received the
+    acknowledgement yet. ``in_cell`` is an index of the open actions by the workcell of their module."""
 
     open: dict[ActionId, Action] = {}
     settled: dict[ActionId, Settled] = {}
@@ -208,13 +209,13 @@ class Actions(msgspec.Struct):
 
 
 CLOCK_SKEW_NS = 10_000_000_000
-"""How far a node's clock may be off before the times that it tells are not used."""
+"""The times of a node are not used if its clock differs by more than this."""
 
 
 def explain_disbelief(action: Action, module: str, journal: str, attempt: int) -> str:
-    """Why a message does not tell how an action ended; empty if it does. It has to come from the module that
-    was asked, from the journal that the request was meant for, and to be about the attempt that was sent
-    last: a node that says anything else has to be asked first."""
+    """Why a message is no proof of how an action ended; empty if it is one. The message has to come from the
+    module that got the request. It has to name the journal for which the request was meant, and the attempt
+    that was sent last. Otherwise the kernel has to ask the node first."""
     if module != action.module:
         return f"{action.module} was asked, not {module}"
     if journal != action.journal:
@@ -225,8 +226,8 @@ def explain_disbelief(action: Action, module: str, journal: str, attempt: int) -
 
 
 def find_device_time(action: Action, ended_ns: int, now: int) -> int:
-    """When an action ended by its node's clock (UTC ns); 0 if the node did not say, or said a time that
-    cannot be: long before the request, or in the future."""
+    """The end of an action by its node's clock (UTC ns). It is 0 if the node reported no time or an
+    impossible one: long before the request, or in the future."""
     possible = action.requested_at - CLOCK_SKEW_NS <= ended_ns <= now + CLOCK_SKEW_NS
     return ended_ns if possible else 0
 

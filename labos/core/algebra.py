@@ -1,15 +1,16 @@
-"""Why an effect may not happen, and what it does: once for each kind of effect, for everybody who asks.
+"""Why an effect may not happen, and its results: defined once for each kind of effect, for all callers.
 
-What a kind of effect needs stands with the effect itself (``effects``). Here it is asked of a *store*: a
-bench as somebody knows it. The rules ask the state (``binding``), safety its floor (``planning.moves``), a
-rehearsal its scene (``planning.scene``), a dry run its paper (``spec.dryrun``); obstacles in words and those
-who have to move first are found by the same questions. So what is asked, and of which stations, is the same
-for all of them; what a store answers is its own: a wait, yes or no, who is in the way, a sentence.
+The requirements of a kind of effect are declared with the effect itself (``effects``). Here they are checked
+against a *store*: one view of the bench. The rules use the state as store (``binding``), and the safety check
+uses its floor (``planning.moves``). A rehearsal uses its scene (``planning.scene``), and a dry run its paper
+(``spec.dryrun``). The explanation of obstacles and the search for runs that have to move first use the same
+checks. So all of them check the same conditions at the same stations. Only the answers differ: a wait, yes or
+no, the runs in the way, or a sentence.
 
-A new need of effects is a new question here. Until every store answers it, the type check fails.
+A new requirement of effects is a new method of ``Store``. Until every store has it, the type check fails.
 
-What an action leaves its module set to (``compute_settings_after``), and when a door or lid keeps others out
-(``away_from_rest``), is said here too.
+This module also computes the settings of a module after an action (``compute_settings_after``), and lists the
+doors and lids that are not in their rest positions (``list_away_from_rest``).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class NeedsRoom(Protocol):
 
 
 class Carried(NeedsRoom, Protocol):
-    """What is known of something that is carried: an effect, or a motion that stands for one."""
+    """Data of something that is carried: an effect, or a motion that stands for one."""
 
     @property
     def source(self) -> StationName: ...
@@ -54,7 +55,7 @@ class Carried(NeedsRoom, Protocol):
 
 
 Asked = TypeVar("Asked", contravariant=True)
-"""What a store can be asked about: effects, or motions that stand for them."""
+"""The things that can be checked against a store: effects, or motions that stand for them."""
 
 Why = TypeVar("Why", covariant=True)
 """How a store says that something is in the way."""
@@ -67,7 +68,7 @@ class RoomLookup(Protocol[Asked, Why]):
 
 
 class BenchLookup(Protocol[Asked, Why]):
-    """Where things stand. Each question is answered with what is in the way; None if nothing is."""
+    """Where labware stands. Each method returns the obstacle, or None if there is none."""
 
     def stock(self, what: Asked, stack: StationName) -> Why | None:
         """Whether a nameless item lies on top of a stack."""
@@ -76,21 +77,22 @@ class BenchLookup(Protocol[Asked, Why]):
         """Whether labware stands at a place that may be used; on a stack, as the topmost."""
 
     def check_hand(self, what: Asked) -> Why | None:
-        """Whether the hand that carries is empty, or holds what it is to put down."""
+        """Whether the hand that carries is empty, or holds the labware that it has to put down."""
 
     def check_entry(self, what: Asked, place: StationName) -> Why | None:
-        """Whether a hand may reach into a place: its module lets it in, and nobody else keeps it."""
+        """Whether a hand may reach into a place: its module is open for hands, and no other run keeps it."""
 
     def check_room(self, what: Asked, place: StationName) -> Why | None:
         """Whether there is room for one piece more."""
 
 
 class Store(BenchLookup[Carrying, Why], Protocol[Why]):
-    """A bench that can be asked about every kind of effect, and that knows what labware is like."""
+    """A bench on which every kind of effect can be checked, with the properties of labware."""
 
     def check_fits(self, what: Carrying) -> Why | None:
-        """Whether what is carried is as it has to be: of a type that its target takes, with a grip by which
-        it can be held, the right way round, with a lid or without one. Asked once it is known to be there."""
+        """Whether the carried labware meets the requirements: a type that the target accepts, a grip by which
+        the arm can hold it, the right orientation, with or without a lid. The caller has checked before that
+        the labware is there."""
 
     def check_room(self, what: Effect, place: StationName) -> Why | None:
         """Whether there is room for one piece more. It is asked of every kind of effect."""
@@ -102,7 +104,7 @@ class Store(BenchLookup[Carrying, Why], Protocol[Why]):
         """Whether a variable has the value that it must have."""
 
     def check_setpoint(self, claims: Claims) -> Why | None:
-        """Whether nobody else needs another value."""
+        """Whether no other run needs a different value."""
 
     def check_amount(self, consumes: Consumes) -> Why | None:
         """Whether enough is left."""
@@ -136,7 +138,7 @@ def check_standing(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
 
 
 def check_reaching(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
-    """Why something that is there cannot be carried to where it goes; None if it can."""
+    """Why labware that is there cannot be carried to its target; None if it can."""
     why = bench.check_hand(what)
     if why is not None:
         return why
@@ -148,13 +150,13 @@ def check_reaching(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
 
 
 def check_carrying(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
-    """Why something cannot be carried, whatever it is like; None if it can."""
+    """Why something cannot be carried, without a check of the labware's properties; None if it can."""
     why = check_standing(bench, what)
     return check_reaching(bench, what) if why is None else why
 
 
 def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
-    """Why an effect may not happen; None if it may. Those of the other kinds need room at most."""
+    """Why an effect may not happen; None if it may. Effects of the other kinds only need room, if anything."""
     why: Reason | None = None
     match effect:
         case Carrying():
@@ -173,7 +175,7 @@ def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
 
 
 class PieceCount(Protocol):
-    """Who keeps count of labware with a name by its places."""
+    """A store that counts the pieces of labware at each place."""
 
     def lift(self, place: StationName) -> None:
         """One piece of labware leaves a place."""
@@ -191,8 +193,8 @@ def carry(count: PieceCount, what: Carried) -> None:
 
 
 class ModuleSettings(msgspec.Struct, frozen=True):
-    """What an action leaves its module set to: its variables, the setpoints that its run needs to stay, and
-    those that it does not need any more."""
+    """The settings of a module after an action: its variables, the setpoints that its run still needs, and
+    the setpoints that it no longer needs."""
 
     variables: dict[str, Any] = {}
     claims: dict[str, Any] = {}
@@ -203,7 +205,7 @@ NOTHING_SET = ModuleSettings()
 
 
 def compute_settings_after(effects: Iterable[object]) -> ModuleSettings:
-    """What some effects set of their module."""
+    """The settings of a module after these effects."""
     variables: dict[str, Any] = {}
     claims: dict[str, Any] = {}
     releases: list[str] = []
@@ -226,5 +228,5 @@ def find_requirements(effects: Iterable[object]) -> dict[str, Any]:
 
 
 def list_away_from_rest(values: Mapping[str, Any], rest: Mapping[str, Any]) -> list[str]:
-    """The doors and lids that do not stand as they rest; the run that left them so keeps the module."""
+    """The doors and lids that are not in their rest positions. The run that left them so keeps the module."""
     return [name for name, value in rest.items() if values.get(name, value) != value]

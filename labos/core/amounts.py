@@ -1,7 +1,7 @@
 """Amounts that the arguments of an action decide: how much it uses up, how long it takes.
 
 An amount is written as a place-holder: ``{arg}`` is the argument's own number; ``{arg.sum}``, ``{arg.count}``
-and ``{arg.max}`` are of its list.
+and ``{arg.max}`` are computed from a list.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 def find_argument(text: str) -> str:
-    """The argument that an amount depends on; empty if it is no such place-holder."""
+    """The argument that an amount depends on; empty if the text is not such a place-holder."""
     found = _IN_ARGUMENT.fullmatch(text)
     return found["arg"] if found else ""
 
@@ -66,7 +66,7 @@ def find_duration_s(
 ) -> float:
     """How long an action with these arguments takes, in lab seconds (``ActionSpec.duration_from``). It is the
     nominal duration if an argument is not known yet, was not given, or ``count`` finds nothing (0). Raises
-    SpecError for a value that is no duration."""
+    SpecError for a value that is not a duration."""
     found = _DURATION.fullmatch(action.duration_from)
     if found is None:
         if action.duration_from:
@@ -85,7 +85,7 @@ def find_duration_s(
 
 
 def set_duration(action: ActionSpec, args: Mapping[str, Any]) -> ActionSpec:
-    """The action with the duration that it has with these arguments; with its nominal one if a file decides
+    """The action with the duration for these arguments. It keeps its nominal duration if a file decides
     it."""
     if not action.duration_from:
         return action

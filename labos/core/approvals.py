@@ -1,8 +1,10 @@
-"""Approvals: submissions that wait until somebody else has looked at them, and what was approved before.
+"""Approvals: submissions that wait until another person has checked them, and the contents that were approved
+before.
 
-A submission that waits is a *proposal*, with the digest of all that it is made of. What is approved is that
-digest. There are two kinds of approval: by the lab's policy (``ApprovalRequested``), of runs, campaigns,
-experiments and changes of campaigns; and by a second person, of runs with dangerous steps (``RunApproved``).
+A submission that waits is a *proposal*. It has a digest of all its contents, and an approval is for this
+digest. There are two kinds of approval. The lab's policy demands one kind (``ApprovalRequested``), for runs,
+campaigns, experiments and changes of campaigns. The other kind is given by a second person, for runs with
+dangerous steps (``RunApproved``).
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from labos.core.structs import make_from
 from labos.core.words import Words
 
 PAST_KEPT = 1_000
-"""So many names are remembered with what was approved last under them."""
+"""The last approval is remembered for at most this number of names."""
 
 Kind = Literal["run", "campaign", "experiment", "amendment"]
 
@@ -44,9 +46,9 @@ class Why(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Demand(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The work and material that a submission needs by its plan: the number of steps; nominal module time in
-    lab seconds, in total and by module; consumables by kind; its dangerous steps. For a campaign, these are
-    the sums over all its ``rows``."""
+    """The work and material that a submission needs by its plan. It has the number of steps; nominal module
+    time in lab seconds, in total and by module; consumables by kind; its dangerous steps. For a campaign,
+    these are the sums over all its ``rows``."""
 
     steps: int = 0
     module_time_s: float = 0.0
@@ -119,7 +121,7 @@ class RunApproved(RunEvent, frozen=True):
 
 
 class Proposal(msgspec.Struct):
-    """A submission that waits for an approval, as ``ApprovalRequested`` has it."""
+    """A submission that waits for an approval, with the data of ``ApprovalRequested``."""
 
     subject: str
     kind: Kind
@@ -141,7 +143,7 @@ class Proposal(msgspec.Struct):
 
 
 class LastApproval(msgspec.Struct):
-    """What was approved last under a name; ``terms`` of a campaign, as they were approved."""
+    """The last approved content under a name; for a campaign with its approved ``terms``."""
 
     subject: str
     parts: dict[str, str]
@@ -149,9 +151,10 @@ class LastApproval(msgspec.Struct):
 
 
 class Approvals(msgspec.Struct):
-    """``open`` are the proposals by subject; ``past`` what was approved last, by kind and name; ``given``
-    counts what was approved of each user's. ``alike`` are, by experiment, the workflows (by
-    ``take_common_parts``) whose further runs may go on. ``applied`` is the digest of the policy's file."""
+    """``open`` are the proposals by subject. ``past`` are the last approvals by kind and name. ``given``
+    counts the approvals of each user's submissions. ``alike`` are, by experiment, the workflows (by
+    ``take_common_parts``) whose further runs need no approval. ``applied`` is the digest of the policy's
+    file."""
 
     policy: Policy = Policy()
     applied: str = ""
@@ -161,7 +164,7 @@ class Approvals(msgspec.Struct):
     alike: dict[str, dict[str, bool]] = {}
 
     def find_last(self, kind: Kind, name: str) -> LastApproval | None:
-        """What was approved last of a kind and name."""
+        """The last approval of a kind and name."""
         return self.past.get(f"{kind}:{name}")
 
 
@@ -170,7 +173,8 @@ VALUES = ("plan", "payload")
 
 
 def take_common_parts(parts: dict[str, str]) -> str:
-    """What runs have in common that differ in their values only."""
+    """The digest of the parts that two runs of one workflow have in common if they differ in their values
+    only."""
     return "\n".join(f"{name}={parts[name]}" for name in sorted(parts) if name not in VALUES)
 
 

@@ -1,7 +1,7 @@
-"""What an action takes: names, types, ranges and choices, judged in one place.
+"""The arguments of an action: names, types, ranges and choices, checked in one place.
 
-Nothing is coerced here: ``"95"`` is not a temperature. Code that reads what people wrote
-(``labos.spec``) turns ``2 min`` into seconds first; a node judges what it is sent as it is.
+Nothing is converted here: ``"95"`` is not a temperature. Code that reads files and requests of people
+(``labos.spec``) turns ``2 min`` into seconds before; a node checks the values exactly as it receives them.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _WORDS = {
 
 
 def list_names(spec: ActionSpec) -> dict[str, Arg]:
-    """Every name and alias of an action's arguments, to the argument that it stands for."""
+    """Maps every name and alias of an action's arguments to the argument."""
     meant = {alias: arg for arg in spec.args for alias in arg.aliases}
     return meant | {arg.name: arg for arg in spec.args}
 
 
 def find_flaw(arg: Arg, value: Any) -> str:
-    """What is wrong with a value, as the end of a sentence about it; empty if nothing is."""
+    """The fault of a value, as the end of a sentence about it; empty if it has none."""
     if value is None and not arg.required and arg.default is None:
         return ""
     if arg.type in _KINDS and not _is_kind(arg.type, value):
@@ -55,7 +55,7 @@ def find_flaw(arg: Arg, value: Any) -> str:
 
 
 def describe_arg(arg: Arg) -> str:
-    """What the argument takes: ``a number from 0.5 to 9.9 s``."""
+    """The values that the argument takes: ``a number from 0.5 to 9.9 s``."""
     if arg.choices:
         return f"one of {', '.join(shorten(choice) for choice in arg.choices)}"
     words = [_WORDS.get(arg.type, "a value")]
@@ -71,12 +71,12 @@ def describe_arg(arg: Arg) -> str:
 
 
 def unit_of(arg: Arg) -> str:
-    """An argument's unit as messages show it: a mere number, whose unit is ``1``, has none."""
+    """An argument's unit for messages; empty for a number without a unit (``1``)."""
     return "" if arg.unit == "1" else arg.unit
 
 
 def shorten(value: Any) -> str:
-    """A value as messages show it, cut."""
+    """A value for messages, shortened."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
 

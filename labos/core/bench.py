@@ -1,4 +1,4 @@
-"""Stations and labware: what stands where, whose it is, and what is not known."""
+"""Stations and labware: where labware stands, who owns it, and what is uncertain."""
 
 from __future__ import annotations
 
@@ -53,14 +53,15 @@ from labos.core.topics import LostLabware, Unexpected
 from labos.core.wells import add_doses, draw_doses
 
 MOST_LOST = 100_000
-"""So many pieces of labware may have got their names behind the end of a log that lost its tail."""
+"""If the log has lost its end, at most this number of pieces of labware got their ids in the lost part."""
 
 
 class Station(msgspec.Struct):
-    """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
-    top, ``lots`` theirs (empty: not known); ``expected`` counts arrivals under way, ``taking`` the items
-    that are being taken off the stack; ``level`` counts what a waste has swallowed. What stands on a
-    shelf, or is expected there, counts for its hotel too; a hotel is ``known`` when all its shelves are."""
+    """``labware`` lists the pieces with ids, bottom to top. ``stock`` lists the types of nameless items below
+    them, bottom to top, and ``lots`` their lots (empty: not known). ``expected`` counts arrivals under way,
+    and ``taking`` the items that actions in flight take off the stack. ``level`` counts the pieces in a
+    waste. Labware that stands on a shelf, or is expected there, also counts for its hotel. A hotel is
+    ``known`` when all its shelves are."""
 
     spec: StationSpec
     known: bool = False
@@ -73,7 +74,7 @@ class Station(msgspec.Struct):
 
     @property
     def count(self) -> int:
-        """What takes up room here, arrivals under way included."""
+        """The number of pieces that take up room here, arrivals under way included."""
         if self.spec.kind == "waste":
             return self.level + self.expected
         return len(self.labware) + len(self.stock) + self.expected
@@ -84,13 +85,14 @@ class Station(msgspec.Struct):
 
 
 class Labware(msgspec.Struct):
-    """``station`` is empty while its place is uncertain (``maybe``) ; ``moving`` names the
-    action that is carrying or working on it; ``samples`` is the digest of its sample sheet,
-    ``barcode`` empty while none was read; ``volumes_ul`` is what its wells hold at most, where that is known.
-    ``lender`` is whose it is again once the run that works on it has ended; empty if it is lent to none.
+    """``station`` is empty while the place is uncertain; ``maybe`` lists the possible places. ``moving``
+    names the action that carries the labware or works on it. ``samples`` is the digest of its sample sheet;
+    ``barcode`` is empty until one was read. ``volumes_ul`` is the most that its wells can hold at present,
+    where that is known. ``lender`` is the owner that gets it back when the run that uses it has ended; empty
+    if it is not lent.
 
-    A lid ``on`` a plate has no station of its own: it is where the plate is, which names it as its
-    ``lid``. If the lid is uncertain too, it may be elsewhere."""
+    A lid ``on`` a plate has no station of its own: it is where the plate is, and the plate names it as its
+    ``lid``. If the place of the lid is uncertain too, it may be elsewhere."""
 
     id: LabwareId
     type: str
@@ -109,12 +111,11 @@ class Labware(msgspec.Struct):
 
 
 class Bench(msgspec.Struct):
-    """``haunted`` counts uncertain labware by the stations where it may be; ``by_module``,
-    ``by_owner`` and ``watched`` (the stations that have an observer) are indexes; ``searched`` are
-    places where somebody was asked to look for what came off a stack; ``named`` counts the labware ids
-    given out; ``barcodes`` finds what is on the bench by its barcode; ``shelves`` are those of each hotel
-    that has some, lowest first; ``in_cell`` are the stations of each workcell, ``lost`` is the labware of
-    which it is not known where it is."""
+    """``haunted`` counts uncertain labware by the stations where it may be. ``by_module``, ``by_owner`` and
+    ``watched`` (stations with an observer) are indexes. ``searched`` are places where a person was asked to
+    look for an item from a stack. ``named`` counts the labware ids given out. ``barcodes`` finds labware on
+    the bench by its barcode. ``shelves`` are the shelves of each hotel, lowest first. ``in_cell`` are the
+    stations of each workcell. ``lost`` is the labware with an unknown place."""
 
     stations: dict[StationName, Station] = {}
     labware: dict[LabwareId, Labware] = {}
@@ -131,13 +132,13 @@ class Bench(msgspec.Struct):
     lost: dict[LabwareId, bool] = {}
 
     def find_planned_place(self, place: StationName) -> StationName:
-        """A place as plans name it: a shelf's hotel, else the place itself."""
+        """The place with the name that plans use: for a shelf its hotel, otherwise the place itself."""
         station = self.stations.get(place)
         return station.spec.hotel or place if station is not None else place
 
     @property
     def next_id(self) -> LabwareId:
-        """The id of the next labware that gets one."""
+        """The id for the next new piece of labware."""
         return LabwareId(f"P{self.named + 1}")
 
     def list_owned(self, owner: Owner) -> list[Labware]:
@@ -145,18 +146,19 @@ class Bench(msgspec.Struct):
         return [self.labware[name] for name in self.by_owner.get(owner, ())]
 
     def is_lid_in_doubt(self, labware: Labware) -> bool:
-        """Whether it is not known if a plate bears its lid."""
+        """Whether it is uncertain that the plate has its lid."""
         return bool(labware.lid) and bool(self.labware[labware.lid].maybe)
 
 
 def split_item(item: str) -> tuple[str, str]:
-    """The type of a stock item and that of its lid, empty for none: ``plate96+lid96``."""
+    """The type of a stock item and the type of its lid (empty: no lid), from ``plate96+lid96``."""
     labware_type, _, lid = item.partition("+")
     return labware_type, lid
 
 
 def add_arrival(bench: Bench, plate: LabwarePlaced, lid: str) -> Iterator[Event]:
-    """Labware that the log has not seen before, and the lid of a type that lies on it (empty: none)."""
+    """The events of labware that is new to the log, and of the lid on it. ``lid`` is the type of the lid;
+    empty for none."""
     yield plate
     if lid:
         name, on = bench.next_id, plate.labware
@@ -166,7 +168,7 @@ def add_arrival(bench: Bench, plate: LabwarePlaced, lid: str) -> Iterator[Event]
 def remove_labware(
     bench: Bench, name: LabwareId, run: str, where: StationName, why: str, action: str = ""
 ) -> list[Event]:
-    """Labware leaves the bench, and the lid that lies on it."""
+    """The events with which labware leaves the bench, together with the lid on it."""
     labware = bench.labware.get(name)
     events: list[Event] = []
     if labware is not None and labware.lid and not bench.is_lid_in_doubt(labware):
@@ -176,18 +178,18 @@ def remove_labware(
 
 
 def compute_a1_after(bench: Bench, effect: Carrying, labware: Labware) -> int:
-    """How far labware will be turned in its nest after a motion; at first it is not (degrees)."""
+    """The rotation of labware in its nest after a motion, in degrees; it is 0 at first."""
     source, target = bench.stations[effect.source].spec, bench.stations[effect.target].spec
     return (int(labware.variables.get("a1") or 0) + turn(effect, source.rotation, target.rotation)) % 360
 
 
 def find_variable(labware: Labware, name: str) -> Any:
-    """What is known of a variable of labware; whether it is ``lidded`` follows from its lid."""
+    """The known value of a variable of labware. ``lidded`` is computed from its lid."""
     return bool(labware.lid) if name == "lidded" else labware.variables.get(name)
 
 
 def fold_workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
-    """The empty stations of modules that are taken away go with them."""
+    """Modules that are taken away take their empty stations with them."""
     present = {spec.name for spec in event.modules}
     for module in [m for m in bench.by_module if workcell_of(m) == event.name and m not in present]:
         for name in bench.by_module.pop(module):
@@ -306,7 +308,7 @@ def fold_labware_uncertain(bench: Bench, event: LabwareUncertain, at: int) -> No
 
 
 def fold_station_observed(bench: Bench, event: StationObserved, at: int) -> None:
-    """What is seen empty is known, if nobody ever spoke of it."""
+    """A station that was observed empty becomes known, even if nobody ever declared it."""
     if event.count == 0:
         _set_known(bench, event.station)
 
@@ -359,8 +361,8 @@ def fold_labware_handed_over(bench: Bench, event: LabwareHandedOver, at: int) ->
 
 
 def fold_intervention_requested(bench: Bench, event: InterventionRequested, at: int) -> None:
-    """An item that was half taken off its stack has no name yet, but it is somewhere; so is what
-    was seen where nothing should stand."""
+    """An item that was only partly taken off its stack has no id yet, but it is on the bench. The same holds
+    for labware that an observer saw at a station that should be empty."""
     hand, places = name_hand(event.module), []
     match event.topic:
         case LostLabware():
@@ -390,8 +392,8 @@ def fold_action_requested(bench: Bench, event: ActionRequested, at: int) -> None
 
 
 def fold_action_discovered(bench: Bench, event: ActionDiscovered, at: int) -> None:
-    """Labware that got its name behind the end of a log that lost its tail keeps it for itself; a number
-    that no log can have come to is not one of those."""
+    """Labware that got its id in the lost end of a log keeps this id. A number that is too large for any log
+    is ignored."""
     for effect in event.effects or ():
         number = _parse_number(getattr(effect, "labware", LabwareId("")))
         if bench.named < number <= bench.named + MOST_LOST:
@@ -399,7 +401,7 @@ def fold_action_discovered(bench: Bench, event: ActionDiscovered, at: int) -> No
 
 
 def fold_action_ended(bench: Bench, event: ActionEnd, at: int) -> None:
-    """What the action had reserved is free; its effects follow as events of their own."""
+    """The reservations of the action are released; its effects follow as separate events."""
     effects = bench.reserved.pop(event.action, ())
     _expect(bench, effects, -1)
     for name in find_labware_used(effects):
@@ -409,7 +411,8 @@ def fold_action_ended(bench: Bench, event: ActionEnd, at: int) -> None:
 
 
 def _expect(bench: Bench, effects: Iterable[AnyEffect], change: int) -> None:
-    """So much more labware is about to come to where an action needs room, and to be taken off stacks."""
+    """Change the number of expected arrivals at the places where an action needs room, and of items that it
+    takes off a stack."""
     for place in list_arrivals(effects):
         for station in _list_rooms(bench, place):
             station.expected += change
@@ -419,7 +422,7 @@ def _expect(bench: Bench, effects: Iterable[AnyEffect], change: int) -> None:
 
 
 def count_taking(bench: Bench, stack: StationName) -> int:
-    """How many items of a stack actions in flight are about to take."""
+    """The number of items of a stack that actions in flight will take."""
     station = bench.stations.get(stack)
     return station.taking if station is not None else 0
 
@@ -443,7 +446,7 @@ def _lay_on(bench: Bench, lid: Labware, plate: LabwareId) -> None:
 
 
 def _separate(bench: Bench, lid: Labware) -> None:
-    """A lid and the plate that it lay on have no more to do with each other."""
+    """Separate a lid from the plate on which it lay."""
     if lid.on:
         bench.labware[lid.on].lid = LabwareId("")
         lid.on = LabwareId("")
@@ -466,7 +469,7 @@ def _list_rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
 
 
 def _set_known(bench: Bench, place: StationName) -> None:
-    """It is known what stands at a station."""
+    """Record that the content of a station is known."""
     station = bench.stations[place]
     station.known = True
     hotel = station.spec.hotel
@@ -475,7 +478,7 @@ def _set_known(bench: Bench, place: StationName) -> None:
 
 
 def _take_away(bench: Bench, name: StationName) -> Station | None:
-    """A station is no part of the bench any more."""
+    """Take labware away from its station, and return the station."""
     station = bench.stations.pop(name, None)
     bench.in_cell.get(workcell_of(name), {}).pop(name, None)
     bench.watched.pop(name, None)

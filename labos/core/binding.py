@@ -60,8 +60,8 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
 
 
 def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
-    """What labware that is where a step needs it is not as the step needs it; None if it is. Nothing that
-    others do changes that."""
+    """Why the labware at the places of a step does not meet the step's requirements; None if it does. Nothing
+    that other runs do can change this."""
     start = StartCheck(state, run, step)
     for effect in step.effects:
         wait: Wait | None = None
@@ -81,16 +81,16 @@ def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait |
 
 
 def _make_final(wait: Wait) -> Wait:
-    """Nobody but a person will change what labware is like that only its run may touch."""
+    """Mark a wait as final: only its own run may use the labware, so only a person can change its state."""
     if not isinstance(wait.reason, reasons.Requires):
         return wait
     return Wait(reasons.Unfit(*wait.reason.names), wait.on)
 
 
 class StartCheck:
-    """A step that is about to start, as the state has it: a store that says what the step waits for.
-    ``bound`` are the effects that may happen, with their labware, ``subject`` is the labware that was spoken
-    of last."""
+    """A step that is about to start, checked against the state: a store that returns the reason why the step
+    waits. ``bound`` are the possible effects with their labware; ``subject`` is the labware of the last
+    effect that named one."""
 
     def __init__(self, state: LabState, run: RunState, step: PlanStep) -> None:
         self.state, self.run, self.step = state, run, step
@@ -122,7 +122,8 @@ class StartCheck:
             self._found[place] = item
             return None
         if self._used and find_usable(self.state, self.run, place) is not None:
-            return _explain_missing(self.state, self.run, place)  # the other piece is carried away already
+            # The other piece has been carried away before.
+            return _explain_missing(self.state, self.run, place)
         return explain_missing(self.state, self.run, place)
 
     def check_fits(self, what: Carrying) -> Wait | None:
@@ -142,7 +143,7 @@ class StartCheck:
         return check_hand(self.state, self.step, what.source)
 
     def check_entry(self, what: Carrying, place: StationName) -> Wait | None:
-        if place == what.stock:  # of items of one kind several may be taken at a time
+        if place == what.stock:  # Several items of one kind may be taken at a time.
             return check_entry(self.state, self.run, place)
         return check_reachable(self.state, self.run, place)
 
@@ -188,7 +189,7 @@ class StartCheck:
         return None
 
     def check_amount(self, consumes: Consumes) -> Wait | None:
-        """As much is left as the whole step needs, beside what actions in flight were promised."""
+        """Whether enough for the whole step is left, besides the amounts that actions in flight may use."""
         left = find_unreserved(self.state, self.step.module, consumes.resource)
         if left is None or left >= sum_needed(self.step.effects, consumes.resource):
             return None
@@ -196,12 +197,12 @@ class StartCheck:
         return Wait(reasons.UsedUp(*names), (module_key(self.step.module),))
 
     def check_room_for_all(self) -> Wait | None:
-        """What there is room for one by one has to find room together."""
+        """Labware that fits piece by piece also has to fit together."""
         bench = self.state.bench
         for place, number in Counter(list_arrivals(self.bound)).items():
             station = bench.stations[place]
             together = number > 1 and station.count + number > station.spec.capacity
-            if together or place in bench.shelves:  # for this one no shelf was left
+            if together or place in bench.shelves:  # No shelf was left for this one.
                 names = (place, f"{number} arrivals at once")
                 return Wait(reasons.Occupied(*names), list_keys_until_left_alone(self.state, place))
         for stack, number in Counter(effect.stock for effect in list_carried(self.bound)).items():
@@ -212,12 +213,12 @@ class StartCheck:
     # -- what is written in ----------------------------------------------------------------------
 
     def look_at(self, effect: AnyEffect) -> None:
-        """What a carrying effect is about is what later ones speak of."""
+        """Remember the labware of a carrying effect: later effects are about it."""
         if isinstance(effect, Carrying) and effect.stands:
             self.subject = self._found.get(effect.plate_at or effect.source)
 
     def accept(self, effect: AnyEffect) -> None:
-        """Write into an effect that may happen which labware it touches."""
+        """Write the labware into an effect that is possible."""
         self.look_at(effect)
         touched: dict[str, LabwareId] = {}
         item = self._find_item(effect) if isinstance(effect, Carrying) else None
@@ -237,7 +238,7 @@ class StartCheck:
         self.bound.append(effect)
 
     def _find_item(self, what: Carrying) -> Labware | None:
-        """What is carried; None if it has no name yet."""
+        """The labware that is carried; None if it has no id yet."""
         if what.stock:
             return None
         if what.lid == "off":
@@ -245,14 +246,14 @@ class StartCheck:
         return self._found[what.source]
 
     def _find_topmost_type(self, stack: StationName) -> str:
-        """The type of what is taken off a stack."""
+        """The type of the item that is taken off a stack."""
         left = len(self.state.bench.stations[stack].stock) - count_taking(self.state.bench, stack)
         return split_item(self.state.bench.stations[stack].stock[left - 1])[0]
 
 
 def find_unreserved(state: LabState, module: ModuleName, resource: str) -> float | None:
-    """What is left of a resource when everything in flight has used what it needs; None if
-    nobody ever said how much there is."""
+    """The amount of a resource that remains after everything in flight; None if the amount was never
+    declared."""
     left = state.resources.find_left(module, resource)
     if left is None:
         return None
@@ -261,8 +262,8 @@ def find_unreserved(state: LabState, module: ModuleName, resource: str) -> float
 
 
 def check_hand(state: LabState, step: PlanStep, source: StationName) -> Wait | None:
-    """An arm that holds labware, or may still hold lost labware, carries nothing else: it only puts
-    down what it holds."""
+    """An arm that holds labware, or may still hold lost labware, carries nothing else: it may only put down
+    the labware that it holds."""
     hand = name_hand(step.module)
     if hand in state.bench.haunted:
         return Wait(reasons.Uncertain(hand), (station_key(hand),))
@@ -276,7 +277,7 @@ def check_hand(state: LabState, step: PlanStep, source: StationName) -> Wait | N
 
 
 def check_rotation(state: LabState, what: Carrying, labware: Labware) -> Wait | None:
-    """Whether labware would come to lie as its target takes it: with A1 in the right corner."""
+    """Whether the labware would have A1 in the corner that its target requires."""
     wanted = state.bench.stations[what.target].spec.a1
     way = compute_a1_after(state.bench, what, labware)
     if wanted is None or way == wanted:
@@ -286,8 +287,7 @@ def check_rotation(state: LabState, what: Carrying, labware: Labware) -> Wait | 
 
 
 def check_grip(state: LabState, step: PlanStep, what: Carrying, labware_type: str) -> Wait | None:
-    """Whether the arm can hold labware of the type as the step says, where it takes it and where
-    it puts it down."""
+    """Whether the arm can hold labware of this type with the step's grip, at the source and at the target."""
     for place, grip in ((what.source, what.source_grip), (what.target, what.target_grip)):
         grips = state.bench.stations[place].spec.list_grips(step.module, labware_type)
         if grip and grips and grip not in grips:
@@ -297,7 +297,7 @@ def check_grip(state: LabState, step: PlanStep, what: Carrying, labware_type: st
 
 
 def check_accepts(state: LabState, what: Carrying, labware_type: str) -> Wait | None:
-    """Whether labware of the type may stand where it comes to."""
+    """Whether the target accepts labware of the type."""
     for place in what.room:
         if not state.bench.stations[place].spec.admits(labware_type):
             return Wait(reasons.NotAccepted(place, labware_type), (station_key(place),))
@@ -305,7 +305,7 @@ def check_accepts(state: LabState, what: Carrying, labware_type: str) -> Wait | 
 
 
 def is_same(actual: Any, wanted: Any) -> bool:
-    """Whether a variable has the wanted value; one that was never set counts as false."""
+    """Whether a variable has the wanted value; a variable that was never set counts as false."""
     return bool((actual if actual is not None else False) == wanted)
 
 
@@ -317,9 +317,10 @@ def find_usable(
     *,
     lent: bool = False,
 ) -> Labware | None:
-    """The labware at a station that this run may use and reach, none of ``but``: its own before its
-    experiment's, its user's and what is shared; on a stack only the topmost; no plate whose lid is lost.
-    ``lent``: also what is lent to another run, as if that had ended."""
+    """The labware at a station that this run may use and reach, except ``but``. The run's own labware comes
+    before that of its experiment, of its user, and shared labware. On a stack only the topmost piece is
+    reachable. A plate with a lost lid cannot be used. ``lent``: include labware that is lent to another run,
+    as if this run had ended."""
     station = state.bench.stations.get(place)
     if station is None:
         return None
@@ -336,7 +337,8 @@ def find_usable(
 
 
 def explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
-    """Why there is nothing to use: uncertain, somebody else's, in motion, or simply empty."""
+    """Why there is no labware to use: it is uncertain, belongs to others, is in motion, or the station is
+    empty."""
     station = state.bench.stations.get(place)
     key = (station_key(place),)
     if is_in_doubt(state.bench, place):
@@ -354,7 +356,7 @@ def explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
 
 
 def _explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
-    """Nothing stands at a place; labware of this run that is being carried may yet come there."""
+    """Nothing stands at a place, but labware of this run that is being carried may still arrive there."""
     on_its_way = any(item.moving for item in state.bench.list_owned(run_owner(run.id)))
     why = reasons.StillToCome(place) if on_its_way else reasons.NothingThere(place)
     return Wait(why, (station_key(place),))
@@ -366,7 +368,7 @@ def check_reachable(state: LabState, run: RunState, place: StationName) -> Wait 
 
 
 def check_entry(state: LabState, run: RunState, place: StationName) -> Wait | None:
-    """Whether a station's module lets a manipulator in: it is idle, open, and not another's."""
+    """Whether a station's module is accessible to a manipulator: idle, open, and not kept by another run."""
     spec = state.bench.stations[place].spec
     if not spec.module or spec.stands_apart:
         return None
@@ -377,17 +379,18 @@ def check_entry(state: LabState, run: RunState, place: StationName) -> Wait | No
     if module.cut_off:
         return check_module(module)
     shut = check_door_open(state, place)
-    if shut:  # nobody opens it before somebody has looked after a module that is down
+    if shut:  # Nobody opens the doors of a module that is down before a person has checked it.
         return check_module(module) or shut
     if spec.claim:
         holder = find_other_holder(state, spec.module, run)
-    else:  # of storage behind a door only the door is anybody's
+    else:  # With storage behind a door, only the door can be kept by a run.
         holder = find_other_keeper(state, spec.module, run) if spec.access else ""
     return Wait(reasons.Held(spec.module, holder), key) if holder else None
 
 
 def check_module(module: Module, *, recovers: bool = False) -> Wait | None:
-    """Whether somebody has to look after a module first; what ``recovers`` it from an error need not wait."""
+    """Whether a person has to check a module first. An action that ``recovers`` it from an error need not
+    wait."""
     name, key = module.spec.name, (module_key(module.spec.name),)
     if module.out_of_service:
         return Wait(reasons.OutOfService(name, module.out_of_service), key)
@@ -397,10 +400,11 @@ def check_module(module: Module, *, recovers: bool = False) -> Wait | None:
 
 
 def check_stack_alone(state: LabState, place: StationName) -> Wait | None:
-    """One hand at a time at a stack of plates with names: of two, nobody could say whose plate came to
-    lie on top. Nameless items of one kind may be taken by several."""
+    """Only one hand at a time may use a stack of plates with ids: with two, nobody could say whose plate is
+    on top. Several hands may take nameless items of one kind."""
     station = state.bench.stations[place]
-    if station.spec.kind != "stack" or place in state.bench.haunted:  # of which it is asked elsewhere
+    # Another question about this station is open.
+    if station.spec.kind != "stack" or place in state.bench.haunted:
         return None
     moving = any(state.bench.labware[name].moving for name in station.labware)
     if station.expected or moving or count_taking(state.bench, place):
@@ -418,7 +422,7 @@ def check_door_open(state: LabState, place: StationName) -> Wait | None:
 
 
 def check_room(state: LabState, place: StationName) -> Wait | None:
-    """Whether a station can take one piece more."""
+    """Whether a station has room for one more piece."""
     station = state.bench.stations[place]
     key = (station_key(place),)
     if place in state.bench.shelves:

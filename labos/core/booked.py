@@ -1,8 +1,8 @@
-"""Whether a module is booked for others: now, or before a step would be over.
+"""Whether a module is booked for others: now, or before the end of a step.
 
-Bookings are like a module that is out of service for some people and for a while. What only carries labware
-out of a module makes room for those who have booked it, so that may go on; in maintenance nothing may, as
-somebody's hands may be inside.
+For other users, a booked module is like one that is out of service for a time. Steps that only carry labware
+out of the module may continue, because they make room for the booking. During maintenance no step may
+continue, because a person may be reaching into the module.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from labos.core.waits import Wait
 
 HORIZON_DAYS = 14
 HORIZON_NS = HORIZON_DAYS * DAY_NS
-"""So far ahead it is looked for a gap between bookings."""
+"""A gap between bookings is searched up to this far ahead."""
 
 
 def booking_key(cell: str) -> str:
-    """Touched when a booking in a workcell is another one, begins or ends."""
+    """The key that is touched when a booking in a workcell changes, begins or ends."""
     return f"booking:{cell}"
 
 
 def find_contacts(state: LabState, step: PlanStep) -> dict[ModuleName, bool]:
-    """The modules that a step has to itself or reaches into, each with whether it does nothing there but to
-    carry labware out."""
+    """The modules that a step occupies or reaches into. The value is true if the step only carries labware
+    out of the module."""
     found: dict[ModuleName, bool] = {}
     if step.exclusive:
         found[step.module] = False
@@ -49,7 +49,7 @@ def find_contacts(state: LabState, step: PlanStep) -> dict[ModuleName, bool]:
 
 
 def is_exempt(state: LabState, run: RunState, step: PlanStep) -> bool:
-    """Whether bookings do not hold a step up: it brings a module back, or arms out of a person's way."""
+    """Whether a step ignores bookings: it resets a module, or moves arms away from a person."""
     access = state.lab.access.get(workcell_of(step.module))
     return step.recovers or (access is not None and run.plan in access.parking)
 
@@ -69,8 +69,8 @@ def list_bookings_of_others(
 def find_blocked(
     state: LabState, user: str, module: ModuleName, since: int, until: int, *, clears: bool = False
 ) -> list[BookingSpan]:
-    """When a module is booked for others than a user from ``since`` to ``until`` (UTC ns), in order. What was
-    booked for the user later on goes before what others have booked, but for maintenance."""
+    """When a module is booked for others than a user from ``since`` to ``until`` (UTC ns), in order. A later
+    booking for the user overrides earlier bookings of others, except for maintenance."""
     others = list_bookings_of_others(state, user, module, clears=clears)
     if not others:
         return []
@@ -97,7 +97,7 @@ def _list_spans(
 
 
 def _cut_out(span: BookingSpan, cut: BookingSpan) -> Iterator[BookingSpan]:
-    """What is left of a time when another is cut out."""
+    """The parts of a span that remain when another span is cut out of it."""
     if cut.ends <= span.begins or cut.begins >= span.ends:
         yield span
         return
@@ -108,7 +108,8 @@ def _cut_out(span: BookingSpan, cut: BookingSpan) -> Iterator[BookingSpan]:
 
 
 def check_not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
-    """Whether nobody else has booked a module that a step needs, from now until it should be over."""
+    """Whether no other user has booked a module that a step needs, from now until the planned end of the
+    step."""
     if not state.bookings.open or is_exempt(state, run, step):
         return None
     length = max(1, int(step.duration_s * 1e9 / state.lab.pace))
@@ -122,7 +123,7 @@ def check_not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -
 def make_wait(
     state: LabState, module: ModuleName, span: BookingSpan, step: str, now: int, until: int | None = None
 ) -> Wait:
-    """The wait of a step for the end of a booking, or until another time at which there is room for it."""
+    """The wait of a step for the end of a booking, or until a later time with a gap that is long enough."""
     booking = state.bookings.open[span.booking]
     begins, ends = in_zone(span.begins, booking.zone), in_zone(span.ends, booking.zone)
     why: reasons.Booked | reasons.BookedSoon = reasons.Booked(module, booking.whom, ends, booking.id)
@@ -133,8 +134,8 @@ def make_wait(
 
 
 def find_begun_booking(state: LabState, run: RunState, steps: Iterable[PlanStep]) -> Wait | None:
-    """The first of the modules that these steps need whose booking for others has begun, or that leaves no
-    gap that is long enough: what waits for it stands still, as if the module were out of service."""
+    """The first module of these steps whose booking for others has begun, or that has no gap that is long
+    enough. A run that waits for it is blocked, as if the module were out of service."""
     if not state.bookings.open:
         return None
     longest: dict[tuple[ModuleName, bool], PlanStep] = {}
@@ -169,8 +170,8 @@ def find_begun(state: LabState, user: str, module: ModuleName, *, clears: bool =
 def check_gap(
     state: LabState, user: str, module: ModuleName, length: int, now: int, *, clears: bool = False
 ) -> Wait | None:
-    """The wait for a module on which bookings for others leave no room for ``length`` (ns), as far as anybody
-    looks ahead; None if they do."""
+    """The wait for a module whose bookings for others leave no gap of ``length`` (ns) within ``HORIZON_NS``;
+    None if there is a gap."""
     others = list_bookings_of_others(state, user, module, clears=clears)
     if not others:
         return None
@@ -190,13 +191,13 @@ _Key = tuple[str, int, int, str, str, int, tuple[int, ...], int, bool]
 
 
 def _make_key(booking: Booking) -> _Key:
-    """What the times of a booking depend on."""
+    """The data that determine the times of a booking."""
     times = (booking.id, booking.begins, booking.ends, booking.rule, booking.zone, booking.last)
     return (*times, booking.skipped, booking.made, booking.maintenance)
 
 
 class _Unhashed:
-    """What a function that remembers its answers reads, beside what the answers depend on."""
+    """Data that a function with a cache reads, but that its answers do not depend on."""
 
     def __init__(self, others: list[Booking], own: list[Booking]) -> None:
         self.others, self.own = others, own

@@ -1,7 +1,7 @@
-"""Bookings: who has a module or a workcell to themselves, and when.
+"""Bookings: periods in which a user or group has a module or a workcell exclusively.
 
-A booking is planned time. Its begin and its end come as events of their own, so that what follows from them
-does not depend on when somebody looks, or on the time zones that a computer knows.
+A booking is planned time. Its begin and its end are separate events. So their consequences do not depend on
+when a program checks the time, or on the time zones of a computer.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from labos.core.structs import make_from
 from labos.core.words import Words
 
 LEAD_NS = 30 * 60 * 1_000_000_000
-"""So long before a booking begins is told who has to clear the place."""
+"""Users who have to clear the place are notified this long before a booking begins."""
 
 Change = Literal["", "near", "begin", "end"]
-"""What is due of a booking."""
+"""The change of a booking that is due."""
 
 
 class BookingEvent(Event, frozen=True):
@@ -32,9 +32,9 @@ class BookingEvent(Event, frozen=True):
 
 
 class BookingTerms(BookingEvent, frozen=True):
-    """What is booked: a module or a workcell (``target``), from ``begins`` to ``ends`` (UTC ns). It is for a
-    ``user``, for a ``group``, or for nobody (``maintenance``). With a ``rule`` it is repeated by the clock of
-    the time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end)."""
+    """A module or a workcell (``target``) is booked from ``begins`` to ``ends`` (UTC ns). The booking is for
+    a ``user``, for a ``group``, or for ``maintenance``. With a ``rule`` it is repeated by the clock of the
+    time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end)."""
 
     target: str
     begins: int
@@ -51,7 +51,7 @@ class BookingTerms(BookingEvent, frozen=True):
 
 @event("booking.made")
 class BookingMade(BookingTerms, frozen=True):
-    """Somebody booked a module or a workcell. ``over`` lists the bookings that it overrides."""
+    """A user booked a module or a workcell. ``over`` lists the bookings that it overrides."""
 
     over: tuple[str, ...] = ()
 
@@ -113,10 +113,10 @@ class BookingSpan(msgspec.Struct, frozen=True, order=True):
 
 
 class Booking(msgspec.Struct):
-    """``made`` counts all bookings and changes: of two that overlap the later one counts. It was made or
-    changed last at ``made_at``. ``skipped`` are begins that fall out. ``handled`` is up to when its times are
-    over, ``neared`` and ``began`` are the begins of the time that comes soon and of the one that it is now
-    (0: none), ``until`` is when that ends (all UTC ns)."""
+    """``made`` counts all bookings and changes: of two that overlap, the one with the higher count is valid.
+    ``made_at`` is the time of its last change. ``skipped`` are the begins of times that are left out. Its
+    times up to ``handled`` are over. ``neared`` and ``began`` are the begins of the next time and of the
+    present time (0: none); ``until`` is the end of the present time. All times are in UTC ns."""
 
     id: str
     target: str
@@ -145,19 +145,20 @@ class Booking(msgspec.Struct):
 
     @property
     def whom(self) -> str:
-        """For whom it is, in words."""
+        """The owner of the booking as text."""
         if self.maintenance:
             return "maintenance"
         return f"the group {self.group}" if self.group else self.user
 
     def is_for(self, user: str, group: str) -> bool:
-        """Whether runs of a user, who is in a group (empty: in none), may go on in it."""
+        """Whether a run of a user may continue during the booking. ``group`` is the user's group (empty:
+        none)."""
         if self.maintenance:
             return False
         return bool(group) and group == self.group if self.group else user == self.user
 
     def list_spans(self, since: int, until: int) -> list[BookingSpan]:
-        """Its times that are not over at ``since`` and have begun before ``until``, in order (UTC ns)."""
+        """The times of the booking that end after ``since`` and begin before ``until``, in order (UTC ns)."""
         length = self.ends - self.begins
         if not self.rule:
             starts = [self.begins]
@@ -171,7 +172,7 @@ class Booking(msgspec.Struct):
         ]
 
     def find_next_span(self, after: int) -> BookingSpan | None:
-        """The first of its times that is not over then (UTC ns); None if it does not come again."""
+        """The first time of the booking that ends after ``after`` (UTC ns); None if there is none."""
         for days in (40, 400, 4_000, 40_000) if self.rule else (40_000,):
             found = self.list_spans(after, max(after, self.begins) + days * DAY_NS)
             if found:
@@ -180,7 +181,7 @@ class Booking(msgspec.Struct):
 
     @property
     def next_change(self) -> int:
-        """When something of it is due next (UTC ns)."""
+        """The time of the booking's next change (UTC ns)."""
         if self.began:
             return self.until
         span = self.find_next_span(self.handled)
@@ -189,7 +190,7 @@ class Booking(msgspec.Struct):
         return span.begins if self.neared == span.begins else span.begins - LEAD_NS
 
     def change_due(self, now: int) -> Change:
-        """What of it is due now."""
+        """The change that is due now."""
         if self.began:
             return "end" if now >= self.until else ""
         span = self.find_next_span(self.handled)
@@ -201,9 +202,9 @@ class Booking(msgspec.Struct):
 
 
 class Bookings(msgspec.Struct):
-    """``open`` are those that are not over, by id; ``on`` are their ids by what is booked; ``now`` are those
-    whose time it is. ``named`` counts the ids given out, ``made`` bookings and changes, ``events`` all events
-    about bookings."""
+    """``open`` are the bookings that are not over, by id. ``on`` are their ids by target, and ``now`` the
+    bookings whose time it is. ``named`` counts the ids given out, ``made`` the bookings and changes, and
+    ``events`` all events about bookings."""
 
     open: dict[str, Booking] = {}
     on: dict[str, dict[str, bool]] = {}
@@ -217,12 +218,12 @@ class Bookings(msgspec.Struct):
         return f"B{self.named + 1}"
 
     def list_for(self, module: ModuleName) -> list[Booking]:
-        """Those of a module and of its workcell."""
+        """The bookings of a module and of its workcell."""
         places = (module, workcell_of(module))
         return [self.open[name] for place in places for name in self.on.get(place, ())]
 
     def list_in_cell(self, cell: str) -> list[Booking]:
-        """Those of a workcell and of its modules."""
+        """The bookings of a workcell and of its modules."""
         return [booking for booking in self.open.values() if booking.cell == cell]
 
 

@@ -1,7 +1,8 @@
-"""The ways that a plan may go: which steps fail and are skipped or recovered from, which are left out.
+"""The ways that a run of a plan may take: which steps fail and are skipped or recovered from, and which are
+left out.
 
-Whatever has to hold for a plan (its dry run, safety) has to hold for each of these ways, because
-nobody knows beforehand which one the run will go.
+Everything that must hold for a plan (its dry run, its safety) must hold for each of these ways, because
+nobody knows in advance which way a run will take.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ from labos.core.model import MAIN, Plan
 from labos.core.runs import SETTLED, StepStatus, list_rescue_steps
 
 MOST_WAYS = 32
-"""Ways of one plan; each of them is tried out whenever somebody of its workcell starts something."""
+"""The largest number of ways of one plan. Every start of a step in its workcell tries all of them."""
 
 
 class TooManyWays(Exception):
-    """A plan may go more ways than can be looked at."""
+    """A plan has more ways than can be checked."""
 
 
 class Way(msgspec.Struct, frozen=True):
-    """Steps in an order in which a run may carry them out. ``without`` are steps that failed and are
-    skipped, ``rescued`` those whose recovery steps stand in their place; ``fails``: the run does not go
-    on after them. ``said`` are the conditions that were decided, and how."""
+    """Steps in an order in which a run may carry them out. ``without`` are steps that failed and are skipped.
+    ``rescued`` are failed steps that are replaced by their recovery steps. ``fails``: the run does not
+    continue after these steps. ``said`` are the decided conditions with their values."""
 
     steps: tuple[int, ...] = ()
     without: frozenset[int] = frozenset()
@@ -38,12 +39,12 @@ class Way(msgspec.Struct, frozen=True):
 
     @property
     def plain(self) -> bool:
-        """Whether nothing fails on it."""
+        """Whether no step fails in this way."""
         return not self.without and not self.rescued
 
 
 def list_ways(plan: Plan, most: int = MOST_WAYS) -> list[Way]:
-    """All ways of a plan that differ for the bench, the one on which nothing fails first. Raises
+    """All ways of a plan that differ for the bench; the way without a failure is the first. Raises
     TooManyWays."""
     found = [Way()]
     for index in sort_steps(plan, main_steps(plan)):
@@ -69,7 +70,7 @@ def _extend_way(plan: Plan, way: Way, index: int) -> list[Way]:
 
 
 def _find_own_ways(plan: Plan, way: Way, index: int) -> list[Way]:
-    """The ways a step itself may go: as it should, skipped, recovered from."""
+    """The ways that a step itself may take: it succeeds, is skipped, or is recovered from."""
     found = [msgspec.structs.replace(way, steps=(*way.steps, index))]
     policy = plan.steps[index].on_error
     if policy is None:
@@ -90,8 +91,8 @@ def _find_own_ways(plan: Plan, way: Way, index: int) -> list[Way]:
 
 
 def may_leave_out(plan: Plan, index: int) -> bool:
-    """Whether a step may fail and the run goes on without a way of its own for that: neither the step nor
-    what is done in its place makes a difference to labware and doors."""
+    """Whether a step's failure needs no way of its own: the run continues, and neither the step nor its
+    replacement changes labware or doors."""
     policy = plan.steps[index].on_error
     if policy is None or not is_inert(plan, index):
         return False
@@ -101,7 +102,7 @@ def may_leave_out(plan: Plan, index: int) -> bool:
 
 
 def find_decided(plan: Plan, steps: Sequence[StepStatus], results: Mapping[int, Any]) -> dict[str, bool]:
-    """What is known of a run's conditions, given the states of its steps and their results."""
+    """The known values of a run's conditions, from the states of its steps and their results."""
     conditional = [step.when for step in plan.steps if step.when is not None]
     if not conditional:
         return {}
@@ -124,7 +125,7 @@ def main_steps(plan: Plan) -> list[int]:
 
 
 def is_inert(plan: Plan, index: int) -> bool:
-    """Whether it makes no difference to labware and doors if a step is left out."""
+    """Whether leaving a step out makes no difference to labware and doors."""
     changes = (Move, Take, Sets, Claims, Releases)
     held = any(index in (hold.first, hold.last) for hold in plan.holds)
     return not held and not any(isinstance(effect, changes) for effect in plan.steps[index].effects)

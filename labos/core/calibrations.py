@@ -1,4 +1,5 @@
-"""Calibrations of modules: what people recorded, and until when it is valid. Nothing waits for one."""
+"""Calibrations of modules: the records of people, with their last day of validity. No step waits for a
+calibration."""
 
 from __future__ import annotations
 
@@ -9,15 +10,15 @@ import msgspec
 from labos.core.days import count_days, day_of
 
 MOST_CALIBRATIONS = 50
-"""So many things of one module can be calibrated."""
+"""The most calibrations that one module may have."""
 
 WARN_DAYS = 14
-"""So long before its last day a calibration is said to expire."""
+"""LabOS warns this long before the last day of a calibration."""
 
 
 class Calibration(msgspec.Struct, frozen=True):
     """A calibration of a module, or of one thing of it: who recorded it and when (UTC ns), its certificate,
-    the digest of its report, and its last day (``2027-01-01``, by UTC). What nobody said is empty."""
+    the digest of its report, and its last day (``2027-01-01``, by UTC). Fields without a value are empty."""
 
     at: int
     by: str
@@ -26,7 +27,7 @@ class Calibration(msgspec.Struct, frozen=True):
     until: str = ""
 
     def has_expired(self, now: int) -> bool:
-        """Whether its last day is over at a moment in UTC ns."""
+        """Whether its last day is over at ``now`` (UTC ns)."""
         return bool(self.until) and self.until < day_of(now)
 
     def expires_soon(self, now: int) -> bool:
@@ -35,5 +36,5 @@ class Calibration(msgspec.Struct, frozen=True):
 
 
 def find_first_expiry(calibrations: Mapping[str, Calibration]) -> str:
-    """The last day of the one that expires first; empty if none does."""
+    """The earliest last day of the calibrations; empty if none has one."""
     return min((one.until for one in calibrations.values() if one.until), default="")

@@ -1,7 +1,8 @@
 """Campaigns: one workflow, carried out once for each row of a table.
 
-The table itself is a blob. A campaign knows how many rows it has and which one is next: rows become runs in
-order, so that each becomes exactly one run, and a campaign of many rows takes no more room than one of few.
+The table itself is a blob. A campaign stores the number of its rows and the index of the next one. Rows
+become runs in order, so each row becomes exactly one run. A campaign of many rows takes no more memory than
+one of few.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from labos.core.viewer import RestrictedCampaign, Visibility
 from labos.core.words import Words
 
 ROWS_QUEUED = 4
-"""So many runs of a campaign wait to be started, at most; the other rows wait in its table."""
+"""At most this number of runs of a campaign wait for their start; the other rows wait in its table."""
 
 
 class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -59,7 +60,7 @@ class Terms(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 ARCHIVE = "archive"
-"""The stream of what is archived: that of a campaign ends with the campaign."""
+"""The stream for archived campaigns: the stream of a campaign ends with the campaign."""
 
 
 class CampaignEvent(Event, frozen=True):
@@ -128,7 +129,7 @@ class CampaignStopped(CampaignEvent, frozen=True):
 
 @event("campaign.cancelled")
 class CampaignCancelled(CampaignEvent, frozen=True):
-    """Somebody cancelled the campaign: no further row is submitted, and its runs are cancelled."""
+    """A user cancelled the campaign: no further row is submitted, and its runs are cancelled."""
 
     why: Words = ""
 
@@ -167,8 +168,8 @@ class CampaignUnarchived(Event, frozen=True):
 
 
 class CampaignStatus(StrEnum):
-    """Rows of one that is ``OPEN`` become runs. One that is ``PROPOSED`` waits for an approval. One that is
-    ``STOPPED`` by its own rules lets its runs go on, one that is ``CANCELLED`` does not."""
+    """``OPEN``: its rows become runs. ``PROPOSED``: it waits for an approval. ``STOPPED``: its own rules
+    ended it, and its runs continue. ``CANCELLED``: its runs are cancelled too."""
 
     OPEN = "open"
     PAUSED = "paused"
@@ -178,11 +179,11 @@ class CampaignStatus(StrEnum):
 
 
 class Campaign(msgspec.Struct):
-    """``next_row`` is the first row that is not submitted yet; ``runs`` are those alive and whether each
-    has started. ``spent_ns`` is module time in wall nanoseconds, ``used`` consumables by kind. ``reads``
-    and ``results`` of runs alive are for the stop rule, which ``met_by`` has fulfilled;
-    ``first_started_at`` in UTC ns. ``danger_seen``: that its rows do what is dangerous was known when it was
-    approved. ``due`` is the key of a row that says when its run is due, if one does."""
+    """``next_row`` is the first row that is not submitted yet. ``runs`` are the runs alive, with whether each
+    has started. ``spent_ns`` is module time in wall nanoseconds; ``used`` are consumables by kind. ``reads``
+    and ``results`` of runs alive are for the stop rule; ``met_by`` is the run that fulfilled it.
+    ``first_started_at`` is in UTC ns. ``danger_seen``: it was known at its approval that its rows have
+    dangerous steps. ``due`` is the column with the due date of each row's run, if there is one."""
 
     id: CampaignId
     name: str
@@ -214,17 +215,17 @@ class Campaign(msgspec.Struct):
 
     @property
     def queued(self) -> int:
-        """How many of its runs wait to be started."""
+        """The number of its runs that wait for their start."""
         return sum(not started for started in self.runs.values())
 
     @property
     def left(self) -> int:
-        """How many rows are not submitted yet."""
+        """The number of rows that are not submitted yet."""
         return self.rows - self.next_row
 
     @property
     def is_ended(self) -> bool:
-        """Whether no further row will be submitted, by its own rules or somebody's word."""
+        """Whether no further row will be submitted, by its own rules or because a person ended it."""
         return self.status in (CampaignStatus.STOPPED, CampaignStatus.CANCELLED)
 
     @property
@@ -234,14 +235,14 @@ class Campaign(msgspec.Struct):
 
     @property
     def room(self) -> int:
-        """How many further rows may be submitted now."""
+        """The number of further rows that may be submitted now."""
         if self.status != CampaignStatus.OPEN or explain_stop(self):
             return 0
         return max(min(self.left, ROWS_QUEUED - self.queued), 0)
 
 
 class EndedCampaign(msgspec.Struct):
-    """What is remembered of a campaign that has ended."""
+    """The data that remain of a campaign that has ended."""
 
     user: str
     workcell: str
@@ -249,11 +250,11 @@ class EndedCampaign(msgspec.Struct):
 
 
 class Campaigns(msgspec.Struct):
-    """``open`` are those that have not been completed; ``named`` and ``requests`` as for runs. ``members``
-    are the runs alive of campaigns, ``clocks`` hold when their open actions were requested, ``parts`` how
-    many actions share the time of their module, where a device carries out several in one go. ``due`` are the
-    campaigns that must be stopped or are over. ``ended`` and ``restricted`` are kept for ever: a campaign may
-    be archived years later, and its events stay in the log."""
+    """``open`` are the campaigns that are not completed; ``named`` and ``requests`` are as for runs.
+    ``members`` are the campaigns' runs alive. ``clocks`` hold the times at which their open actions were
+    requested. ``parts`` counts the actions that share the time of their module, because the device carries
+    them out at once. ``due`` are the campaigns that must be stopped or are over. ``ended`` and ``restricted``
+    are never deleted: a campaign may be archived years later, and its events stay in the log."""
 
     open: dict[CampaignId, Campaign] = {}
     named: int = 0
@@ -276,7 +277,7 @@ class Campaigns(msgspec.Struct):
 
 
 def explain_stop(campaign: Campaign) -> str:
-    """Why no further run of a campaign may begin by its own rules, as a sentence; empty if it may."""
+    """Why the campaign's own rules allow no further run, as a sentence; empty if they allow it."""
     terms = campaign.terms
     failed = campaign.failed + campaign.refused
     if campaign.is_ended or not (campaign.left or campaign.queued):
@@ -289,7 +290,7 @@ def explain_stop(campaign: Campaign) -> str:
 
 
 def is_over(campaign: Campaign) -> bool:
-    """Whether nothing of a campaign is left to do."""
+    """Whether a campaign has no work left."""
     return not campaign.runs and (campaign.is_ended or not campaign.left)
 
 
@@ -399,8 +400,8 @@ def fold_run_ended(campaigns: Campaigns, event: RunEnd, at: int) -> None:
 
 
 def _meets_rule(campaign: Campaign, results: dict[str, Any]) -> bool:
-    """Whether the results of a completed run fulfil the stop rule. A rule that cannot be decided, as when
-    the step was left out, is not fulfilled."""
+    """Whether the results of a completed run fulfil the stop rule. A rule that cannot be evaluated is not
+    fulfilled, for example if the step was left out."""
     until = campaign.terms.until
     if until is None:
         return False

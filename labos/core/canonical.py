@@ -1,9 +1,10 @@
 """Canonical JSON: one value, one sequence of bytes.
 
-Keys are sorted, there is no white space, and numbers that are not finite are refused
-(RFC 8259 has no spelling for them). So is what JSON can spell and others cannot hold: whole numbers beyond
-64 bits, halves of surrogate pairs (text that has no UTF-8), and lists in lists without end. What is once in
-the log goes into every snapshot and every client, so it is refused here, before it is recorded.
+Keys are sorted, there is no white space, and numbers that are not finite are refused (RFC 8259 has no
+spelling for them). Values that JSON can express but other formats cannot are refused too. These are whole
+numbers beyond 64 bits, unpaired surrogates (text that has no UTF-8), and lists that are nested too deeply.
+Every value in the log gets into snapshots and clients, so these values are refused here, before they are
+recorded.
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ from typing import Any
 import msgspec
 
 DEEPEST = 100
-"""So many lists and objects may stand in one another."""
+"""Lists and objects may be nested at most this deep."""
 
 LEAST, MOST = -(2**63), 2**64 - 1
-"""The whole numbers that 64 bits can hold, with a sign or without."""
+"""The smallest signed and the largest unsigned whole number of 64 bits."""
 
 _encoder = msgspec.json.Encoder(order="sorted")
-# It knows the same values and only 64 bits: the cheapest way to look at every number of a value.
+# MessagePack has the same values and only 64 bits: encoding is the cheapest check of every number in a value.
 _measure = msgspec.msgpack.Encoder()
-# Bytes without which MessagePack holds no number that is not finite: the mark of a float, and the first
-# byte of an exponent that is all ones. They may also stand there by chance.
+# A number that is not finite contains these bytes in MessagePack: the mark of a float, and the first byte of
+# an exponent whose bits are all ones. Other values may contain them by chance.
 _NOT_FINITE = (b"\xcb\x7f", b"\xcb\xff")
 _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
 def encode_canonical(value: Any) -> bytes:
-    """Encode a JSON value or a msgspec Struct. Raises ValueError for NaN and infinities, whole numbers
-    beyond 64 bits, text that has no UTF-8, and more than ``DEEPEST`` lists and objects in one another."""
+    """Encode a JSON value or a msgspec Struct. Raises ValueError for NaN and infinities, whole numbers beyond
+    64 bits, text that has no UTF-8, and more than ``DEEPEST`` nested lists and objects."""
     try:
         packed = _measure.encode(value)
         data = _encoder.encode(value)
@@ -56,7 +57,7 @@ def refuse_non_finite(value: Any) -> None:
 
 
 def _refuse(value: Any) -> None:
-    """Raise ValueError in words for the first thing in a value that cannot be recorded."""
+    """Raise ValueError that describes the first value that cannot be recorded."""
     waiting = [(value, 1)]
     while waiting:
         item, depth = waiting.pop()
@@ -75,7 +76,7 @@ def _refuse(value: Any) -> None:
 
 
 def _list_inner(value: Any) -> list[Any]:
-    """What a value is made of; nothing for a number or a text."""
+    """The parts of a list or an object; none for a number or a text."""
     if isinstance(value, dict):
         return [*value, *value.values()]
     if isinstance(value, list | tuple | set | frozenset):
@@ -86,7 +87,7 @@ def _list_inner(value: Any) -> list[Any]:
 
 
 def _measure_depth(data: bytes) -> int:
-    """How deep the brackets of canonical JSON stand in one another. Those in texts count for nothing."""
+    """How deep the brackets of canonical JSON are nested, without the brackets in texts."""
     pieces = data.replace(rb"\\", b"").replace(rb"\"", b"").split(b'"')
     depth = deepest = 0
     for bracket in b"".join(pieces[::2]).translate(None, _NO_BRACKETS):

@@ -1,8 +1,8 @@
-"""What of a closing workflow has to be done: its steps that find labware of the experiment, by the same rule
-as on the way out of a cancelled run, and those that have nothing to do with labware.
+"""The steps of a closing workflow that are needed: those that find labware of the experiment, and those that
+do not concern labware. The rule is the same as for the ``on_cancel`` steps of a cancelled run.
 
-A closing run carries out a plan of these steps only. So one workflow can clear away all places at which an
-experiment may have left something.
+A closing run carries out a plan of these steps only. So one workflow can clear all places where an experiment
+may have left labware.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from labos.core.state import LabState
 
 
 def plan_closing(state: LabState, experiment: Experiment) -> Plan | None:
-    """What is left of an experiment's closing workflow; None if it would clear nothing away."""
+    """The needed steps of an experiment's closing workflow; None if it would clear nothing away."""
     plan = state.runs.plans[experiment.closing].plan
     scene = look_at(state, plan.workcell, experiment_owner(experiment.id))
     chosen = choose(plan, scene, lambda module: any(m == module for m in scene.owner.values()))
@@ -31,8 +31,8 @@ def plan_closing(state: LabState, experiment: Experiment) -> Plan | None:
 
 
 def choose(plan: Plan, scene: BenchOfRun, holds_labware: Callable[[str], bool]) -> list[int]:
-    """The steps that are needed from a scene, which is changed to what they leave; none if no labware is
-    cleared away."""
+    """The steps that are needed from a scene; none if no labware is cleared away. The scene is changed to the
+    state after these steps."""
     found, clears = [], False
     for index in sort_steps(plan, _main(plan)):
         step = plan.steps[index]
@@ -45,8 +45,8 @@ def choose(plan: Plan, scene: BenchOfRun, holds_labware: Callable[[str], bool]) 
 
 
 def narrow(plan: Plan, chosen: Sequence[int]) -> Plan:
-    """The plan with these steps of the workflow only, and with what is there for them: their recoveries and
-    resets, and the way out if its run is cancelled."""
+    """The plan with these steps of the workflow only, and with the steps that serve them: recoveries, resets,
+    and the ``on_cancel`` steps."""
     main = set(_main(plan)) - set(chosen)
     kept = [i for i, step in enumerate(plan.steps) if i not in main and step.serves not in main]
     number = {index: place for place, index in enumerate(kept)}
@@ -63,8 +63,8 @@ def _main(plan: Plan) -> list[int]:
 
 
 def _is_tied(plan: Plan, chosen: Sequence[int]) -> bool:
-    """Whether steps cannot be left out, as others read their results, or a module is kept from one of them to
-    another."""
+    """Whether steps cannot be left out, because other steps read their results, or because the run keeps a
+    module from one of them to another."""
     left_out = set(_main(plan)) - set(chosen)
     reads = bool(plan.feeds) or any(step.when is not None for step in plan.steps)
     cut = any((hold.first in left_out) != (hold.last in left_out) for hold in plan.holds)
@@ -94,7 +94,8 @@ def _renumber_anchor(window: Window, number: dict[int, int]) -> Window:
 
 
 def _renumber_before(plan: Plan, after: Iterable[int], number: dict[int, int]) -> list[int]:
-    """The steps that are done before, with those before each that is left out in its place."""
+    """The predecessors of a step by their new numbers. A predecessor that is left out is replaced by its own
+    predecessors."""
     found: list[int] = []
     for index in after:
         found += [index] if index in number else _renumber_before(plan, plan.steps[index].after, number)

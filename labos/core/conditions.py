@@ -1,4 +1,4 @@
-"""Conditions of a plan: expressions about results, decided while the run goes on."""
+"""Conditions of a plan: expressions about results, evaluated while the run is under way."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _OPPOSITE = {"!=": "==", ">=": "<", ">": "<=", "not in": "in"}
 
 
 def make_condition(text: str, tree: Tree) -> Condition:
-    """An expression as a plan keeps it. Raises ExpressionError for what cannot be recorded: too many
-    brackets, values of a payload that are too large."""
+    """An expression as a plan stores it. Raises ExpressionError for an expression that cannot be recorded:
+    too many brackets, or values of a payload that are too large."""
     try:
         return Condition(text, encode_canonical(tree).decode())
     except ValueError as error:
@@ -50,7 +50,7 @@ def holds(condition: Condition, results: Mapping[str, Any], result: Any = None) 
 
 
 def sort_results_by_key(plan: Plan, results: Mapping[int, Any]) -> dict[str, Any]:
-    """Results that are kept by the index of their step, by its key."""
+    """The results by the keys of their steps; ``results`` has them by the steps' indexes."""
     return {plan.steps[index].key: result for index, result in results.items()}
 
 
@@ -62,8 +62,8 @@ def find_reads(condition: Condition) -> set[str]:
 
 
 def find_decision(condition: Condition) -> tuple[str, bool]:
-    """What a condition decides, and whether it holds if that is so: ``x > 1``, ``not (x > 1)`` and
-    ``x <= 1`` decide the same."""
+    """The text that a condition decides, and the value that makes the condition true. ``x > 1``, ``not (x >
+    1)`` and ``x <= 1`` decide the same."""
     tree, positive = _read(condition.tree), True
     while tree[0] == "not":
         tree, positive = tree[1], not positive

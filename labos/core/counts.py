@@ -1,4 +1,4 @@
-"""How much an action will use up, as its driver reads it from the file that the action runs."""
+"""The amount that an action will use up. Its driver reads it from the file that the action runs."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import msgspec
 
 
 class Count(msgspec.Struct, frozen=True):
-    """An amount, in the resource's unit. ``doubt`` says why it may be more (as half a sentence), empty
-    where it is certain; ``remedy`` how somebody can say the number in that file."""
+    """An amount, in the resource's unit. ``doubt`` says why the amount may be larger (as half a sentence); it
+    is empty if the amount is certain. ``remedy`` says how a person can state the number in that file."""
 
     amount: float
     doubt: str = ""
@@ -18,5 +18,5 @@ class Count(msgspec.Struct, frozen=True):
 
 
 Counter = Callable[[str, bytes, Mapping[str, Any]], Count]
-"""Counts from a file's name, its content, and those arguments of the action that are known. It is asked
-when a run is submitted, in the kernel: it only reads, and ends soon whatever the file holds."""
+"""Counts from a file's name, its content, and the known arguments of the action. The kernel calls it when a
+run is submitted. So it may only read, and must end soon for any content of the file."""

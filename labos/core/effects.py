@@ -1,8 +1,8 @@
-"""What an action does to the bench, as values that the scheduler can reason about.
+"""Effects: the changes that an action makes to the bench, as values that the scheduler can use.
 
-A driver declares effects with ``{argument}`` place-holders; at submission they are filled in
-(``resolve``) and frozen in the run; when a step starts, ``decide`` writes in which labware it
-touches. Stations are written ``workcell/module.name`` once resolved.
+A driver declares effects with ``{argument}`` place-holders. At submission they are filled in (``resolve``)
+and stored in the run. When a step starts, ``decide`` writes the ids of its labware into them. Stations are
+written ``workcell/module.name`` once resolved.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import msgspec
 from labos.core.ids import LabwareId, StationName
 
 Lid = Literal["", "off", "on"]
-"""What becomes of a lid: nothing, it comes off its plate, or onto one."""
+"""The change of a lid: none, it is taken off its plate, or it is put onto one."""
 
 
 class Effect(msgspec.Struct, frozen=True, tag_field="effect", forbid_unknown_fields=True, gc=False):
@@ -36,12 +36,12 @@ NOWHERE = StationName("")
 
 
 class Carrying(Effect, frozen=True):
-    """An effect by which something is carried. What it needs and what it does is said here, once for each
-    kind, for everybody who asks whether it may happen or what comes of it (see ``algebra``). The answers
-    below are those of a plain move; each kind says where it differs.
+    """An effect that carries labware. Its requirements and results are declared here, once for each kind;
+    ``algebra`` uses them for all checks. The properties below are those of a plain move; other kinds override
+    them.
 
-    Each has a ``source``, where the hand takes it, a ``target``, where it puts it down, and a ``via``, where
-    it changes its grip (empty: nowhere). ``lid``: it is a lid that comes ``off`` its plate or ``on`` one."""
+    The hand takes the labware at ``source`` and puts it down at ``target``; at ``via`` it changes its grip
+    (empty: nowhere). ``lid``: a lid is taken ``off`` its plate or put ``on`` one."""
 
     lid: ClassVar[Lid] = ""
 
@@ -62,41 +62,42 @@ class Carrying(Effect, frozen=True):
 
     @property
     def stock(self) -> StationName:
-        """The stack off which a nameless item comes; empty if what is carried has a name."""
+        """The stack from which an item without an id is taken; empty if the carried labware has an id."""
         return NOWHERE
 
     @property
     def stands(self) -> tuple[StationName, ...]:
-        """Where labware with a name has to stand; on a stack, as the topmost."""
+        """The places where labware with an id has to stand; on a stack, as the topmost."""
         return (self.source,)
 
     @property
     def plate_at(self) -> StationName:
-        """Where the plate stands whose lid is carried; empty if it is no lid."""
+        """The station of the plate whose lid is carried; empty if no lid is carried."""
         return NOWHERE
 
     @property
     def plate(self) -> LabwareId:
-        """The labware whose lid is carried; empty if it is no lid, or not known yet."""
+        """The plate whose lid is carried; empty if no lid is carried, or if the plate is not known yet."""
         return LabwareId("")
 
     @property
     def entered(self) -> tuple[StationName, ...]:
-        """Where the hand reaches in."""
+        """The stations into which the hand reaches."""
         return (self.source, self.via, self.target) if self.via else (self.source, self.target)
 
     @property
     def emptied(self) -> StationName:
-        """Where one piece less stands afterwards; empty if that is nowhere."""
+        """The place that has one piece less afterwards; empty if there is none."""
         return self.source
 
     @property
     def filled(self) -> StationName:
-        """Where one piece more stands afterwards; empty if that is nowhere."""
+        """The place that has one piece more afterwards; empty if there is none."""
         return self.target
 
     @property
     def room(self) -> tuple[StationName, ...]:
+        """The places that need room for one more piece, at the end or while the grip is changed."""
         return (self.target, self.via) if self.via else (self.target,)
 
     @property
@@ -293,8 +294,8 @@ AnyEffect = (
 
 
 def _find_kinds(*of: type[Effect]) -> frozenset[type[Effect]]:
-    """The kinds of effects that are one of these. A fold asks so often that ``isinstance`` takes too long,
-    which is slow for structs."""
+    """The kinds of effects in a union. A fold needs this very often, and ``isinstance`` is slow for
+    structs."""
     return frozenset(kind for kind in get_args(AnyEffect) if issubclass(kind, of))
 
 
@@ -308,21 +309,21 @@ _PLACES = {
 
 
 def list_carried(effects: Iterable[AnyEffect]) -> list[Move | Take]:
-    """Those of some effects by which something is carried."""
+    """The effects that carry something."""
     return [effect for effect in effects if type(effect) in _CARRYING]  # type: ignore[misc]
 
 
 def list_moved(effects: Iterable[AnyEffect]) -> list[Move]:
-    """Those of some effects by which labware is carried that had a name before."""
+    """The effects that carry labware which had an id before."""
     return [effect for effect in effects if type(effect) in _MOVES]  # type: ignore[misc]
 
 
 QUARTER = {("narrow", "wide"): 90, ("wide", "narrow"): -90}
-"""How far labware is turned (degrees) by changing the grip on it."""
+"""The rotation of labware (degrees) by a change of the grip on it."""
 
 
 def turn(effect: Carrying, source_rotation: int, target_rotation: int) -> int:
-    """How far a motion turns labware in its nest, in degrees from 0 to 270."""
+    """The rotation of labware in its nest by a motion, in degrees from 0 to 270."""
     by_grip = QUARTER.get((effect.source_grip, effect.target_grip), 0)
     return (target_rotation - source_rotation + by_grip) % 360
 
@@ -339,8 +340,8 @@ def list_places(effects: Iterable[AnyEffect]) -> set[StationName]:
 
 
 def find_types_at(effects: Iterable[AnyEffect], kind: str, plate: str) -> dict[StationName, str]:
-    """Of what type the labware is that an arm meets at each station: ``kind``, which it carries, but where a
-    lid is on its plate, ``plate``."""
+    """The type of the labware that an arm meets at each station: ``kind``, which it carries; but where a lid
+    is on its plate, ``plate``."""
     found: dict[StationName, str] = {}
     for effect in list_carried(effects):
         found |= dict.fromkeys(effect.entered, kind)
@@ -350,14 +351,14 @@ def find_types_at(effects: Iterable[AnyEffect], kind: str, plate: str) -> dict[S
 
 
 def is_reported(value: Any) -> bool:
-    """Whether a value is to be read from the result: ``{result}`` or ``{result.field}``."""
+    """Whether a value is read from the result: ``{result}`` or ``{result.field}``."""
     return isinstance(value, str) and (
         value == "{result}" or (value.startswith("{result.") and value.endswith("}"))
     )
 
 
 def resolve_value(value: Any, result: Any) -> Any:
-    """A value as it is once the result is known; null where the result does not say."""
+    """The value after the result is known; null if the result does not have it."""
     if not is_reported(value):
         return value
     for field in value[1:-1].split(".")[1:]:
@@ -366,8 +367,8 @@ def resolve_value(value: Any, result: Any) -> Any:
 
 
 def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str], StationName]) -> AnyEffect:
-    """Fill ``{argument}`` place-holders from ``args``; ``station`` turns a written place into
-    a station's full name. Raises KeyError for an argument that is not there."""
+    """Fill ``{argument}`` place-holders from ``args``; ``station`` converts a place as it is written into a
+    station's full name. Raises KeyError for a missing argument."""
 
     def fill_in(value: Any) -> Any:
         if isinstance(value, str) and "{" in value and not is_reported(value):
@@ -394,24 +395,24 @@ def rename_places(effect: AnyEffect, rename: Callable[[StationName], StationName
 
 
 def name_hand(module: str) -> StationName:
-    """A manipulator's hand, as a place where labware may be."""
+    """The name of a manipulator's hand as a place for labware."""
     return StationName(f"{module}.gripper")
 
 
 def list_arrivals(effects: Iterable[Effect]) -> list[StationName]:
-    """Stations at which an action needs room: to put labware down, for good or to change its grip, or to
+    """Stations at which an action needs room: to put labware down, at the end or to change its grip, or to
     have it free."""
     return [place for effect in effects for place in effect.room]
 
 
 def changes_labware(effects: Iterable[AnyEffect]) -> bool:
-    """Whether labware that is worked on is not as it was afterwards."""
+    """Whether an action changes the labware that it works on."""
     return any(map(_changes_labware, effects))
 
 
 def find_labware_changed(effects: Iterable[AnyEffect]) -> set[LabwareId]:
-    """The labware that an action carries, takes a lid off or puts one on, or changes. What it only needs, or
-    takes liquid out of, it leaves to whom it belongs."""
+    """The labware that an action carries or changes, or whose lid it takes off or puts on. If it only needs
+    the labware or draws liquid from it, the owner does not change."""
     found: set[LabwareId] = set()
     for effect in effects:
         if isinstance(effect, Carrying):
@@ -426,7 +427,7 @@ def _changes_labware(effect: AnyEffect) -> TypeGuard[Sets | Transfers]:
 
 
 def find_labware_used(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
-    """Labware that exists before the action and that the action carries or works on."""
+    """The labware with an id that an action carries or works on."""
     found: list[Move | Needs] = [effect for effect in effects if type(effect) in _WORKED_ON]  # type: ignore[misc]
     names = [effect.labware for effect in found if effect.labware]
     lids: list[Unlid | Relid] = [e for e in found if type(e) in _LIDS and e.labware]  # type: ignore[misc]

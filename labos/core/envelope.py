@@ -1,8 +1,8 @@
-"""What surrounds every event, and the chain that ties one to the next.
+"""The envelope of every event, and the chain that connects each event with the next.
 
-``hash = SHA-256(previous hash ‖ envelope bytes)``. The envelope names the payload by its
-digest, so the chain covers payloads too. Bytes are kept as they were hashed and are never
-serialised again to verify them.
+``hash = SHA-256(previous hash ‖ envelope bytes)``. The envelope names the payload by its digest, so the chain
+covers payloads too. The stored bytes are the bytes that were hashed; they are never serialised again for
+verification.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ GENESIS = bytes(32)
 """The hash before position 1."""
 
 MAX_PAYLOAD_BYTES = 64 * 1024
-"""What is larger belongs into a blob."""
+"""Larger data is stored as a blob."""
 
 
 class Envelope(msgspec.Struct, frozen=True):
-    """Who, when, where in the log; ``recorded_at`` in UTC nanoseconds, never going back."""
+    """The data of a record around its payload: position, actor, time, causes. ``recorded_at`` is in UTC
+    nanoseconds and never decreases."""
 
     lab: str
     position: int
@@ -39,8 +40,9 @@ class Envelope(msgspec.Struct, frozen=True):
 
 
 class Record(msgspec.Struct, frozen=True):
-    """One line of the log as it is stored: the envelope, its exact bytes, payload and hash. ``words`` are to
-    be written beside it; of a record that was read they are not known (``words_of`` of a store)."""
+    """One record of the log as it is stored: the envelope, its exact bytes, payload and hash. ``words`` are
+    the texts to be written beside it. A record that was read does not have them (see ``words_of`` of a
+    store)."""
 
     head: Envelope
     envelope: bytes
@@ -54,8 +56,8 @@ _decode_envelope = msgspec.json.Decoder(Envelope).decode
 
 
 def seal(previous_hash: bytes, head: Envelope, payload: bytes) -> Record:
-    """Close an envelope over its payload and chain it to the record before. Raises ValueError for a NUL
-    character in one of its texts, which PostgreSQL cannot keep."""
+    """Complete an envelope with its payload and chain it to the record before. Raises ValueError for a NUL
+    character in one of its texts, which PostgreSQL cannot store."""
     envelope = _encode_envelope(head)
     if b"\\u0000" in envelope and any("\0" in str(text) for text in msgspec.structs.astuple(head)):
         raise ValueError("A name, an actor or a stream holds a NUL character and cannot be recorded.")
@@ -63,7 +65,7 @@ def seal(previous_hash: bytes, head: Envelope, payload: bytes) -> Record:
 
 
 class Folded(msgspec.Struct, frozen=True, gc=False):
-    """What a fold needs of an envelope."""
+    """The fields of an envelope that a fold needs."""
 
     lab: str
     position: int
@@ -74,11 +76,11 @@ class Folded(msgspec.Struct, frozen=True, gc=False):
 
 
 decode_folded = msgspec.json.Decoder(Folded).decode
-"""The part of an envelope that is folded; a fraction of the whole envelope's cost."""
+"""Decodes only the folded part of an envelope, which is much faster than the whole."""
 
 
 def find_damage(previous_hash: bytes, record: Record) -> str:
-    """What is wrong with a stored record, in one sentence; empty if nothing is."""
+    """The damage of a stored record, in one sentence; empty if there is none."""
     if hashlib.sha256(previous_hash + record.envelope).digest() != record.hash:
         return "the hash does not follow from the record before"
     try:

@@ -1,4 +1,5 @@
-"""Erasing words: that it was done is in the log, what was erased is gone from beside it."""
+"""Erasing words: the log records the erasure; the words themselves are deleted from their storage beside the
+log."""
 
 from __future__ import annotations
 
@@ -18,13 +19,13 @@ REASONS = {
     "retention": "its retention period has ended",
     "order": "a court or an authority ordered it",
 }
-"""Why words may be erased, by code. A text would be words again."""
+"""The reasons for erasing words, by code. A free text would be words again."""
 
 
 class ErasureEvent(Event, frozen=True):
     """``because`` is the code of a reason. The words are those of the events at the positions ``records``, or
-    all of a ``user``. ``erasure`` is the id of what waits for a second person, empty if nobody was waited
-    for."""
+    all words of a ``user``. ``erasure`` is the id of the request that waited for a second person; empty if
+    there was none."""
 
     erasure: str
 
@@ -34,7 +35,7 @@ class ErasureEvent(Event, frozen=True):
 
 @event("words.erasure_asked")
 class ErasureAsked(ErasureEvent, frozen=True):
-    """Somebody asks for words to be erased. By the lab's policy, a second person has to agree."""
+    """A user requests an erasure of words. By the lab's policy, a second person has to agree."""
 
     because: str
     by: str
@@ -67,8 +68,8 @@ class WordsErased(ErasureEvent, frozen=True):
 
 
 def list_references_in_words(kind: str, payload: bytes) -> list[str]:
-    """The references in those fields of a stored event in which people's words stand: what a name or a value
-    says is none, whatever it looks like."""
+    """The references in those fields of a stored event that hold people's words. A name or a value is never a
+    reference, even if it looks like one."""
     event = TYPES.get(kind)
     if event is None or not list_references(payload):
         return []
@@ -78,7 +79,7 @@ def list_references_in_words(kind: str, payload: bytes) -> list[str]:
 
 
 class Erasure(msgspec.Struct):
-    """What waits for a second person since ``asked_at`` (UTC ns)."""
+    """An erasure that waits for a second person since ``asked_at`` (UTC ns)."""
 
     because: str
     by: str
@@ -88,7 +89,7 @@ class Erasure(msgspec.Struct):
 
 
 class Erasures(msgspec.Struct):
-    """``open`` is what waits, by its id; ``asked`` counts what has ever waited."""
+    """``open`` are the waiting erasures by id; ``asked`` counts all erasures that have ever waited."""
 
     open: dict[str, Erasure] = {}
     asked: int = 0

@@ -1,4 +1,4 @@
-"""What happens to an experiment, one execution of an application."""
+"""The events of an experiment, one execution of an application."""
 
 from __future__ import annotations
 

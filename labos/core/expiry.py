@@ -1,8 +1,7 @@
-"""What is past its date is not used, unless the workcell says that it may be.
+"""Resources after their expiry date are not used, unless the workcell allows it.
 
-A pack is good through the day that it bears (``2027-05-31``, by UTC). What an action uses comes from
-the oldest packs first, so an old one that is past its date keeps the fresh ones behind it from being
-used: somebody has to take it out.
+A pack may be used through its last day (``2027-05-31``, by UTC). An action uses the oldest packs first. So an
+old pack after its expiry date keeps newer packs from being used: a person has to take it out.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 
 DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])")
-"""A day as packs bear it."""
+"""A date as packs show it."""
 
 WARN = "warn"
-"""What a module's ``expired`` says where old packs may be used all the same."""
+"""The value of a module's ``expired`` that allows the use of old packs."""
 
 
 def check_in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
-    """Whether what a step uses up is not past its date; of a run that is still to be let in, what all
-    its steps use up: it would stop half-way."""
+    """Check that the packs for a step are not after their expiry date. For a run that has not started, the
+    packs for all its steps are checked: otherwise it would stop half-way."""
     amounts: dict[tuple[ModuleName, str], float] = {}
     if run.has_started:
         for effect in step.effects:
@@ -50,7 +49,7 @@ def check_in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> W
 
 
 def find_first_expired(level: Level, amount: float, today: str) -> Lot | None:
-    """The first pack past its date among those that an amount comes from."""
+    """The first pack after its expiry date among the packs from which an amount is taken."""
     for lot in level.lots:
         if amount <= 0:
             return None

@@ -1,8 +1,8 @@
 """Conditions that people write in workflows: ``result.od > 0.1 and payload.kind in ["a", "b"]``.
 
-A small language of its own: comparisons, ``and`` ``or`` ``not``, ``+ - * /``, ``in``, the functions
-``abs min max len``, numbers, texts, lists, and names that lead into given tables. Nothing of Python
-is run. Whatever is wrong, and however odd the text, the only error is ``ExpressionError``.
+A small language: comparisons, ``and`` ``or`` ``not``, ``+ - * /``, ``in``, the functions ``abs min max len``,
+numbers, texts, lists, and names that refer to values in given tables. No Python code is executed. For any
+text and any fault, the only error is ``ExpressionError``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any
 from labos.errors import BadInput
 
 LONGEST = 1000
-"""Characters of an expression."""
+"""The most characters of an expression."""
 
 DEEPEST = 24
-"""Brackets and operators inside each other."""
+"""The most levels of brackets and operators."""
 
 LARGEST = 2**63 - 1
-"""The largest whole number that may be written: everybody who reads a log can hold it."""
+"""The largest whole number that an expression may contain: every reader of a log can store it."""
 
 Name = tuple[str | int, ...]
 """``result.od[0]`` as ``("result", "od", 0)``."""
@@ -35,7 +35,7 @@ Tree = tuple[Any, ...]
 
 
 class ExpressionError(BadInput):
-    """A condition cannot be read or decided."""
+    """A condition cannot be parsed or evaluated."""
 
 
 _TOKEN = re.compile(
@@ -91,7 +91,7 @@ def _iterate_names(tree: Tree) -> Iterator[Name]:
 
 
 class _Reader:
-    """Descends through the grammar, one token ahead."""
+    """A recursive descent parser with one token of look-ahead."""
 
     def __init__(self, text: str) -> None:
         self.text, self.at, self.kind, self.token = text, 0, "", ""
@@ -119,7 +119,7 @@ class _Reader:
         )
 
     def take_sign(self, *signs: str) -> str:
-        """The sign, if it is one of these; the reader then stands behind it."""
+        """The next sign, if it is one of ``signs``; the reader then moves past it. Otherwise empty."""
         if self.kind == "sign" and self.token in signs:
             sign = self.token
             self._advance()
@@ -252,8 +252,8 @@ class _Reader:
 
 
 def evaluate(tree: Tree, tables: Mapping[str, Any]) -> Any:
-    """What an expression amounts to. ``tables`` holds what names lead into, by their first word.
-    Raises ExpressionError."""
+    """The value of an expression. ``tables`` holds the values of names, by the first word of the name. Raises
+    ExpressionError."""
     try:
         return _evaluate_tree(tree, tables)
     except (OverflowError, RecursionError, ValueError):
@@ -333,12 +333,12 @@ def _compare(sign: str, left: Any, right: Any) -> bool:
 
 
 def _is_same(left: Any, right: Any) -> bool:
-    """Equal, where true is not 1."""
+    """Whether two values are equal; true is not equal to 1."""
     return isinstance(left, bool) == isinstance(right, bool) and bool(left == right)
 
 
 def look_up(name: Name, tables: Mapping[str, Any]) -> Any:
-    """What a name leads to. Raises ExpressionError."""
+    """The value of a name. Raises ExpressionError."""
     found: Any = tables
     for number, part in enumerate(name):
         try:

@@ -1,8 +1,8 @@
-"""Which modules keep failing: what went wrong on each of them since it was last put into service.
+"""The failures of each module since it was last put into service.
 
-A failure is an action that failed or whose end nobody knows, and a node that was lost. What a workflow
-tries again counts when its tries are used up; a node that is gone with its kernel, or was told to end, has
-not failed, and neither has a person who cannot do planned work.
+A failure is a failed action, an action with an unknown outcome, or a lost node. An action that the workflow
+retries counts only after its last retry. These are no failures: a node that ended with its kernel, a node
+that LabOS ended, and a person who cannot do planned work.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from labos.core.topics import DeviceWaits, PlannedWork
 FAILURES_KEPT = 50
 
 LONGEST = 200
-"""Characters of what is kept of a failure."""
+"""The most characters that are kept of a failure's description."""
 
 SUSPICIOUS = (ActionFailed, ActionUnknown, NodeLeft)
-"""Events after which a module may have failed once too often."""
+"""Events after which the number of a module's failures is checked."""
 
 
 def list_failures_since(module: Module, at: int) -> list[Failure]:
@@ -70,7 +70,7 @@ def fold_intervention_requested(modules: Modules, event: InterventionRequested, 
 
 
 def _note_failure(module: Module, failure: Failure) -> None:
-    """One more, unless it is what became of an action that was lost with its node."""
+    """Add a failure, unless it is the outcome of an action that was lost with its node."""
     told = {action for known in module.failures for action in known.actions}
     if module.person or told.intersection(failure.actions):
         return

@@ -85,12 +85,12 @@ _STREAM_ENDS: dict[type[Event], str] = {
     CampaignCompleted: "campaign",
     LabwareRemoved: "labware",
 }
-"""Events that end a stream, and the field that names it: nothing may follow them there."""
+"""Events that end a stream, with the field that names the stream: no event may follow in it."""
 
 
 def _learn(state: LabState, event: ActionSucceeded, at: int) -> None:
-    """How long an action has taken, before it is forgotten. One for which its module was set up first tells
-    nothing: what is learned counts without set-ups."""
+    """Learn the duration of an action before its record is deleted. An action with a set-up before it is not
+    used: learned durations are without set-ups."""
     action, run = state.actions.open.get(event.action), state.runs.active.get(event.run)
     if action is not None and run is not None:
         step = state.runs.plan_of(run).steps[event.step]
@@ -100,14 +100,14 @@ def _learn(state: LabState, event: ActionSucceeded, at: int) -> None:
 
 
 def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> None:
-    """Take in one event. Raises KeyError or ValueError if it contradicts the state: such an
-    event must never have been written."""
+    """Apply one event to the state. Raises KeyError or ValueError if it contradicts the state: such an event
+    must never have been written."""
     kind = type(event)
     if kind is ActionSucceeded:
         _learn(state, event, recorded_at)  # type: ignore[arg-type]
     for name, handler in TABLE[kind]:
         handler(getattr(state, name), event, recorded_at)
-    # These two are remembered by where they stand in the log.
+    # These two events are identified by their positions in the log.
     if kind is ActionRequested:
         actions.fold_action_requested(state.actions, event, recorded_at, position)  # type: ignore[arg-type]
     elif kind is RunSubmitted:
@@ -125,7 +125,7 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
 def evolve_slices(
     state: LabState, slices: Collection[str], event: Event, position: int, recorded_at: int
 ) -> None:
-    """Take in one event where only some slices of the state are kept."""
+    """Apply one event to a state that has only some slices."""
     for name, handler in TABLE[type(event)]:
         if name in slices:
             handler(getattr(state, name), event, recorded_at)

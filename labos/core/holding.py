@@ -1,5 +1,5 @@
-"""Which run keeps a module from others: by labware that stands there, by a hold of its plan, or by a door
-or lid left away from rest."""
+"""Which run keeps a module from others: by its labware there, by a hold of its plan, or by a door or lid that
+it left away from rest."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from labos.core.waits import list_party
 
 
 def find_other_holder(state: LabState, name: ModuleName, run: RunState) -> str:
-    """The owner who holds a module against this run: whose labware stands where it claims the
-    module, whose plan says so, or who left a door or lid away from rest. Empty if nobody does."""
+    """The owner who keeps a module from this run: by labware at a station that claims the module, by a hold
+    of a plan, or by a door or lid left away from rest. Empty if there is none."""
     return find_other_claimant(state, name, list_party(run)) or find_other_keeper(state, name, run)
 
 
 def find_other_keeper(state: LabState, name: ModuleName, run: RunState) -> str:
-    """The owner whose plan keeps the module, or who left a door or lid away from rest; empty if nobody."""
+    """The owner whose plan keeps the module, or who left a door or lid away from rest. Empty if there is
+    none."""
     return find_holder_by_plan(state, name, run) or find_door_leaver(state, name, run)
 
 
 def find_user_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
-    """The run that was let in to a station, or to its module, after this run's labware was seen to have left
-    it: another owner, or the action that is at work there. Empty if nobody was."""
+    """Labware, an owner or an action that occupies a station, or its module, after this run's labware was
+    seen to have left it. Empty if there is none."""
     station = state.bench.stations[place]
     if station.full:
         return ", ".join(station.labware) or "something on its way there"
@@ -37,8 +38,8 @@ def find_user_meanwhile(state: LabState, place: StationName, run: RunState) -> s
 
 
 def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner, ...]) -> str:
-    """Whose labware stands where it claims the module, is about to, or may be standing there; not one
-    of the allowed."""
+    """The owner of labware that claims the module: it stands at a claiming station, is on its way there, or
+    may stand there. Owners in ``allowed`` do not count."""
     bench = state.bench
     for station in bench.by_module.get(name, ()):
         place = bench.stations[station]
@@ -57,12 +58,12 @@ def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner,
 
 
 def find_holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
-    """Which other run keeps the module by its plan's word."""
+    """The other run whose plan keeps the module."""
     return next((run_owner(holder) for holder in state.runs.list_holders(name) if holder != run.id), "")
 
 
 def find_door_leaver(state: LabState, name: ModuleName, run: RunState) -> str:
-    """Which other run left a door or lid of the module away from rest."""
+    """The other run that left a door or lid of the module away from rest."""
     module = state.modules.by_name[name]
     for left in module.list_away_from_rest().values():
         if left.by != run.id and left.by in state.runs.active:

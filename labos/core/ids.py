@@ -1,4 +1,4 @@
-"""Names with a meaning, so that the type checker keeps them apart."""
+"""Types for names and ids, so that the type checker does not mix them up."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ StationName = NewType("StationName", str)
 """``workcell/module.station``: unique in the lab."""
 
 Owner = NewType("Owner", str)
-"""``run:<id>``, ``experiment:<id>``, ``user:<name>``, ``shared`` or nobody (empty)."""
+"""``run:<id>``, ``experiment:<id>``, ``user:<name>``, ``shared``, or empty for no owner."""
 
 NOBODY = Owner("")
 SHARED = Owner("shared")
@@ -38,7 +38,7 @@ def user_owner(user: str) -> Owner:
 
 
 def split_owner(owner: str) -> tuple[str, str]:
-    """The kind of an owner and its id or name: ``run``, ``experiment``, ``user``, ``shared``, or empty."""
+    """The kind of an owner (``run``, ``experiment``, ``user``, ``shared``, or empty), and its id or name."""
     kind, _, name = owner.partition(":")
     return kind, name
 

@@ -15,10 +15,10 @@ from labos.core.words import Words
 @event("intervention.requested", schema=2)
 class InterventionRequested(Event, frozen=True):
     """LabOS asks a person. ``topic`` is the subject with its details (null: of a kind that is no longer
-    used). ``kind``, ``subject``, ``labware`` and ``motions`` repeat it in fields that all kinds share: the
-    name of the kind, the id of its subject, the labware that an answer may remove, and the moves and takes of
-    unknown outcome, or the reading that contradicts the log. ``due_at`` is the time by which planned work
-    should be done (UTC ns; 0: no time)."""
+    used). ``kind``, ``subject``, ``labware`` and ``motions`` repeat it in fields that all kinds share.
+    ``kind`` is its name, ``subject`` the id of its subject, and ``labware`` the labware that an answer may
+    remove. ``motions`` are the moves and takes of unknown outcome, or the reading that contradicts the log.
+    ``due_at`` is the time by which planned work should be done (UTC ns; 0: no time)."""
 
     intervention: InterventionId
     kind: str
@@ -80,8 +80,8 @@ class Intervention(msgspec.Struct):
 
 
 class Interventions(msgspec.Struct):
-    """Those that wait for an answer, oldest first; ``named`` counts the ids given out; ``by_subject`` and
-    ``by_run`` are indexes."""
+    """``open`` are the questions that wait for an answer, oldest first. ``named`` counts the ids given out;
+    ``by_subject`` and ``by_run`` are indexes."""
 
     open: dict[InterventionId, Intervention] = {}
     named: int = 0
@@ -90,7 +90,7 @@ class Interventions(msgspec.Struct):
 
     @property
     def next_id(self) -> InterventionId:
-        """The id of the next request."""
+        """The id of the next question."""
         return InterventionId(f"I{self.named + 1}")
 
     def ask(self, topic: AnyTopic, text: str, due_at: int = 0) -> InterventionRequested:

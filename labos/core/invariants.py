@@ -1,4 +1,4 @@
-"""What must always hold. A batch of events that breaks one of these is never written."""
+"""Invariants of the state. A batch of events that breaks one of them is never written."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from labos.core.state import LabState
 
 
 def find_broken(state: LabState) -> str:
-    """The first invariant that does not hold, as a sentence; empty if all do."""
+    """The first broken invariant of the whole state, as a sentence; empty if there is none."""
     bench = state.bench
     return (
         _check_stations(state, bench.stations)
@@ -36,8 +36,8 @@ def find_broken(state: LabState) -> str:
 
 
 def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
-    """The first invariant that does not hold around what these events speak of. Cheaper than
-    ``broken``, and enough where everything held before."""
+    """The first broken invariant among the subjects of these events. It is cheaper than ``find_broken``, and
+    enough if all invariants held before."""
     bench = state.bench
     known: dict[str, dict[Any, Any]] = {
         "station": bench.stations,
@@ -77,12 +77,12 @@ _KINDS = {
     "campaign": "campaign",
     **dict.fromkeys(("station", "source", "target", "via", "stack", "where"), "station"),
 }
-"""What the fields of events name that has invariants."""
+"""The kinds of subjects that have invariants, by the fields of events that name them."""
 
 
 @cache
 def _find_subjects(kind: type[Event]) -> list[tuple[str, str]]:
-    """The fields of an event that name something with invariants, and what they name."""
+    """The fields of an event that name subjects with invariants, each with the kind of the subject."""
     names = [f.name for f in msgspec.structs.fields(kind) if getattr(f.type, "__supertype__", f.type) is str]
     return [(name, _KINDS[name]) for name in names if name in _KINDS]
 
@@ -103,7 +103,8 @@ def _check_stations(state: LabState, stations: Mapping[StationName, Station]) ->
 
 
 def _count_seen_on_the_way(state: LabState, name: StationName, station: Station) -> int:
-    """What was seen here while nobody knows how its motion ended, and is expected here too: it is one."""
+    """The number of pieces that were seen here although the outcome of their motion is unknown, and that are
+    expected here too: such a piece counts once."""
     moving = [state.bench.labware[item].moving for item in station.labware if item in state.bench.labware]
     ways = [list_arrivals(state.bench.reserved.get(ActionId(action), ())) for action in moving if action]
     return sum(name in way or name in map(state.bench.find_planned_place, way) for way in ways)
@@ -143,7 +144,7 @@ def _check_modules(state: LabState, modules: Mapping[ModuleName, Module]) -> str
 
 
 def _find_group(state: LabState, name: ActionId) -> tuple[ActionId, ...]:
-    """The actions that a device carries out in one go with this one, and this one."""
+    """All actions that a device carries out at once with this one, this one included."""
     action = state.actions.open.get(name)
     return (action.together if action is not None else ()) or (name,)
 
@@ -176,7 +177,7 @@ def _queue(state: LabState) -> str:
 
 
 def _check_indexes(state: LabState) -> str:
-    """Whether each index names what it should, and nothing else."""
+    """The first index that does not match the data; empty if all do."""
     bench, runs = state.bench, state.runs
     cells = (
         ("actions", state.actions.in_cell, {n: workcell_of(a.module) for n, a in state.actions.open.items()}),

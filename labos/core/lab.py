@@ -96,8 +96,8 @@ class AccessEnded(Event, frozen=True):
 WHOLE_LAB = "*"
 
 LEAP = 16
-"""A log that was put back goes on with an epoch so far above its last one, at the least; kernels that
-follow one another count by one."""
+"""After a restore, the epoch is at least this much above the last one of the log. Kernels that follow one
+another increase it by one."""
 
 
 @event("starts.paused")
@@ -124,7 +124,7 @@ class StartsResumed(Event, frozen=True):
 
 
 class Pause(msgspec.Struct):
-    """Who lets nothing start, since when (UTC ns)."""
+    """A user who stopped all starts of a target, and when (UTC ns)."""
 
     by: str
     why: str
@@ -132,7 +132,7 @@ class Pause(msgspec.Struct):
 
 
 class Access(msgspec.Struct):
-    """A person who reaches into a workcell, or waits to."""
+    """A person who has access to a workcell, or waits for it."""
 
     by: str
     why: str
@@ -142,10 +142,10 @@ class Access(msgspec.Struct):
 
 
 class Lab(msgspec.Struct):
-    """``workcells`` maps names to digests of the applied files, ``access`` names those into which
-    a person reaches; of ``paused`` experiments, modules and workcells nothing is started. ``labware``
-    are the labware types that a workcell's files define, by workcell and type; ``transfers`` are the ways of
-    those that name no module, by workcell."""
+    """``workcells`` maps names to digests of the applied files. ``access`` has the workcells with a person's
+    access. ``paused`` has the experiments, modules and workcells whose starts are paused. ``labware`` are the
+    labware types that a workcell's files define, by workcell and type. ``transfers`` are the ways for
+    transfers without a module, by workcell."""
 
     id: LabId = LabId("")
     name: str = ""

@@ -1,4 +1,4 @@
-"""What can happen to labware and to the stations where it stands: the events of the bench."""
+"""The events of labware and of its stations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labos.core.words import Words
 
 
 class LabwareEvent(Event, frozen=True):
-    """``run`` is the run in whose course it happened, if any."""
+    """``run`` is the run to which the event belongs, if any."""
 
     labware: LabwareId
     run: str
@@ -35,7 +35,7 @@ class StationDeclared(Event, frozen=True):
 
 @event("station.emptied")
 class WasteEmptied(Event, frozen=True):
-    """Somebody emptied a waste station, so that all its room is free again. This event is no longer written;
+    """A person emptied a waste station, so all its room is free again. This event is no longer written;
     `station.unloaded` has replaced it."""
 
     station: StationName

@@ -1,8 +1,8 @@
-"""The way out of a cancelled run: which of the steps under ``on_cancel`` are needed from where it stands.
+"""The ``on_cancel`` steps of a cancelled run: which of them its present state needs.
 
-The steps are gone through in their order. One that takes or needs labware is done if labware of the run
-stands there by then; one that does not, if labware of the run stands on its module, or if the run left a
-door or lid of it away from rest. What would change nothing is left out.
+The steps are checked in their order. A step that takes or needs labware is needed if labware of the run
+stands there at that time. Any other step is needed if labware of the run stands on its module, or if the run
+left a door or lid of the module away from rest. Steps without any effect are left out.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from labos.core.state import LabState
 
 
 class BenchOfRun(msgspec.Struct):
-    """What of the bench concerns one run: where its labware stands (how much), whose stations these are,
-    how doors and lids of modules stand and how at rest, and of which modules the run has left them away
-    from it."""
+    """The parts of the bench that concern one run. These are the amount of its labware at each station, the
+    modules of the stations, and the present and rest values of doors and lids. ``BenchOfRun`` also has the
+    modules whose doors or lids the run left away from rest."""
 
     standing: Counter[StationName]
     owner: Mapping[StationName, ModuleName]
@@ -46,12 +46,12 @@ def list_steps_out(plan: Plan) -> list[int]:
 
 
 def will_leave(plan: Plan, run: RunState) -> bool:
-    """Whether a run that is being cancelled goes a way out as soon as nothing of it is in flight."""
+    """Whether a cancelled run carries out ``on_cancel`` steps as soon as nothing of it is in flight."""
     return run.status == RunStatus.CANCELLING and not run.why and not run.stay and bool(list_steps_out(plan))
 
 
 def find_way_out(plan: Plan, scene: BenchOfRun) -> tuple[int, ...]:
-    """The steps that lead out from a scene, which is changed to what they leave."""
+    """The needed ``on_cancel`` steps for a scene. The scene is changed to the state after them."""
     found = []
     for index in sort_steps(plan, list_steps_out(plan)):
         step = plan.steps[index]
@@ -62,7 +62,7 @@ def find_way_out(plan: Plan, scene: BenchOfRun) -> tuple[int, ...]:
 
 
 def is_needed(step: PlanStep, scene: BenchOfRun) -> bool:
-    """Whether a step of a way out finds something to do."""
+    """Whether an ``on_cancel`` step has an effect on a scene."""
     for what in list_carried(step.effects):
         if what.stands:
             return all(scene.standing[place] > 0 for place in what.stands)
@@ -83,7 +83,7 @@ def is_needed(step: PlanStep, scene: BenchOfRun) -> bool:
 
 
 def carry_out(step: PlanStep, scene: BenchOfRun) -> None:
-    """Make a scene what a step leaves."""
+    """Change a scene to the state after a step."""
     for what in list_carried(step.effects):
         carry(scene, what)
     doors = compute_settings_after(step.effects).variables
@@ -95,7 +95,7 @@ def carry_out(step: PlanStep, scene: BenchOfRun) -> None:
 
 
 def find_bench_of_run(state: LabState, run: RunState) -> BenchOfRun:
-    """What a run finds on the bench."""
+    """The parts of the bench that concern a run."""
     scene = look_at(state, state.runs.plan_of(run).workcell, run_owner(run.id))
     scene.left = {
         name
@@ -106,7 +106,7 @@ def find_bench_of_run(state: LabState, run: RunState) -> BenchOfRun:
 
 
 def look_at(state: LabState, cell: str, owner: Owner) -> BenchOfRun:
-    """What somebody's labware finds in a workcell."""
+    """The parts of the bench of a workcell that concern an owner's labware."""
     places = [item.station for item in state.bench.list_owned(owner) if item.station]
     modules = state.modules.list_in_cell(cell)
     return BenchOfRun(
@@ -119,5 +119,5 @@ def look_at(state: LabState, cell: str, owner: Owner) -> BenchOfRun:
 
 
 def has_lost_labware(state: LabState, run: RunState) -> bool:
-    """Whether nobody knows where some of a run's labware is."""
+    """Whether the place of some of a run's labware is unknown."""
     return any(item.maybe for item in state.bench.list_owned(run_owner(run.id)))

@@ -1,7 +1,7 @@
-"""How long actions take: what the log tells of their last times, by module, action and arguments.
+"""Learned durations of actions, from their last executions in the log, by module, action and arguments.
 
-A part of the state, so that every process that folds the same log plans with the same numbers. It only says
-what to expect: nothing that must hold rests on it."""
+They are a part of the state, so every process that folds the same log plans with the same numbers. They are
+only estimates: no invariant and no rule depends on them."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from labos.core.ids import ModuleName
 from labos.core.model import PlanStep
 
 KEPT = 20
-"""The last times that are kept of each kind of action."""
+"""The number of last durations that are kept of each kind of action."""
 
 KINDS = 1_000
-"""Kinds of actions that are kept: those that were carried out last."""
+"""The most kinds of actions that are kept; those carried out last stay."""
 
 ENOUGH = 3
-"""From so many times on, the learned duration is used in place of the driver's nominal one."""
+"""From this number of durations on, the learned duration replaces the driver's nominal one."""
 
 OUTLIER = 2.0
-"""A time of more than so many times the usual one counts as an interruption, and as exactly that much."""
+"""A duration of more than this many times the usual one counts as an interruption. It is stored as exactly
+this multiple."""
 
 SHARED = 4096
 
 
 class Times(msgspec.Struct, array_like=True):
-    """The last times of a kind of action, oldest first; the shortest, usual and longest of them. Of an action
-    with the same arguments in ns of wall time, else in millionths of what was planned; ``planned`` (ns of
-    wall time) is kept of the latter."""
+    """The last durations of a kind of action, oldest first, with the shortest, usual and longest of them. For
+    actions with the same arguments they are in ns of wall time. For actions with different arguments they are
+    in millionths of the planned duration; then ``planned`` has the planned durations (ns of wall time)."""
 
     took: list[int] = []
     planned: list[int] = []
@@ -55,7 +56,7 @@ class Times(msgspec.Struct, array_like=True):
 
 
 class Length(msgspec.Struct, frozen=True):
-    """How long a step takes: shortest, usual and longest (ns of wall time)."""
+    """The shortest, usual and longest duration of a step (ns of wall time)."""
 
     low: int
     usual: int
@@ -63,13 +64,14 @@ class Length(msgspec.Struct, frozen=True):
 
 
 class Lengths(msgspec.Struct):
-    """Times by kind: of a module's action with its arguments, and of the action with any (``make_kind``)."""
+    """Durations by kind: of a module's action with its arguments, and of the action with any arguments
+    (``make_kind``)."""
 
     by_kind: dict[str, Times] = {}
 
     def estimate(self, step: PlanStep, pace: float) -> Length | None:
-        """How long steps like this have taken, if there were enough: with the same arguments; else with
-        others, as part of what was planned."""
+        """The learned duration of a step; None if there are too few. Durations with the same arguments are
+        preferred; otherwise those with other arguments are used, relative to the planned duration."""
         times, is_part = self.find_times(step)
         if times is None:
             return None
@@ -79,8 +81,8 @@ class Lengths(msgspec.Struct):
         return Length(*(int(part * planned) for part in (times.low, times.usual, times.high)))
 
     def find_times(self, step: PlanStep) -> tuple[Times | None, bool]:
-        """The times of steps like this if there were enough, and whether they are parts of what was planned:
-        those of other arguments."""
+        """The durations for a step, if there are enough, and whether they are relative to the planned
+        duration (durations with other arguments)."""
         if not self.by_kind:
             return None, False
         fine = self.by_kind.get(make_kind(step))
@@ -91,8 +93,8 @@ class Lengths(msgspec.Struct):
 
 
 class Drift(msgspec.Struct, frozen=True):
-    """An action that takes a quarter more or less than planned, and differs by more than a second. Both are
-    medians of its last times (at most ``KEPT``), in lab seconds: what it took and what was planned for it."""
+    """An action that takes a quarter more or less than planned, and differs by more than a second. Both
+    durations are medians of its last times (at most ``KEPT``), in lab seconds."""
 
     module: ModuleName
     action: str
@@ -140,12 +142,12 @@ def find_drifts(lengths: Lengths, pace: float) -> list[Drift]:
 
 
 _kinds: dict[int, tuple[PlanStep, str]] = {}
-"""Kinds by the step itself, which is kept so that no other takes its number."""
+"""Kinds by the ids of step objects. The step is kept too, so that its id is not reused."""
 
 
 def make_kind(step: PlanStep) -> str:
-    """The kind of a step: its module, action and arguments, as they stand in its plan, numbers with two
-    digits; and how long it should take."""
+    """The kind of a step: its module, action and arguments as in its plan, with numbers of two digits, and
+    its planned duration."""
     known = _kinds.get(id(step))
     if known is not None:
         return known[1]

@@ -1,7 +1,7 @@
-"""Which event takes a run, a step, an action, a node or labware from which status to which.
+"""State machines: which event changes the status of a run, a step, an action, a node or labware.
 
-The fold does it (``labos.core.fold``); these tables say it in one place, for the reference. Tests hold them
-against what the fold makes of logs: nothing happens that is not here.
+The fold makes these changes (``labos.core.fold``); these tables collect them for the reference pages. Tests
+compare them with the folds of logs: no other change ever happens.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from labos.core.runs import (
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
 
 NOT_THERE = ""
-"""Before it is known to the lab, and after its end."""
+"""The status before something is known to the lab, and after its end."""
 
 AT_REST, IN_USE, UNCERTAIN = "at rest", "in use", "uncertain"
-"""Labware that stands somewhere, that an action works with, or whose place nobody knows."""
+"""Labware that stands at a station, that an action works with, or whose place is unknown."""
 
 
 class Transition(msgspec.Struct, frozen=True):
-    """An event, the statuses in which it may find something, and the one in which it leaves it."""
+    """An event, the possible statuses before it, and the status after it."""
 
     event: type[Event]
     before: tuple[str, ...]
@@ -64,7 +64,7 @@ RUN = (
     Transition(RunStarted, (_Q,), _A),
     Transition(RunCancelling, (_A, _L), _C),
     Transition(RunLeaving, (_C,), _L),
-    Transition(RunCompleted, (_A, _C), NOT_THERE),  # a completion wins the race
+    Transition(RunCompleted, (_A, _C), NOT_THERE),  # A completion takes precedence over a cancellation.
     Transition(RunFailed, (_Q, _A, _C, _L), NOT_THERE),
     Transition(RunCancelled, (_Q, _A, _C, _L), NOT_THERE),
 )
@@ -132,7 +132,7 @@ MACHINES: dict[str, tuple[Transition, ...]] = {
 
 
 def list_arrows(rows: tuple[Transition, ...]) -> Iterator[tuple[str, str, str]]:
-    """Event type, status before and status after, of each change."""
+    """Event type, status before and status after, for each change."""
     for row in rows:
         for before in row.before:
             if before != row.after:

@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Sequence
 
 Range = tuple[int, int]
-"""The leaves from the first number on, up to but without the second."""
+"""A range of leaves: from the first number up to, but without, the second."""
 
 EMPTY_ROOT = hashlib.sha256().digest()
 """The root of a tree without leaves."""
@@ -26,18 +26,18 @@ def hash_node(left: bytes, right: bytes) -> bytes:
 
 
 class Edge:
-    """The right edge of a tree: the hashes of its perfect subtrees, the largest first. All that is needed to
-    add leaves and to know the root: at most 64 hashes, however long the log is."""
+    """The right edge of a tree: the hashes of its perfect subtrees, the largest first. It is enough to add
+    leaves and to compute the root, and has at most 64 hashes for a log of any length."""
 
     def __init__(self, size: int = 0, hashes: Sequence[bytes] = ()) -> None:
-        """Raises ValueError if these cannot be the hashes of a tree of that size."""
+        """Raises ValueError if these hashes do not fit a tree of that size."""
         if size < 0 or len(hashes) != size.bit_count() or any(len(each) != 32 for each in hashes):
             raise ValueError(f"a tree of {size} leaves has no such right edge")
         self.size = size
         self.hashes = list(hashes)
 
     def add(self, leaf: bytes) -> None:
-        """Add a leaf by its hash."""
+        """Add a leaf, given by its hash."""
         found, size = leaf, self.size
         while size & 1:
             found = hash_node(self.hashes.pop(), found)
@@ -75,7 +75,7 @@ def compute_root(leaves: Iterable[bytes]) -> bytes:
 
 
 class Tree:
-    """All hashes of a tree, for many proofs about it: 64 bytes a leaf."""
+    """All hashes of a tree, for many proofs about it: 64 bytes per leaf."""
 
     def __init__(self, leaves: Iterable[bytes]) -> None:
         self._levels = [list(leaves)]
@@ -98,7 +98,7 @@ class Tree:
         return hash_node(self.hash_of((start, middle)), self.hash_of((middle, end)))
 
     def compute_root(self, size: int | None = None) -> bytes:
-        """The root, also of an earlier size."""
+        """The root of the tree, or of its first ``size`` leaves."""
         return self.hash_of((0, self.size if size is None else size))
 
 
@@ -106,7 +106,8 @@ class Tree:
 
 
 def list_inclusion_ranges(index: int, size: int) -> list[Range]:
-    """The nodes whose hashes prove that a leaf is in a tree (PATH). Raises ValueError if it is not."""
+    """The nodes whose hashes prove that a leaf is in a tree (PATH). Raises ValueError if the tree has no such
+    leaf."""
     if not 0 <= index < size:
         raise ValueError(f"a tree of {size} leaves has no leaf {index}")
     found: list[Range] = []
@@ -123,8 +124,8 @@ def list_inclusion_ranges(index: int, size: int) -> list[Range]:
 
 
 def list_consistency_ranges(old: int, size: int) -> list[Range]:
-    """The nodes whose hashes prove that a tree begins with the one of ``old`` leaves (PROOF). Raises
-    ValueError if it is smaller."""
+    """The nodes whose hashes prove that a tree begins with the tree of ``old`` leaves (PROOF). Raises
+    ValueError if the tree is smaller."""
     if not 0 <= old <= size:
         raise ValueError(f"a tree of {size} leaves does not begin with one of {old}")
     if old in (0, size):
@@ -149,8 +150,8 @@ def make_proof(ranges: Iterable[Range], hash_of: Callable[[Range], bytes]) -> li
 
 
 def make_growth_proof(old: Edge, added: Sequence[bytes]) -> list[bytes]:
-    """The consistency proof from a tree to the one with more leaves, although nothing but its right edge
-    and the hashes of the new leaves is known."""
+    """The consistency proof from a tree to a larger one. It needs only the right edge of the old tree and the
+    hashes of the new leaves."""
     known = dict(zip(old.list_ranges(), old.hashes, strict=True))
 
     def hash_of(leaves: Range) -> bytes:
@@ -161,7 +162,7 @@ def make_growth_proof(old: Edge, added: Sequence[bytes]) -> list[bytes]:
 
 
 def is_included(leaf: bytes, index: int, size: int, root: bytes, proof: Sequence[bytes]) -> bool:
-    """Whether a proof shows that the leaf with this hash stands at ``index`` of the tree."""
+    """Whether a proof shows that the leaf with this hash is at ``index`` of the tree."""
     if not 0 <= index < size:
         return False
     ranges = list_inclusion_ranges(index, size)
@@ -185,7 +186,7 @@ def is_consistent(old: int, old_root: bytes, size: int, root: bytes, proof: Sequ
     if len(proof) != len(ranges):
         return False
     rest = list(zip(ranges, proof, strict=True))
-    if ranges[0][1] == old:  # the part that both trees share is given, else it is the old tree itself
+    if ranges[0][1] == old:  # The part that both trees share is given; otherwise it is the old tree itself.
         first, rest = rest[0][1], rest[1:]
     else:
         first = old_root
@@ -199,5 +200,5 @@ def is_consistent(old: int, old_root: bytes, size: int, root: bytes, proof: Sequ
 
 
 def _split(width: int) -> int:
-    """The largest power of two below a width."""
+    """The largest power of two that is smaller than a width."""
     return 1 << (width - 1).bit_length() - 1

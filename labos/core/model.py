@@ -14,7 +14,7 @@ from labos.core.setups import Setup
 StationKind = Literal["nest", "stack", "hotel", "deck", "exchange", "waste", "gripper"]
 
 Verify = Literal["always", "on_doubt", "never"]
-"""When the observer of a station looks whether a motion did what its module says."""
+"""When the observer of a station checks whether a motion had the effect that its module reports."""
 
 
 class WellGrid(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,28 +83,29 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return labware_type not in self.refuses and (not self.accepts or labware_type in self.accepts)
 
     def explain_refusal(self, labware_type: str) -> str:
-        """Why labware of a type may not stand here, to go on after the station's name."""
+        """Why labware of a type may not stand here, as the end of a sentence that begins with the station's
+        name."""
         if labware_type in self.refuses:
             return f"does not accept {labware_type}: one may not stand upon another"
         return f"does not accept {labware_type}; it accepts {', '.join(self.accepts)}"
 
     @property
     def watched(self) -> bool:
-        """Whether somebody can be asked what stands here."""
+        """Whether the station has an observer that LabOS may ask."""
         return bool(self.observer) and self.verify != "never"
 
     def list_grips(self, arm: ModuleName, labware_type: str) -> tuple[str, ...]:
-        """The grips that a manipulator can use here on labware of a type; none named: any."""
+        """The grips that a manipulator can use here on labware of a type. Empty: any."""
         return self.reach_of.get(labware_type, {}).get(arm, self.reach.get(arm, ()))
 
     @property
     def is_storage(self) -> bool:
-        """Whether labware may wait here without keeping a module from others."""
+        """Whether labware may wait here without keeping the module from other runs."""
         return self.kind in ("stack", "hotel", "waste")
 
     @property
     def stands_apart(self) -> bool:
-        """Whether an arm may reach in whatever the module does: storage that no door shuts off."""
+        """Whether an arm may reach in at any time, independently of the module: storage without a door."""
         return self.is_storage and not self.access
 
 
@@ -172,9 +173,9 @@ class TransferWay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Workcell(msgspec.Struct, frozen=True):
-    """Modules and stations in fixed positions, as they were applied; ``digest`` of the file, and of the
-    files that it names; ``labware`` are the types that the lab has defined for it, ``transfers`` the ways
-    that a transfer without a module may take (none: whatever its modules can)."""
+    """Modules and stations in fixed positions, as they were applied. ``digest`` covers the file and the files
+    that it names. ``labware`` are the lab's own types for it. ``transfers`` are the possible ways of a
+    transfer without a module (empty: all transfers of its modules)."""
 
     name: str
     digest: str
@@ -185,14 +186,16 @@ class Workcell(msgspec.Struct, frozen=True):
 
     @property
     def places(self) -> tuple[StationSpec, ...]:
-        """The stations at which labware stands: of a hotel with shelves, its shelves and not itself."""
+        """The stations at which labware can stand: for a hotel with shelves, its shelves but not the hotel
+        itself."""
         hotels = {station.hotel for station in self.stations}
         return tuple(station for station in self.stations if station.name not in hotels)
 
 
 LABWARE_TYPE, PLATE_TYPE = "labware_type", "plate_type"
-"""Arguments by which an arm is told what it carries, and what the plate is whose lid it carries: the lab
-fills them in where an action has them and a step says nothing. Poses may differ by them."""
+"""Names of arguments for the type of the labware that an arm carries, and for the type of the plate whose lid
+it carries. The lab fills them in if an action has them and the step does not set them. Poses may depend on
+them."""
 
 
 class Arg(msgspec.Struct, frozen=True):
@@ -212,13 +215,13 @@ class Arg(msgspec.Struct, frozen=True):
 
 
 class ActionSpec(msgspec.Struct, frozen=True):
-    """What a module offers. ``duration_s`` is nominal; ``exclusive`` actions occupy the module,
-    pure queries do not. One that ``recovers`` may start while the module is in error, and its
-    success ends the error. What is done ``by_person`` ends when a person says so. ``returns`` is the result
-    of a module that is simulated by its description alone. ``dangerous`` names what may hurt or cannot be
-    undone (laser, hot, irreversible …); empty for most. ``duration_from`` is where the duration is found if
-    arguments or the file that an action runs decide it: ``{seconds}``, ``20 + {minutes}`` (in the unit of the
-    argument), ``{file:protocol:resources.seconds}``."""
+    """An action that a module offers. ``duration_s`` is nominal. ``exclusive`` actions occupy the module;
+    pure queries do not. An action that ``recovers`` may start while the module is in error, and its success
+    ends the error. An action ``by_person`` ends when a person reports its end. ``returns`` is the result of a
+    module that is simulated from its description alone. ``dangerous`` names a danger, or an effect that
+    cannot be undone (laser, hot, irreversible …); empty for most. ``duration_from`` is the source of the
+    duration if arguments or the file of the action determine it: ``{seconds}``, ``20 + {minutes}`` (in the
+    unit of the argument), ``{file:protocol:resources.seconds}``."""
 
     name: str
     description: str = ""
@@ -238,7 +241,7 @@ class ActionSpec(msgspec.Struct, frozen=True):
 
 
 class Station(msgspec.Struct, frozen=True):
-    """A station as a driver describes it, before it stands in a workcell; ``name`` is local."""
+    """A station in a driver's description, independent of any workcell; ``name`` is local."""
 
     name: str
     kind: StationKind = "nest"
@@ -249,8 +252,8 @@ class Station(msgspec.Struct, frozen=True):
 
 
 class Description(msgspec.Struct, frozen=True):
-    """What a driver says of itself before any device is there: the ``about`` operation's
-    answer without the live part."""
+    """A driver's description of itself, without any device: the answer of the ``about`` operation without the
+    live part."""
 
     driver: str
     version: str
@@ -270,7 +273,7 @@ class Description(msgspec.Struct, frozen=True):
 
 
 OnBreach = Literal["continue", "fail", "ask"]
-"""What follows when a step starts too late: nothing, its run's end, a question to a person."""
+"""The consequence of a step that starts too late: nothing, the end of its run, or a question to a person."""
 
 
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
@@ -288,7 +291,7 @@ class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
 
 
 class Part(StrEnum):
-    """A part of a plan: the workflow itself, or what is done after its cancellation."""
+    """A part of a plan: the workflow itself, or the steps after a cancellation."""
 
     MAIN = "main"
     ON_CANCEL = "on_cancel"
@@ -297,11 +300,11 @@ class Part(StrEnum):
 MAIN, ON_CANCEL = Part.MAIN, Part.ON_CANCEL
 
 AnyPart = Part | int
-"""A part of a plan, or what is done when the step of this index has failed."""
+"""A part of a plan; a number is the index of the failed step after which the part is carried out."""
 
 
 def find_served_step(part: AnyPart) -> int | None:
-    """The step whose failure a part of a plan is there for; None if it is for none."""
+    """The failed step after which a part of a plan is carried out; None if there is none."""
     return part if isinstance(part, int) else None
 
 
@@ -334,13 +337,14 @@ class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
 
 
 class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``, with ``"$file": true``
-    where the action takes a file; ``after`` are indices of the steps that must be done before. If the action
-    has not ended ``timeout_s`` lab seconds after the request, its outcome counts as unknown. ``part`` says to
-    which part the step belongs: the workflow itself, the steps under ``on_cancel`` (they wait for all before
-    them, because some may be left out), or the steps after a failure of the step with that index. The step is
-    done only if ``when`` is true, and its result must fulfil ``expect``. ``hazard`` is the danger that its
-    driver declares; ``dangerous`` is the same text if a second person has to approve it."""
+    """A step, ready to run. Its arguments hold values or ``{"$result": [step, field…]}``, with ``"$file":
+    true`` where the action takes a file. ``after`` are indices of the steps that must be done before. If the
+    action has not ended ``timeout_s`` lab seconds after the request, its outcome counts as unknown. ``part``
+    is the part of the plan to which the step belongs. It is the workflow itself, the steps under
+    ``on_cancel``, or the steps after a failure of the step with that index. Steps under ``on_cancel`` wait
+    for all steps before them, because some may be left out. The step is done only if ``when`` is true, and
+    its result must fulfil ``expect``. ``hazard`` is the danger that its driver declares; ``dangerous`` is the
+    same text if a second person has to approve it."""
 
     key: str
     module: ModuleName
@@ -365,13 +369,13 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
 
     @property
     def serves(self) -> int | None:
-        """The step whose failure it is there for; None if it is for none."""
+        """The failed step after which this step is carried out; None if there is none."""
         return find_served_step(self.part)
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A run has a module to itself from the request of step ``first`` to the end of step ``last``, wherever
-    its labware is in between."""
+    """A run keeps a module exclusively from the request of step ``first`` to the end of step ``last``,
+    wherever its labware is in between."""
 
     module: ModuleName
     first: int
@@ -381,9 +385,8 @@ class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
 class Plan(msgspec.Struct, frozen=True):
     """A workflow with its payload filled in, unrolled and checked.
 
-    ``feeds`` are the indices of steps whose results later steps read. ``files`` maps names in
-    arguments to digests of the blobs they are pinned to. ``holds`` are kept beside what labware,
-    doors and lids hold by themselves.
+    ``feeds`` are the indices of steps whose results later steps read. ``files`` maps names in arguments to
+    the digests of their blobs. ``holds`` are additional to the holding by labware, doors and lids.
     """
 
     workflow: str

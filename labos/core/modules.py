@@ -1,4 +1,4 @@
-"""Modules: which node answers for them, whether they may be used, what their variables are."""
+"""Modules: which node represents them, whether they may be used, and the values of their variables."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class ModulePutBack(ModuleEvent, frozen=True):
 
 @event("module.emergency_stopped")
 class EmergencyStopped(ModuleEvent, frozen=True):
-    """Somebody stopped the module in an emergency. The event is written afterwards, as soon as the log can be
+    """A person stopped the module in an emergency. The event is written afterwards, as soon as the log can be
     written. ``stopped_at`` is the time by the node's clock (UTC ns)."""
 
     by: str
@@ -146,10 +146,10 @@ class LocationTaught(ModuleEvent, frozen=True):
 
 @event("module.calibrated")
 class ModuleCalibrated(ModuleEvent, frozen=True):
-    """Somebody recorded a calibration of the module, or of a part or quantity of it (``what``): the
-    certificate, the digest of the report (``file``), and the last day on which it is valid (``until``, such
-    as ``2027-01-01``, in UTC). It replaces the previous calibration of the same ``what``, and may correct it.
-    A field for which no value was given is empty."""
+    """A person recorded a calibration of the module, or of a part or quantity of it (``what``). The event has
+    the certificate, the digest of the report (``file``), and the last day on which the calibration is valid
+    (``until``, such as ``2027-01-01``, in UTC). It replaces the previous calibration of the same ``what``,
+    and may correct it. A field for which no value was given is empty."""
 
     by: str
     what: str = ""
@@ -160,8 +160,8 @@ class ModuleCalibrated(ModuleEvent, frozen=True):
 
 
 class Taught(msgspec.Struct):
-    """The pose that a manipulator was last taught for a station, or for a type of labware there;
-    ``proven`` by a move that succeeded since."""
+    """The last taught pose of a manipulator for a station, or for a type of labware there. ``proven``: a move
+    with it has succeeded."""
 
     pose: tuple[float, ...]
     version: int
@@ -169,8 +169,8 @@ class Taught(msgspec.Struct):
 
 
 class TaughtStation(msgspec.Struct, omit_defaults=True):
-    """What a manipulator was taught for a station: the pose for labware of any type, and poses of types for
-    which it differs."""
+    """The taught poses of a manipulator for a station: the pose for any labware, and the different poses for
+    some types."""
 
     any_type: Taught | None = None
     by_type: dict[str, Taught] = {}
@@ -182,7 +182,7 @@ def describe_stop(name: str) -> str:
 
 
 class Failure(msgspec.Struct):
-    """Something that went wrong on a module: when (UTC ns), what, and with which actions and step."""
+    """A failure of a module: its time (UTC ns), a description, and the actions and the step concerned."""
 
     at: int
     what: str
@@ -192,14 +192,14 @@ class Failure(msgspec.Struct):
 
 
 class Setpoint(msgspec.Struct):
-    """What a module is set to, and the runs that need it to stay so."""
+    """The value to which a module is set, and the runs that need this value."""
 
     value: Any
     holders: dict[str, bool] = {}
 
 
 class Variable(msgspec.Struct):
-    """What a variable of a module is at, such as its lid (None: not known), and which run changed it last,
+    """The value of a module's variable, such as its lid (None: not known), and the run that changed it last,
     for holding."""
 
     value: Any
@@ -207,9 +207,9 @@ class Variable(msgspec.Struct):
 
 
 class Flight(msgspec.Struct, omit_defaults=True):
-    """An action under way on a module. ``proving`` are the new poses that it tries slowly: stations, and
-    types if the pose is a type's own. ``setup_s`` is how much longer it takes as the module is set up for it
-    first (lab seconds)."""
+    """An action under way on a module. ``proving`` are the new poses that it tries slowly: stations, with a
+    labware type if the pose is only for this type. ``setup_s`` is the additional time for the set-up of the
+    module before it (lab seconds)."""
 
     exclusive: bool
     proving: tuple[tuple[StationName, str], ...] = ()
@@ -217,7 +217,7 @@ class Flight(msgspec.Struct, omit_defaults=True):
 
 
 class ModuleStatus(StrEnum):
-    """What a module's node says of it; ``GONE`` if nobody answers for the module."""
+    """The state that a module's node reports; ``GONE`` if no node answers."""
 
     IDLE = "IDLE"
     BUSY = "BUSY"
@@ -226,18 +226,17 @@ class ModuleStatus(StrEnum):
 
 
 class Module(msgspec.Struct):
-    """An instrument or manipulator: ``status`` as last reported. ``stopped_at`` is when it was last stopped
-    in an emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
-    zone of its own), until it is known to have come back from there. It is ``doubted`` from a failure, a
-    stop or an outcome that nobody knows until an observer has seen a motion of it end well: of ``watched``,
-    say.
-    ``failures`` are the last ones since it was put back, ``joined`` whether its node joined since the
-    kernel started, ``person`` whether it is somebody who does planned work, ``gone_at`` since when its node
-    is GONE (UTC ns), ``cut_off`` whether that was in the midst of an action: nobody knows where its device
-    has stopped. ``error_at`` is since when it says ERROR (UTC ns), ``asked`` whether a person was told that
-    an action stands still for that. ``calibrations`` are the
+    """An instrument or manipulator. ``status`` is the last reported one. ``stopped_at`` is the time of its
+    last emergency stop (UTC ns). ``reached`` are the stations of its last exclusive action (the module
+    itself, if it has a zone of its own), until it is known to have come back from there. ``doubted`` is true
+    after a failure, a stop or an unknown outcome, until an observer has confirmed a motion (the action
+    ``watched``). ``failures`` are the last ones since it was put back into service. ``joined``: its node has
+    joined since the kernel started. ``person``: it represents a person who does planned work. ``gone_at`` is
+    the time since which its node is GONE (UTC ns). ``cut_off``: the node went away during an action, so the
+    position of the device is unknown. ``error_at`` is the time since which it reports ERROR (UTC ns).
+    ``asked``: a person was asked about an action that stands still because of this. ``calibrations`` are the
     last ones, by what was calibrated. ``set_up_for`` is the value for which it is set up, or being set up, if
-    what it is set up for costs anything; None if nobody knows."""
+    its set-ups take time; None if the value is unknown."""
 
     spec: ModuleSpec
     status: ModuleStatus = ModuleStatus.GONE
@@ -268,17 +267,17 @@ class Module(msgspec.Struct):
     set_up_for: Any = None
 
     def find_value(self, variable: str) -> Any:
-        """What a variable is at; None if that is not known."""
+        """The value of a variable; None if it is not known."""
         known = self.variables.get(variable)
         return known.value if known is not None else None
 
     @property
     def values(self) -> dict[str, Any]:
-        """What its variables are at."""
+        """The values of its variables."""
         return {name: variable.value for name, variable in self.variables.items()}
 
     def list_away_from_rest(self) -> dict[str, Variable]:
-        """Doors and lids that do not stand so that others may use the module."""
+        """Doors and lids that are not in the positions at which others may use the module."""
         rest = self.spec.rest
         if not rest:
             return {}
@@ -286,8 +285,8 @@ class Module(msgspec.Struct):
         return {name: self.variables.get(name) or Variable(None) for name in list_away_from_rest(now, rest)}
 
     def find_pose(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
-        """Where the module finds a station with labware of a type (the type's own pose, or None), or
-        without."""
+        """The pose for a station with labware of a type (None if the type has no pose of its own), or without
+        a type."""
         known = self.find_taught(station, labware_type)
         if known is not None:
             return known.pose
@@ -298,12 +297,12 @@ class Module(msgspec.Struct):
         return tuple(told) if told is not None else None
 
     def list_poses(self) -> dict[str, list[float]]:
-        """Poses that it was taught for labware of any type, by the stations' local names."""
+        """Taught poses for any labware, by the stations' local names."""
         own = {station: lessons.any_type for station, lessons in self.taught.items()}
         return {local(station): list(taught.pose) for station, taught in own.items() if taught is not None}
 
     def list_poses_by_type(self) -> dict[str, dict[str, list[float]]]:
-        """Poses that differ for a labware type, by type and by the stations' local names."""
+        """Taught poses for single labware types, by type and by the stations' local names."""
         found = {kind: dict(poses) for kind, poses in self.spec.config.get("poses_of", {}).items()}
         for station, lessons in self.taught.items():
             for kind, taught in lessons.by_type.items():
@@ -311,7 +310,7 @@ class Module(msgspec.Struct):
         return found
 
     def find_taught(self, station: StationName, labware_type: str = "") -> Taught | None:
-        """What it was taught since the workcell file, of just this station and type."""
+        """The pose for exactly this station and type that was taught since the workcell file."""
         lessons = self.taught.get(station)
         if lessons is None:
             return None
@@ -324,13 +323,13 @@ class Module(msgspec.Struct):
 
     @property
     def at_rest(self) -> bool:
-        """Whether doors and lids stand so that others may use the module."""
+        """Whether doors and lids are in the positions at which others may use the module."""
         return all(self.find_value(name) == value for name, value in self.spec.rest.items())
 
 
 class Modules(msgspec.Struct):
-    """``back_at`` are the modules out of service that come back by themselves, and when; ``in_cell`` is
-    an index by workcell."""
+    """``back_at`` are the modules that come back into service by themselves, with the time (UTC ns);
+    ``in_cell`` is an index by workcell."""
 
     by_name: dict[ModuleName, Module] = {}
     back_at: dict[ModuleName, int] = {}
@@ -440,7 +439,7 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
     setup = module.spec.setup
     if setup is not None and setup.argument in event.args:
         others = [module.in_flight[name] for name in event.together if name in module.in_flight]
-        others = [other for other in others if other is not flight]  # it is set up once for all of them
+        others = [other for other in others if other is not flight]  # One set-up serves all of them.
         flight.setup_s = others[0].setup_s if others else setup.compute_cost_s(module.set_up_for, event.args)
         module.set_up_for = event.args[setup.argument]
     if event.args.get("slow") is True:
@@ -484,7 +483,7 @@ def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> No
     else:
         lessons.any_type = taught
     for flight in module.in_flight.values():
-        flight.proving = ()  # what is under way tries the pose before
+        flight.proving = ()  # The action under way tries the pose first.
 
 
 def fold_module_calibrated(modules: Modules, event: ModuleCalibrated, at: int) -> None:
@@ -494,9 +493,9 @@ def fold_module_calibrated(modules: Modules, event: ModuleCalibrated, at: int) -
 def find_unproven(
     module: Module, effects: tuple[AnyEffect, ...], args: Mapping[str, Any]
 ) -> tuple[tuple[StationName, str], ...]:
-    """The stations of effects whose newly taught pose no move has tried, each with the labware type if
-    the pose is that type's own. Which one an action uses follows from its arguments: the type's own if
-    there is one, else the station's."""
+    """The stations of effects whose newly taught pose no move has tried yet, each with the labware type if
+    the pose is only for this type. The arguments of an action determine the pose: the type's own if there is
+    one, otherwise the station's."""
     types = find_types_at(effects, str(args.get(LABWARE_TYPE) or ""), str(args.get(PLATE_TYPE) or ""))
     found = []
     for name in sorted(list_places(effects)):

@@ -21,8 +21,7 @@ from labos.core.structs import make_from
 
 
 class ExperimentStatus(StrEnum):
-    """One that was ``CANCELLED`` closes when its runs have ended; one that is ``CLOSING`` carries out its
-    closing workflow."""
+    """``CANCELLED``: it closes when its runs have ended. ``CLOSING``: its closing workflow is under way."""
 
     OPEN = "open"
     CANCELLED = "cancelled"
@@ -30,8 +29,8 @@ class ExperimentStatus(StrEnum):
 
 
 class Experiment(msgspec.Struct):
-    """``held``: it was not approved; nothing of it is carried out. ``notes``: what was noted under each key,
-    as a digest."""
+    """``held``: it is not approved, and nothing of it is carried out. ``notes``: the digests of its notes, by
+    key."""
 
     id: ExperimentId
     name: str
@@ -47,8 +46,8 @@ class Experiment(msgspec.Struct):
 
 
 class Experiments(msgspec.Struct):
-    """``open`` are those that have not ended; ``named`` and ``requests`` as for runs. ``ending`` are those
-    that were cancelled or are closing, ``members`` the runs alive of experiments."""
+    """``open`` are the experiments that have not ended; ``named`` and ``requests`` are as for runs.
+    ``ending`` are those that were cancelled or are closing. ``members`` are the runs alive of experiments."""
 
     open: dict[ExperimentId, Experiment] = {}
     named: int = 0
@@ -88,7 +87,7 @@ def fold_experiment_noted(experiments: Experiments, event: ExperimentNoted, at: 
 
 
 def note_digest(kind: str, name: str, facts: dict[str, Any]) -> str:
-    """What was noted, short enough to be kept for each note of an experiment that has not ended."""
+    """A digest of a note, short enough to keep one for each note of an open experiment."""
     return digest(encode_canonical([kind, name, facts]))[:24]
 
 

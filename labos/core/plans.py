@@ -1,4 +1,4 @@
-"""Plans: workflows with their payload filled in, each kept once for all runs that need it."""
+"""Plans: workflows with their payload filled in. Each is stored once for all runs that use it."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class PlanStepsRecorded(Event, frozen=True):
 
 
 class PlanState(msgspec.Struct):
-    """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
-    ``starts`` are the steps that wait for no other, ``windowed`` those with a window, ``uses_up`` is
-    what its steps use up (step, module, resource, amount), ``dangers`` those that take a second person,
-    ``conditional`` those that are left out if their condition does not hold."""
+    """``by`` is the run or experiment whose stream has the plan. ``uses`` counts the runs and experiments
+    that need it. ``starts`` are the steps that wait for no other step, and ``windowed`` those with a window.
+    ``uses_up`` is the consumption of its steps (step, module, resource, amount). ``dangers`` are the steps
+    that need the approval of a second person. ``conditional`` are the steps with a condition."""
 
     plan: Plan
     shape: str
@@ -77,15 +77,15 @@ T = TypeVar("T")
 
 PARTS_KEPT = 4096
 _parts: dict[bytes, object] = {}
-"""Parts of plans by how they are written, the newest last."""
+"""Parts of plans by their encoded form, the newest last."""
 
-# What was read of a log or a picture has its keys in order: it need not be brought into one again.
+# Values that were read from a log or a snapshot have sorted keys; they need not be sorted again.
 _written = msgspec.json.Encoder().encode
 
 
 def _share_equal(part: T, make: Callable[[T], T] = lambda part: part) -> T:
-    """The part of another plan that is written the same, if one is known: ten thousand waiting plans
-    differ in little, and nobody changes a plan. One that is new is kept as ``make`` makes it."""
+    """The equal part of another plan, if one is known. Ten thousand waiting plans differ little, and plans
+    are never changed, so they can share parts. A new part is stored as ``make`` returns it."""
     key = _written(part)
     known = _parts.get(key)
     if known is None:
@@ -96,13 +96,13 @@ def _share_equal(part: T, make: Callable[[T], T] = lambda part: part) -> T:
 
 
 def share_plans(plans: Plans) -> None:
-    """What plans have in common is held once."""
+    """Let plans share their equal parts in memory."""
     for known in plans.values():
         known.plan = msgspec.structs.replace(known.plan, steps=_share_effects(known.plan.steps))
 
 
 def _share_effects(steps: tuple[PlanStep, ...]) -> tuple[PlanStep, ...]:
-    """The same steps, in as little memory as those of other plans leave them to take."""
+    """The same steps; parts that other plans have too are shared in memory."""
     return tuple(_share_equal(step, _share_effects_of_step) for step in steps)
 
 
@@ -129,7 +129,8 @@ def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
 
 
 def release_plan(plans: Plans, digest: str) -> None:
-    """One user of a plan less; nobody's plan is forgotten (its events stay in the log)."""
+    """Note that one run or experiment less needs a plan. A plan without users is deleted here (its events
+    stay in the log)."""
     plan = plans[digest]
     plan.uses -= 1
     if plan.uses <= 0:

@@ -1,5 +1,5 @@
-"""Which submissions wait for an operator's approval, how high a priority may be, what may be booked, and who
-erases words."""
+"""The lab's policy: submissions that wait for an operator's approval, the highest priority, the limits of
+bookings, and the erasure of words."""
 
 from __future__ import annotations
 

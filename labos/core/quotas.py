@@ -15,12 +15,12 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 
 QUOTA_KEY = "quota"
-"""Touched when a run has ended, or quotas are others."""
+"""The key that is touched when a run has ended or quotas have changed."""
 
 
 def explain_full_queue(state: LabState, user: str, ahead: int = 0) -> str:
-    """Why a user may have no further run wait, behind so many others that are submitted with it, as a
-    sentence; empty if one may."""
+    """Why a user may not have one more run waiting, as a sentence; empty if they may. ``ahead`` is the number
+    of runs that are submitted with it, before it."""
     for whose, quota, had in state.shares.list_limits(user):
         waiting = had.queued + ahead
         if quota.queued and waiting >= quota.queued:
@@ -29,8 +29,8 @@ def explain_full_queue(state: LabState, user: str, ahead: int = 0) -> str:
 
 
 def find_highest_priority(state: LabState, user: str, *, operates: bool) -> tuple[str, int] | None:
-    """Whose limit it is, and the highest priority that a user may give: by quotas, else, for somebody who is
-    no operator, by the lab's policy. None: any."""
+    """The source of the limit, and the highest priority that a user may give. It comes from quotas;
+    otherwise, for a user who is not an operator, from the lab's policy. None: no limit."""
     named = [(whose, q.priority) for whose, q, _ in state.shares.list_limits(user) if q.priority is not None]
     if named:
         return min(named, key=lambda item: item[1])
@@ -39,9 +39,9 @@ def find_highest_priority(state: LabState, user: str, *, operates: bool) -> tupl
 
 
 def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
-    """A run that waits is let in only if its user's quotas, and those of the group, leave room for it; nobody
-    waits with it meanwhile. What is under way counts by what is planned for it. What clears a bench away is
-    never kept out."""
+    """A waiting run is admitted only if the quotas of its user and group leave room for it. Other users' runs
+    do not wait for it. Runs under way count by their plans. Closing runs, which clear labware away, are
+    always admitted."""
     if run.has_started or run.closing or not (state.shares.members or state.shares.groups):
         return None
     tomorrow = (now // DAY_NS + 1) * DAY_NS
@@ -67,20 +67,21 @@ def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
 
 
 class _Planned(NamedTuple):
-    """What runs that were let in are still to have: lab hours, and consumables by kind."""
+    """Lab hours, and consumables by kind, that started runs still need."""
 
     hours: float
     amounts: dict[str, float]
 
 
 def _list_users(state: LabState, whose: str, user: str) -> Collection[str]:
-    """Who has a quota together."""
+    """The users who share a quota."""
     group = state.shares.groups.get(state.shares.group_of.get(user, ""))
     return (user,) if whose == user or group is None else group.members
 
 
 def _sum_under_way(state: LabState, users: Collection[str], now: int) -> _Planned:
-    """A step under way counts as long as it takes if that is longer than was planned."""
+    """A step under way counts with its planned duration, or with its real duration so far if that is
+    longer."""
     seconds, amounts = 0.0, dict[str, float]()
     lasted: dict[tuple[RunId, int], float] = {}
     for action in state.actions.open.values():
@@ -99,7 +100,7 @@ def _sum_under_way(state: LabState, users: Collection[str], now: int) -> _Planne
 
 
 def _is_to_come(run: RunState, index: int, step: PlanStep) -> bool:
-    """Whether a step is under way, or its turn comes if all goes well."""
+    """Whether a step is under way, or will be carried out if no step fails."""
     status = run.steps[index].status
     if status in (StepStatus.IN_FLIGHT, StepStatus.UNKNOWN):
         return True

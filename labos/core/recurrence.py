@@ -1,9 +1,7 @@
-"""When something that is repeated comes again: a rule as iCalendar has it (RFC 5545), by the clock on the
-wall of a time zone.
+"""The times of a repeated booking: a rule of iCalendar (RFC 5545), by the local time of a time zone.
 
-A weekly 09:00 stays 09:00 there when clocks are changed; how long it lasts is counted in real time. What
-comes out depends on the time zones that this computer knows, so it is worked out whenever it is asked for
-and stands in no state.
+A weekly 09:00 stays 09:00 local time when clocks are changed; durations are in real time. The result depends
+on the time zone data of this computer. So it is computed when it is needed, and is not part of any state.
 """
 
 from __future__ import annotations
@@ -25,18 +23,19 @@ WEEK = ("MO", "TU", "WE", "TH", "FR", "SA", "SU")
 _DAY = rf"([+-]?[1-5])?({'|'.join(WEEK)})"
 FREQUENCIES = ("DAILY", "WEEKLY", "MONTHLY", "YEARLY")
 PARTS = ("FREQ", "INTERVAL", "BYDAY", "BYMONTHDAY", "BYMONTH", "BYSETPOS", "WKST", "COUNT")
-"""What a rule may say. Its end is said beside it; hours and minutes are those of the first time."""
+"""The allowed parts of a rule. The end of the rule is given separately; hours and minutes are those of the
+first time."""
 
 LONGEST_RULE = 200
 MOST_TIMES = 20_000
-"""After so many times a rule is over: more than 50 years of days."""
+"""A rule is over after this number of times: more than 50 years of days."""
 
 LATEST = 4_102_444_800 * SECOND_NS
-"""Until 2100 times are worked out."""
+"""Times are computed up to the year 2100."""
 
 
 def find_zone(name: str) -> tzinfo:
-    """The time zone of that name. Raises ValueError."""
+    """The time zone with this name. Raises ValueError if there is none."""
     if name in ("", "UTC"):
         return UTC
     try:
@@ -46,7 +45,7 @@ def find_zone(name: str) -> tzinfo:
 
 
 def zone_or_utc(name: str) -> tzinfo:
-    """UTC in place of a zone that this computer does not know."""
+    """The time zone with this name, or UTC if this computer does not know it."""
     try:
         return find_zone(name)
     except ValueError:
@@ -54,13 +53,13 @@ def zone_or_utc(name: str) -> tzinfo:
 
 
 def in_zone(at: int, zone: str) -> str:
-    """A time (UTC ns) as a clock on the wall shows it: ``2026-11-26 09:00 CET``. By UTC if this computer
-    does not know the zone."""
+    """A time (UTC ns) as local time: ``2026-11-26 09:00 CET``. By UTC if this computer does not know the
+    zone."""
     return datetime.fromtimestamp(at // SECOND_NS, zone_or_utc(zone)).strftime("%Y-%m-%d %H:%M %Z")
 
 
 def find_rule_fault(rule: str, zone: str, first: int) -> str:
-    """What is wrong with a rule whose first time is ``first`` (UTC ns), as a sentence; empty: nothing."""
+    """The fault of a rule whose first time is ``first`` (UTC ns), as a sentence; empty if there is none."""
     if len(rule) > LONGEST_RULE:
         return f"A rule has at most {LONGEST_RULE} characters."
     told = _split_rule(rule)
@@ -81,7 +80,7 @@ def find_rule_fault(rule: str, zone: str, first: int) -> str:
     try:
         local = _convert_to_local(first, find_zone(zone))
         found = _read(told, local, local)
-        # A rule that never comes true is looked for until the year 9999.
+        # A rule that never matches would be searched until the year 9999.
         begins = next(iter(found), None) if _may_be_on(told, local) else None
     except (ValueError, TypeError, OverflowError) as error:
         return f"{rule!r} is no rule of iCalendar ({str(error).rstrip('.')})."
@@ -89,7 +88,8 @@ def find_rule_fault(rule: str, zone: str, first: int) -> str:
 
 
 def list_times_between(rule: str, zone: str, first: int, after: int, before: int) -> list[int]:
-    """The times of a rule at or after ``after`` and before ``before`` (UTC ns), ``first`` among them."""
+    """The times of a rule from ``after`` (inclusive) to ``before`` (exclusive), in UTC ns. ``first`` can be
+    among them."""
     found = _find_times(rule, zone, first).list_until(min(before, LATEST))
     return found[bisect_left(found, after) : bisect_left(found, before)]
 
@@ -99,7 +99,7 @@ def _split_rule(rule: str) -> dict[str, str]:
 
 
 def _may_be_on(told: Mapping[str, str], day: datetime) -> bool:
-    """Whether the month, the day of the month and the day of the week are among those that a rule names."""
+    """Whether a day matches the months, days of the month and days of the week of a rule."""
     last = monthrange(day.year, day.month)[1]
     days = {str(day.day), f"+{day.day}", str(day.day - last - 1)}
     week = {part[-2:] for part in told.get("BYDAY", "").split(",")}
@@ -111,12 +111,13 @@ def _may_be_on(told: Mapping[str, str], day: datetime) -> bool:
 
 
 def _convert_to_local(at: int, zone: tzinfo) -> datetime:
-    """What a clock on the wall shows."""
+    """A time (UTC ns) as local time."""
     return datetime.fromtimestamp(at // SECOND_NS, zone).replace(tzinfo=None)
 
 
 def _read(told: Mapping[str, str], first: datetime, last: datetime) -> rrule:
-    """A rule up to a last time. It is counted elsewhere: a rule that never comes true would not end."""
+    """Parse a rule, with an end at ``last``. ``COUNT`` is left out here and applied elsewhere: a rule that
+    never matches would not end."""
     parts = [f"{part}={value}" for part, value in told.items() if part != "COUNT"]
     found = rrulestr(";".join([*parts, f"UNTIL={last:%Y%m%dT%H%M%S}"]), dtstart=first, ignoretz=True)
     if not isinstance(found, rrule):
@@ -125,7 +126,7 @@ def _read(told: Mapping[str, str], first: datetime, last: datetime) -> rrule:
 
 
 class _Times:
-    """The times of a rule, worked out as far as anybody has asked."""
+    """The times of a rule, computed as far as they were needed."""
 
     def __init__(self, rule: str, zone: str, first: int) -> None:
         self._zone, self._rest = find_zone(zone), first % SECOND_NS

@@ -14,15 +14,15 @@ from labos.errors import LogTooNew
 
 
 class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Something that happened. Subclasses are named in the past tense. A field with a default may
-    be added: an older LabOS refuses what has a field that it does not know, here and in every struct
-    within. Any other change of shape or meaning takes a new ``SCHEMA`` and an upcast."""
+    """Something that happened. Subclasses are named in the past tense. A field with a default may be added:
+    an older LabOS refuses events with unknown fields, also in nested structs. Any other change of form or
+    meaning needs a new ``SCHEMA`` and an upcast."""
 
     TYPE: ClassVar[str] = ""
     SCHEMA: ClassVar[int] = 1
 
     def stream(self) -> str:
-        """The run it belongs to, else its subject."""
+        """The stream of the event: its run, otherwise its subject."""
         return "lab"
 
 
@@ -30,7 +30,7 @@ E = TypeVar("E", bound=type[Event])
 
 TYPES: dict[str, type[Event]] = {}
 _decoders: dict[tuple[str, int], Callable[[bytes], Event]] = {}
-"""By type and schema, of the present version of each type."""
+"""The decoders for the present version of each type, by type and schema."""
 
 
 def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
@@ -49,13 +49,13 @@ def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
 
 _ENCODED_KEPT = 16
 _encoded: dict[int, tuple[Event, bytes]] = {}
-"""The last events that were encoded, by identity: each is tried when it is decided, and again when it is
-written. Nobody changes an event in between."""
+"""The last encoded events, by identity: each is encoded when it is decided, and again when it is written.
+Events are not changed in between."""
 
 
 def encode(value: Event) -> bytes:
-    """The event's payload. Raises ValueError above 64 KB (what is larger belongs into a blob), for values
-    that ``canonical`` refuses, and for a NUL character in the name of what it is about."""
+    """The event's payload. Raises ValueError above 64 KB (larger data must be a blob), for values that
+    ``canonical`` refuses, and for a NUL character in the name of its subject."""
     known = _encoded.get(id(value))
     if known is not None and known[0] is value:
         return known[1]
@@ -81,8 +81,8 @@ def _encode(value: Event) -> bytes:
 
 
 def decode(type_: str, schema: int, payload: bytes) -> Event:
-    """The event that a stored payload stands for. Raises LogTooNew for what this version does not
-    know: a type, a version, a field, an effect, a topic; msgspec.MsgspecError for what is no such event."""
+    """The event of a stored payload. Raises LogTooNew for anything that this version does not know: a type, a
+    version, a field, an effect, a topic. Raises msgspec.MsgspecError for a payload that is not an event."""
     decoder = _decoders.get((type_, schema))
     try:
         if decoder is not None:
@@ -105,5 +105,6 @@ def decode(type_: str, schema: int, payload: bytes) -> Event:
 
 
 def _is_newer(fault: str) -> bool:
-    """Whether msgspec's words are about a field, or a kind of effect, that nobody knew then."""
+    """Whether an error message of msgspec is about an unknown field or kind of effect, as from a newer
+    version."""
     return "unknown field" in fault or fault.endswith((".effect`", ".topic`"))

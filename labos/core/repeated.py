@@ -1,4 +1,4 @@
-"""What is asked for again while it is so already: nothing changes, and the word about it is kept."""
+"""A request for a state that already holds: nothing changes, and its reason is recorded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labos.core.registry import Event, event
 
 @event("request.repeated")
 class RequestRepeated(Event, frozen=True):
-    """Somebody repeated, with a reason, a request that was already carried out or under way. ``request`` is
+    """A user repeated, with a reason, a request that was already carried out or under way. ``request`` is
     ``cancel``, ``pause``, ``access`` …; ``subject`` is the thing that it concerns. The event's actor is the
     user who asked."""
 
@@ -22,9 +22,9 @@ class RequestRepeated(Event, frozen=True):
 
 
 HANDLERS: dict[Any, Any] = {}
-"""No state depends on it."""
+"""The state does not depend on it."""
 
 
 def record_repeat(subject: str, request: str, why: str) -> list[Event]:
-    """The events of a request that changes nothing: none, unless a reason was given."""
+    """The events of a request that changes nothing: none, unless the request has a reason."""
     return [RequestRepeated(subject, request, why)] if why else []

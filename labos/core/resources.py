@@ -1,4 +1,4 @@
-"""Consumables: how much of what is left in which module, in the resource's own unit, by lots."""
+"""Consumables: the amount left in each module, in the resource's own unit, by lots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from labos.core.registry import event
 
 @event("resource.level_set")
 class LevelSet(ModuleEvent, frozen=True):
-    """Somebody counted a resource. This amount is left, all of it from one lot."""
+    """A person counted a resource. This amount is left, all of it from one lot."""
 
     resource: str
     level: float
@@ -52,7 +52,7 @@ class ResourceConsumed(ModuleEvent, frozen=True):
 
 
 class Lot(msgspec.Struct):
-    """What is left of one pack."""
+    """The rest of one pack."""
 
     name: str
     left: float
@@ -60,7 +60,7 @@ class Lot(msgspec.Struct):
 
 
 class Level(msgspec.Struct):
-    """``lots`` from the oldest to the youngest; together they are the ``level``."""
+    """``lots`` are in order from the oldest to the newest; their sum is the ``level``."""
 
     level: float
     capacity: float
@@ -68,28 +68,28 @@ class Level(msgspec.Struct):
 
 
 class Resources(msgspec.Struct):
-    """Levels by ``module:resource``; what was never declared is not limited."""
+    """Levels by ``module:resource``. A resource without a declared level is not limited."""
 
     levels: dict[str, Level] = {}
 
     def find(self, module: ModuleName, resource: str) -> Level | None:
-        """None if nobody ever said how much there is."""
+        """The level of a resource; None if it was never declared."""
         return self.levels.get(f"{module}:{resource}")
 
     def find_left(self, module: ModuleName, resource: str) -> float | None:
-        """What is left, or None if nobody ever said."""
+        """The amount left; None if it was never declared."""
         level = self.find(module, resource)
         return None if level is None else level.level
 
 
 def sum_needed(effects: Iterable[AnyEffect], resource: str) -> float:
-    """How much of a resource effects use up together."""
+    """The amount of a resource that all effects together use up."""
     return sum(float(e.amount) for e in effects if isinstance(e, Consumes) and e.resource == resource)
 
 
 def list_used_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, float], ...]:
-    """What the steps of a plan use up: step, module, resource, amount; not what a step before them
-    puts in itself."""
+    """The consumption of a plan's steps: step, module, resource, amount. Amounts that an earlier step of the
+    plan puts in are not included."""
     used: list[tuple[int, ModuleName, str, float]] = []
     fresh: set[tuple[str, str]] = set()
     for index, step in enumerate(steps):
@@ -103,7 +103,8 @@ def list_used_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str,
 def list_charges(
     resources: Resources, module: ModuleName, resource: str, amount: float
 ) -> list[tuple[str, float]]:
-    """Which lots an amount comes from, the oldest first. What no lot covers is charged to the youngest."""
+    """The lots from which an amount is taken, the oldest first. An amount beyond all lots is charged to the
+    newest."""
     level = resources.find(module, resource)
     lots = level.lots if level is not None else []
     parts: list[tuple[str, float]] = []

@@ -1,4 +1,4 @@
-"""Questions about roles: which one somebody has in a workcell, and which one a plan takes."""
+"""The role of a user in a workcell, and the role that a plan needs."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ def rank_role_in(state: LabState, user: str, cell: str) -> int:
 
 
 def find_role_for(plan: Plan) -> Role:
-    """What it takes to submit a run of a plan. To bring a module out of its error is an operator's: nobody
-    knows whose work has left it so. A step's own module may be reset when that step has failed."""
+    """The role that is needed to submit a run of a plan. Resetting a module after an error needs an operator,
+    because it is unknown whose work caused the error. A run may reset the module of its own step after that
+    step has failed."""
     resets = any(step.recovers and not _follows_own_step(plan, step) for step in plan.steps)
     return "operator" if resets else "submitter"
 
@@ -24,7 +25,7 @@ def _follows_own_step(plan: Plan, step: PlanStep) -> bool:
 
 
 def explain_lacking_role(state: LabState, user: str, plan: Plan) -> str:
-    """Why a run of a plan is not submitted for a user (any more), as a sentence; empty if it is."""
+    """Why a run of a plan is not, or no longer, allowed for a user, as a sentence; empty if it is."""
     needs = find_role_for(plan)
     has = rank_role_in(state, user, plan.workcell)
     if state.users.is_open or (state.users.get(user) is not None and has >= rank(needs)):

@@ -1,7 +1,8 @@
-"""What is legal here and now: the rules that planning proposes by and ``decide`` enforces.
+"""The rules for starting a step at present. Planning uses them for its proposals, and ``decide`` enforces
+them.
 
-``examine`` answers for one step of one run: its effects with the labware written in, or the
-first thing it waits for. Whether a start could trap the lab is not decided here but in planning.
+``examine`` checks one step of one run. It returns the step's effects with the labware written in, or the
+first reason to wait. Whether a start could cause a deadlock is not checked here but in planning.
 """
 
 from __future__ import annotations
@@ -29,20 +30,20 @@ from labos.core.watching import find_unwatched
 from labos.core.zones import find_other_at_work, find_stopped_module, find_zones
 
 NODE_AWAY_S = 60.0
-"""Wall seconds for which the node of an action in flight may be gone before a person is asked."""
+"""If the node of an action in flight is gone for this many wall seconds, a person is asked."""
 
 WAITS_S = 30.0
-"""Wall seconds for which a device may stand still in the midst of an action before a person is told."""
+"""If a device stands still during an action for this many wall seconds, a person is asked."""
 
 CLOSING_S = 1800.0
-"""Lab seconds for which a closing workflow may wait for its first step before a person is told."""
+"""If a closing workflow has not begun its first step after this many lab seconds, a person is asked."""
 
 
 def examine(
     state: LabState, run: RunState, index: int, now: int, others: Collection[RunId] = ()
 ) -> Wait | tuple[AnyEffect, ...]:
-    """The bound effects with which the step may start now, or what it waits for. The step of this run is
-    carried out together with one of each of the ``others``."""
+    """The bound effects with which the step may start now, or why it waits. The step of this run is carried
+    out together with one step of each of the ``others``."""
     step = state.runs.plan_of(run).steps[index]
     return (
         _check_own_turn(state, run, step, index)
@@ -64,7 +65,7 @@ def examine(
 
 
 def find_approval_wait(state: LabState, run: RunState) -> Wait:
-    """What a run waits for that was not approved yet."""
+    """The reason why a run that is not approved waits."""
     proposal = state.approvals.open.get(run.id)
     why = ", and ".join(why.text for why in proposal.why) if proposal is not None else "its policy says so"
     return Wait(reasons.NotApproved(run.id, why), (run_key(run.id),))
@@ -92,7 +93,7 @@ def _check_own_turn(state: LabState, run: RunState, step: PlanStep, index: int) 
 
 
 def check_log_whole(state: LabState, step: PlanStep) -> Wait | None:
-    """While the log has lost its end and the bench is not checked, only steps that bring modules back may
+    """While the log has lost its end and the bench is not checked, only steps that reset modules may
     start."""
     shorter = state.shorter
     if not shorter.since or step.recovers:
@@ -103,7 +104,8 @@ def check_log_whole(state: LabState, step: PlanStep) -> Wait | None:
 
 
 def check_starts_allowed(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
-    """Somebody lets nothing start there, but what brings modules back or arms out of the way."""
+    """If a user has paused starts here, only steps may start that reset modules or move arms out of the
+    way."""
     if not state.lab.paused or step.recovers:
         return None
     cell = workcell_of(step.module)
@@ -118,7 +120,7 @@ def check_starts_allowed(state: LabState, run: RunState, step: PlanStep) -> Wait
 
 
 def check_no_access(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
-    """Nothing starts in a workcell into which a person reaches; arms are parked before."""
+    """No step starts in a workcell into which a person reaches; arms are parked before."""
     cell = workcell_of(step.module)
     access = state.lab.access.get(cell)
     if access is None or (not access.granted and run.plan in access.parking):
@@ -138,7 +140,7 @@ def _check_windows(state: LabState, run: RunState, step: PlanStep, now: int) -> 
 
 
 def _check_retry_delay(state: LabState, run: RunState, step: PlanStep, index: int, now: int) -> Wait | None:
-    """Whether a step that failed has waited long enough to be tried again."""
+    """Whether the delay before the retry of a failed step has passed."""
     failed_at = run.steps[index].retried_at if run.steps else None
     if failed_at is None or step.retry is None:
         return None
@@ -147,16 +149,17 @@ def _check_retry_delay(state: LabState, run: RunState, step: PlanStep, index: in
 
 
 def find_due_time(state: LabState, action: Action) -> int | None:
-    """When an action has to have ended (UTC ns); None if its step sets no time, its device says that it
-    has, it is known already that nobody knows, or a person does it: who is late is asked again, and knows."""
+    """The time at which an action without a result counts as unknown (UTC ns). None if its step has no
+    time-out, its device has reported success, or the outcome is unknown already. None also for the work of a
+    person: a person who is late is asked again, and knows the outcome."""
     return (
         None if action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN) else find_end_by(state, action)
     )
 
 
 def find_end_by(state: LabState, action: Action) -> int | None:
-    """When an action should have ended, by the time that its step gives it, and for which its module is set
-    up before (UTC ns); None if it sets none."""
+    """The time-out of an action, with the set-up of its module before it (UTC ns). None if its step has
+    none."""
     run = state.runs.active.get(action.run)
     if run is None:
         return None
@@ -169,8 +172,8 @@ def find_end_by(state: LabState, action: Action) -> int | None:
 
 
 def find_give_up_time(state: LabState, action: Action) -> int | None:
-    """When to give up waiting for the node that carries an action out (UTC ns): once it has been gone for
-    ``NODE_AWAY_S``. None if it is there, or somebody else knows how the action ended."""
+    """The time at which LabOS stops waiting for the node of an action (UTC ns): ``NODE_AWAY_S`` after it was
+    lost. None if the node is there, or if an observer or a person settles the outcome."""
     module = state.modules.by_name[action.module]
     if module.status != ModuleStatus.GONE or not module.gone_at or module.person:
         return None
@@ -182,8 +185,8 @@ def find_give_up_time(state: LabState, action: Action) -> int | None:
 
 
 def find_standstill_time(state: LabState, action: Action) -> int | None:
-    """When to tell somebody that a device stands still in the midst of an action and says why (UTC ns); None
-    if it does not, or if it was told."""
+    """The time at which a person is asked about a device that stands still during an action and reports why
+    (UTC ns). None if it does not stand still, or if a person was asked before."""
     module = state.modules.by_name[action.module]
     waits = module.status == ModuleStatus.ERROR and module.error_at and not module.asked and not module.person
     if not waits or action.status != ActionStatus.ACCEPTED or not action.exclusive:
@@ -192,16 +195,17 @@ def find_standstill_time(state: LabState, action: Action) -> int | None:
 
 
 def find_late_close(state: LabState, run: RunState) -> int | None:
-    """When to tell somebody that a closing workflow has not begun (UTC ns); None if it has, if it is none, or
-    if it was told."""
+    """The time at which a person is asked about a closing workflow that has not begun (UTC ns). None if it
+    has begun, if the run is no closing run, or if a person was asked before."""
     if not run.closing or run.has_started or run.asked:
         return None
     return run.submitted_at + convert_lab_s(state, CLOSING_S)
 
 
 def may_still_act(state: LabState, action: Action) -> bool:
-    """Whether a node that is away may yet carry an action out, or tell that it has: a request may be on its
-    way to it, or it stands still in the midst. Who took its module out of service has seen to it."""
+    """Whether a node that is away may still carry an action out or report its end. A request may be on its
+    way to it, or the device may stand still. A person who took the module out of service has made sure that
+    it does not."""
     module = state.modules.by_name[action.module]
     return module.status == ModuleStatus.GONE and not module.out_of_service and not module.person
 
@@ -212,7 +216,7 @@ def convert_lab_s(state: LabState, seconds: float) -> int:
 
 
 def check_module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
-    """Whether the step's module may be used by this run now."""
+    """Whether this run may use the step's module now."""
     module = state.modules.by_name.get(step.module)
     key = module_key(step.module)
     if module is None:
@@ -222,10 +226,10 @@ def check_module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | 
         return away
     if not step.exclusive:
         return None
-    # A device that does not come to rest by itself may need this very recovery.
+    # This recovery may be needed for a device that does not become idle by itself.
     if module.busy or (module.status == ModuleStatus.BUSY and not step.recovers):
         return Wait(reasons.ModuleBusy(step.module), (key,))
-    # A run that holds a module in error cannot go on before the module is well again.
+    # A run that holds a module in error can continue only after the module works again.
     holder = "" if step.recovers else find_other_holder(state, step.module, run)
     if holder:
         return Wait(reasons.Held(step.module, holder), (key,))
@@ -237,7 +241,7 @@ def check_module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | 
 
 
 def check_zones_free(state: LabState, step: PlanStep) -> Wait | None:
-    """Whether no other arm is where this step's arm would go."""
+    """Whether no other arm is in the zones that this step's arm would enter."""
     for zone in find_zones(state, step.module, step.effects) if step.exclusive else ():
         busy = find_other_at_work(state, zone, step.module)
         if busy:
@@ -250,8 +254,8 @@ def check_zones_free(state: LabState, step: PlanStep) -> Wait | None:
 
 
 def _is_in_motion(state: LabState, station: Station) -> bool:
-    """Whether something comes away from a station. What was seen there while nobody knows how its motion
-    from one other place to the next has ended does not."""
+    """Whether labware is leaving a station. Labware that was seen here does not count if it has an unknown
+    motion between two other places."""
     labware, open_ = state.bench.labware, state.actions.open
     moving = [open_[ActionId(name)] for item in station.labware if (name := labware[item].moving)]
     return any(
@@ -260,9 +264,9 @@ def _is_in_motion(state: LabState, station: Station) -> bool:
 
 
 def _check_supplies(state: LabState, run: RunState) -> Wait | None:
-    """A run is let in only where as much is left as all its steps use up, beside what those under way
-    will still use, or as the module can hold at the most: what runs dry half-way would stand in others'
-    way until somebody comes."""
+    """A run is admitted only if the supplies are enough for all its steps, besides the needs of the runs
+    under way; or if the module is full. A run that runs out of supplies half-way would block other runs until
+    a person comes."""
     if run.has_started:
         return None
     total: dict[tuple[ModuleName, str], float] = {}
@@ -279,7 +283,7 @@ def _check_supplies(state: LabState, run: RunState) -> Wait | None:
 
 
 def _sum_to_come(state: LabState, module: ModuleName, resource: str) -> float:
-    """What the runs under way will still use up."""
+    """The amount that the runs under way will still use up."""
     return sum(
         amount
         for run in state.runs.list_inside(workcell_of(module))

@@ -1,4 +1,4 @@
-"""Runs: what was asked for, how far it has come, who waits."""
+"""Runs: their submission, their progress, and their queues."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from labos.core.words import Words
 
 
 class StepStatus(StrEnum):
-    """How far a step has come. One that is skipped is over: it was left out, or its turn never comes."""
+    """The progress of a step. A skipped step is over: it was left out, or will never be carried out."""
 
     PENDING = "pending"
     IN_FLIGHT = "in flight"
@@ -37,20 +37,20 @@ class StepStatus(StrEnum):
     UNKNOWN = "unknown"
     SKIPPED = "skipped"
 
-    __hash__ = str.__hash__  # planning looks statuses up often, and Enum's own takes long
+    __hash__ = str.__hash__  # Planning looks statuses up often, and Enum's own hash is slow.
 
 
 PENDING, IN_FLIGHT, DONE = StepStatus.PENDING, StepStatus.IN_FLIGHT, StepStatus.DONE
 FAILED, UNKNOWN, SKIPPED = StepStatus.FAILED, StepStatus.UNKNOWN, StepStatus.SKIPPED
 
 SETTLED = (DONE, SKIPPED)
-"""States in which a step keeps nobody waiting."""
+"""Statuses of steps for which no other step waits any more."""
 
 REQUESTS_KEPT = 1000
 
 PAST_KEPT = 100
-"""Completed runs of an experiment that later windows may be anchored at; the last one of each
-workflow always is."""
+"""The number of completed runs of an experiment to which later windows may refer. The last run of each
+workflow is always kept."""
 
 
 class Anchor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -117,8 +117,7 @@ class RunStarted(RunEvent, frozen=True):
 
 @event("run.paused")
 class RunPaused(RunEvent, frozen=True):
-    """No further step of the run starts until somebody resumes it. ``why`` is the reason that the user
-    gave."""
+    """No further step of the run starts until a user resumes it. ``why`` is the reason that the user gave."""
 
     why: Words = ""
 
@@ -175,14 +174,14 @@ RunEnd = RunCompleted | RunFailed | RunCancelled
 """The events with which a run ends."""
 
 RUN_ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)
-"""Their types."""
+"""The types of these events."""
 
 
 class StepState(msgspec.Struct, omit_defaults=True):
-    """How far one step of a run has come. ``result`` is what later steps read of it, ``ended_at`` when it
-    ended (UTC ns); it is ``breached`` if its window is lost. ``retries`` is how often it was done again,
-    ``retried_at`` when it last failed before that (UTC ns), ``trouble`` why it failed if its recovery has
-    begun."""
+    """The state of one step of a run. ``result`` is the value that later steps read; ``ended_at`` is the time
+    of its end (UTC ns). ``breached``: its window was missed. ``retries`` counts its retries, and
+    ``retried_at`` is the time of the failure before the last retry (UTC ns). ``trouble`` is the reason of its
+    failure, if its recovery has begun."""
 
     status: StepStatus = StepStatus.PENDING
     ended_at: int | None = None
@@ -194,7 +193,8 @@ class StepState(msgspec.Struct, omit_defaults=True):
 
 
 class RunStatus(StrEnum):
-    """How far a run has come. One that is ``leaving`` was cancelled and takes its labware out of the way."""
+    """The status of a run. ``LEAVING``: it was cancelled, and its ``on_cancel`` steps clear its labware
+    away."""
 
     QUEUED = "queued"
     ACTIVE = "active"
@@ -203,11 +203,11 @@ class RunStatus(StrEnum):
 
 
 class RunState(msgspec.Struct):
-    """A run that has not ended. ``steps`` are in the order of its plan; while it waits to be let in they may
-    be missing (``list_statuses``). ``asked`` is whether a person was told that it does not begin;
-    ``unapproved`` while it waits for a second person, ``held`` while it waits for an approval. ``choices``
-    are the plans that it has to choose from, if there are several; ``plan`` is the one that counts, or the
-    first while it waits. ``due_at`` is when it should be over (UTC ns, 0: no such time)."""
+    """A run that has not ended. ``steps`` are in the order of its plan; they may be missing while the run
+    waits for its start (see ``list_statuses``). ``asked``: a person was asked because it does not begin.
+    ``unapproved``: it waits for a second person. ``held``: it waits for an approval. ``choices`` are its
+    plans, if there are several; ``plan`` is the one in use, or the first one while the run waits. ``due_at``
+    is its due date (UTC ns, 0: none)."""
 
     id: RunId
     plan: str
@@ -234,47 +234,47 @@ class RunState(msgspec.Struct):
 
     @property
     def has_started(self) -> bool:
-        """Whether it was let in."""
+        """Whether it was admitted."""
         return self.status is not RunStatus.QUEUED
 
     @property
     def is_ending(self) -> bool:
-        """Whether it was cancelled and only what is under way, or its way out, is still done."""
+        """Whether it was cancelled and only actions under way, or its ``on_cancel`` steps, are still carried
+        out."""
         return self.status in (RunStatus.CANCELLING, RunStatus.LEAVING)
 
     @property
     def statuses(self) -> list[StepStatus]:
-        """The status of each step, in the order of its plan; of a run that waits perhaps none."""
+        """The status of each step, in the order of its plan; it may be empty while the run waits."""
         return [step.status for step in self.steps]
 
     def has(self, *statuses: StepStatus) -> bool:
-        """Whether some step has one of these statuses."""
+        """Whether any step has one of these statuses."""
         for step in self.steps:  # noqa: SIM110  (asked too often for a generator)
             if step.status in statuses:
                 return True
         return False
 
     def is_breached(self, step: int) -> bool:
-        """Whether the window of a step is lost."""
+        """Whether the window of a step was missed."""
         return bool(self.steps) and self.steps[step].breached
 
 
 class EndTimes(msgspec.Struct):
-    """A completed run of an experiment that goes on: when its steps ended (UTC ns), by key."""
+    """A completed run of an open experiment: the ends of its steps (UTC ns), by key."""
 
     workflow: str
     ended_at: dict[str, int]
 
 
 class Runs(msgspec.Struct):
-    """``queue`` maps a waiting class to its runs in order of submission (see ``queue_key``);
-    ``windowed`` are the runs with windows that are active, or whose clock another run has started;
-    ``past`` are completed runs of experiments that go on, ``holders`` the active runs whose plans
-    hold a module; ``named`` counts run ids given out; ``requests`` are the last submissions'
-    idempotency keys. Indexes by workcell: ``in_cell`` of the active runs, ``windowed_in`` of those
-    ``windowed``, ``closings_in`` of the experiments whose closing workflow goes there. ``ending`` are
-    the active runs that are being cancelled or go their way out, ``choosing`` those that had several plans
-    to choose from."""
+    """``queue`` maps a waiting class to its runs in order of submission (see ``queue_key``). ``windowed`` are
+    the runs with windows that are active, or whose clock another run has started. ``past`` are completed runs
+    of open experiments. ``holders`` are the active runs whose plans hold a module. ``named`` counts the run
+    ids given out; ``requests`` are the idempotency keys of the last submissions. Indexes by workcell:
+    ``in_cell`` has the active runs, ``windowed_in`` the runs of ``windowed``, and ``closings_in`` the
+    experiments whose closing workflow uses the workcell. ``ending`` are the active runs that are being
+    cancelled or carry out ``on_cancel`` steps. ``choosing`` are the active runs that had several plans."""
 
     plans: dict[str, PlanState] = {}
     queued: dict[RunId, RunState] = {}
@@ -292,7 +292,7 @@ class Runs(msgspec.Struct):
     choosing: dict[RunId, bool] = {}
 
     def list_inside(self, cell: str) -> list[RunState]:
-        """The active runs of a workcell, in the order in which they were let in."""
+        """The active runs of a workcell, in the order in which they were admitted."""
         return [self.active[name] for name in self.in_cell.get(cell, ())]
 
     def get(self, run: str) -> RunState | None:
@@ -300,7 +300,7 @@ class Runs(msgspec.Struct):
         return self.active.get(name) or self.queued.get(name)
 
     def list_holders(self, module: ModuleName) -> list[RunId]:
-        """The runs that hold a module by their plans' word now."""
+        """The runs whose plans hold a module now."""
         found = []
         for name in self.holders.get(module, ()):
             run = self.active[name]
@@ -312,7 +312,7 @@ class Runs(msgspec.Struct):
         return found
 
     def find_plan_stream(self, plan: str) -> str:
-        """In whose stream a plan stands; empty if it is not known now."""
+        """The run or experiment whose stream has a plan; empty if the plan is not known now."""
         known = self.plans.get(plan)
         return known.by if known is not None else ""
 
@@ -320,22 +320,22 @@ class Runs(msgspec.Struct):
         return self.plans[run.plan].plan
 
     def find_shape(self, run: RunState) -> str:
-        """What decides, of its plans, whether a run may start."""
+        """The part of a run's plans on which it depends whether the run may start."""
         if not run.choices:
             return self.plans[run.plan].shape
         return "+".join(self.plans[plan].shape for plan in run.choices)
 
 
 def list_options(run: RunState) -> list[RunState]:
-    """A run that waits as it would be with each of its plans; one that was let in as it is."""
+    """A waiting run, once with each of its plans; a started run only with its own plan."""
     if run.has_started or not run.choices:
         return [run]
     return [run if plan == run.plan else msgspec.structs.replace(run, plan=plan) for plan in run.choices]
 
 
 def find_open_modules(runs: Runs, run: RunState) -> dict[str, list[ModuleName]]:
-    """Between which modules a run has a choice, by the steps' keys; once it was let in, the one that it has
-    chosen."""
+    """The modules among which a run can choose, by the steps' keys. A started run has only the chosen
+    ones."""
     found: dict[str, list[ModuleName]] = {}
     for option in list_options(run) if run.choices else ():
         for key, module in find_chosen_modules(runs, option).items():
@@ -346,7 +346,7 @@ def find_open_modules(runs: Runs, run: RunState) -> dict[str, list[ModuleName]]:
 
 
 def find_chosen_modules(runs: Runs, run: RunState) -> dict[str, ModuleName]:
-    """The modules, by the steps' keys, that another of a run's plans would have others for."""
+    """The chosen modules, by the steps' keys, for the steps with different modules in the run's plans."""
     plans = [runs.plans[plan].plan.steps for plan in run.choices]
     steps = runs.plan_of(run).steps
     return {
@@ -357,24 +357,24 @@ def find_chosen_modules(runs: Runs, run: RunState) -> dict[str, ModuleName]:
 
 
 def queue_key(shape: str, run: RunState) -> str:
-    """Runs with one key differ in nothing that decides whether they may start, but their age."""
+    """Runs with the same key differ only in their age, as far as their start is concerned."""
     state = (find_holds(run), *list_clocks(run), *([f"due {run.due_at}"] if run.due_at else []))
     return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{run.campaign}\x1f{state}"
 
 
 def find_holds(run: RunState) -> int:
-    """What keeps a run from being started, by itself: it is paused (1), no second person has approved it (2),
-    it waits for an approval (4)."""
+    """The bits of the reasons in the run itself that keep it from starting: it is paused (1), no second
+    person has approved it (2), it waits for an approval (4)."""
     return int(run.paused) + 2 * int(run.unapproved) + 4 * int(run.held)
 
 
 def list_clocks(run: RunState) -> tuple[int, ...]:
-    """When the clocks that other runs have started for it began to run (UTC ns)."""
+    """The times at which other runs have started this run's clocks (UTC ns)."""
     return tuple(anchor.ended_at for anchor in run.anchors)
 
 
 def find_anchor(run: RunState, window: Window) -> int | None:
-    """When a window's clock started (UTC ns); None if it has not."""
+    """The time at which a window's clock started (UTC ns); None if it has not."""
     if window.anchor is not None:
         return run.steps[window.anchor].ended_at if run.steps else None
     meant = (window.of, window.of_step)
@@ -456,32 +456,32 @@ def _note_window(runs: Runs, run: RunId, cell: str) -> None:
 
 
 def list_first_statuses(plan: Plan) -> list[StepStatus]:
-    """The statuses of a plan's steps before anything was done: what is for emergencies sleeps."""
+    """The first statuses of a plan's steps: the steps for failures and cancellation are dormant."""
     return [PENDING if step.part == MAIN else SKIPPED for step in plan.steps]
 
 
 def make_first_states(plan: Plan) -> list[StepState]:
-    """A plan's steps before anything was done."""
+    """The first states of a plan's steps."""
     return [StepState(status) for status in list_first_statuses(plan)]
 
 
 def list_statuses(plan: Plan, run: RunState) -> list[StepStatus]:
-    """The status of each step, also of a run that waits to be let in."""
+    """The status of each step, also of a run that waits for its start."""
     return run.statuses or list_first_statuses(plan)
 
 
 def find_results(plan: Plan, run: RunState) -> dict[int, Any]:
-    """What later steps of a run read, by the index of the step."""
+    """The results that later steps of a run read, by the index of the step."""
     return {i: run.steps[i].result for i in plan.feeds if run.steps and run.steps[i].status == DONE}
 
 
 def count_in_play(plan: Plan, steps: Sequence[StepStatus]) -> int:
-    """How many steps a run has, given their states: those for emergencies count when they have come."""
+    """The number of a run's steps. Steps for failures and cancellation count only when they are needed."""
     return sum(step.part == MAIN or status != SKIPPED for step, status in zip(plan.steps, steps, strict=True))
 
 
 def list_rescue_steps(plan: Plan, step: int) -> list[int]:
-    """The steps that are carried out when a step has failed for good."""
+    """The steps that are carried out when a step has failed and has no retries left."""
     retry = plan.steps[step].retry
     reset = retry.reset if retry is not None else None
     return [index for index, other in enumerate(plan.steps) if other.part == step and index != reset]
@@ -506,7 +506,7 @@ def _set_paused(runs: Runs, name: RunId, value: bool) -> None:
 
 @contextmanager
 def let_wait_anew(runs: Runs, run: RunState) -> Iterator[None]:
-    """What is changed of a waiting run in the block decides where it waits."""
+    """Put a waiting run into its new queue after the block has changed it."""
     _leave_queue(runs, run)
     yield
     runs.queue.setdefault(queue_key(runs.find_shape(run), run), {})[run.id] = True

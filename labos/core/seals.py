@@ -1,7 +1,7 @@
 """Seals: a keyed digest of a small document. With the key one can check that the document is unchanged.
 
-HMAC-SHA-256 (RFC 2104) over the canonical JSON of the document with its ``seal`` left empty. Who can
-check a seal can make one: it shows that nobody *without* the key wrote the document.
+HMAC-SHA-256 (RFC 2104) over the canonical JSON of the document with its ``seal`` left empty. Everybody who
+can check a seal can also make one. So a seal shows only that the author of the document had the key.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 
 def add_seal(document: S, key: bytes) -> S:
-    """The document with its ``seal``; without a key, as it is."""
+    """The document with its ``seal``; unchanged without a key."""
     return msgspec.structs.replace(document, seal=_make_digest(document, key)) if key else document
 
 
 def check_seal(document: msgspec.Struct, key: bytes) -> str:
-    """What is wrong with a document's seal, in a few words; empty if nothing is, or if no key is given."""
+    """The fault of a document's seal, in a few words; empty if there is none, or if no key is given."""
     if not key:
         return ""
     seal = str(getattr(document, "seal", ""))

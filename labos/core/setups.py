@@ -1,4 +1,4 @@
-"""Set-ups: what it costs to change a module from one value of an argument to another."""
+"""Set-ups: the time to change a module from one value of an argument to another."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Setup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     changes: tuple[SetupChange, ...] = ()
 
     def compute_cost_s(self, before: Any, args: Mapping[str, Any]) -> float:
-        """How much longer an action with these arguments takes on a module that is set up for ``before``
-        (None: nobody knows); 0 for an action without the argument."""
+        """The additional lab seconds of an action with these arguments on a module that is set up for
+        ``before`` (None: unknown). It is 0 for an action without the argument."""
         if self.argument not in args or args[self.argument] == before:
             return 0.0
         after = args[self.argument]

@@ -1,4 +1,4 @@
-"""Who may have how much of the lab, and the lab time that users and groups have had."""
+"""The shares and quotas of users and groups, and the lab time that they have used."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from labos.core.users import GroupAdded, GroupRemoved, MemberAdded, MemberRemove
 
 DAY_NS = 24 * 3600 * 1_000_000_000
 HALF_LIFE_NS = DAY_NS
-"""Lab time used counts half after a day."""
+"""Used lab time counts half after a day."""
 
 WEEK_DAYS = 7
-"""Quotas of a week are of the last seven days, today included, counted in UTC."""
+"""A week of a quota is the last seven days, today included, by UTC."""
 
 
 class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -77,8 +77,8 @@ class Usage(msgspec.Struct):
 
 
 class Week(msgspec.Struct):
-    """What was used on each of the last days (days since 1970): module time in nanoseconds, and consumables
-    by kind."""
+    """The use on each of the last days (days since 1970): module time in nanoseconds, and consumables by
+    kind."""
 
     spent_ns: dict[int, int] = {}
     consumed: dict[int, dict[str, float]] = {}
@@ -95,13 +95,13 @@ class Week(msgspec.Struct):
         return sum(spent for day, spent in self.spent_ns.items() if day > now // DAY_NS - WEEK_DAYS)
 
     def count_used(self, kind: str, now: int) -> float:
-        """What was used of a consumable in the last seven days."""
+        """The amount of a consumable that was used in the last seven days."""
         days = [day for day in self.consumed if day > now // DAY_NS - WEEK_DAYS]
         return sum(self.consumed[day].get(kind, 0.0) for day in days)
 
 
 class Had(msgspec.Struct):
-    """How many runs somebody has under way and waiting, and what was used in a week."""
+    """The number of runs under way and of waiting runs of a user or group, and the use in a week."""
 
     running: int = 0
     queued: int = 0
@@ -109,11 +109,11 @@ class Had(msgspec.Struct):
 
 
 class Shares(msgspec.Struct):
-    """``usage`` by user, ``group_usage`` by group; ``had`` by user, ``group_had`` by group. ``group_of``
-    names the group of each user who is in one. ``users`` of runs alive; ``started`` are those of them that
-    are under way; ``clocks`` hold when open actions were requested, ``parts`` how many actions share the
-    time of their module, where a device carries out several in one go. ``kept`` are the groups that stay
-    when a file does not name them."""
+    """``usage`` is by user, ``group_usage`` by group; ``had`` is by user, ``group_had`` by group.
+    ``group_of`` names the group of each user who is in one. ``users`` are the users of runs alive;
+    ``started`` are the runs under way. ``clocks`` hold the times at which open actions were requested.
+    ``parts`` counts the actions that share the time of their module, because the device carries them out at
+    once. ``kept`` are the groups that stay if a file does not name them."""
 
     digest: str = ""
     groups: dict[str, Group] = {}
@@ -133,8 +133,8 @@ class Shares(msgspec.Struct):
         return self.members.get(user, _ANYBODY)
 
     def find_share_used(self, user: str, now: int) -> tuple[float, float]:
-        """What a user has had for the weight: first the group, then the user within it. The user with the
-        least goes first."""
+        """The used share of a user's group, and of the user within it, each divided by the weight. The user
+        with the least goes first."""
         member, group = self.find_member(user), self.groups.get(self.group_of.get(user, ""))
         usage = self.usage.get(user)
         own = (usage.compute_level(now) if usage is not None else 0.0) / member.weight
@@ -144,7 +144,7 @@ class Shares(msgspec.Struct):
         return (together.compute_level(now) if together is not None else 0.0) / group.weight, own
 
     def list_limits(self, user: str) -> list[tuple[str, Quota, Had]]:
-        """The quotas that a user has to keep: whose they are, and what of them is used."""
+        """The quotas that apply to a user: the name of their user or group, the quota, and the use of it."""
         found = [(user, self.find_member(user).quota, self.had.get(user, Had()))]
         group = self.groups.get(self.group_of.get(user, ""))
         if group is not None:
@@ -204,7 +204,7 @@ def _with_members(shares: Shares, group: str, members: dict[str, Member]) -> Non
 
 
 def _count_groups(shares: Shares, at: int) -> None:
-    """What groups have had is what their members have had, from now on and until now."""
+    """The use of a group is the sum of its members' use, of the past and from now on."""
     shares.group_usage, shares.group_had = {}, {}
     for user, name in shares.group_of.items():
         together = shares.group_usage.setdefault(name, Usage(at=at))
@@ -223,7 +223,7 @@ def _count_groups(shares: Shares, at: int) -> None:
 
 
 def _list_had(shares: Shares, user: str) -> list[Had]:
-    """What a user, and the user's group, have had."""
+    """The use of a user and of the user's group."""
     own = shares.had.get(user) or shares.had.setdefault(user, Had())
     group = shares.group_of.get(user)
     if group is None:
@@ -232,7 +232,7 @@ def _list_had(shares: Shares, user: str) -> list[Had]:
 
 
 def _find_usage(table: dict[str, Usage], name: str, at: int) -> Usage:
-    """What somebody has used, to be added to."""
+    """The usage record of a user or group, to which more is added."""
     return table.get(name) or table.setdefault(name, Usage(at=at))
 
 

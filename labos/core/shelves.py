@@ -1,7 +1,7 @@
-"""The shelves of a hotel that an arm reaches into: a plan names the hotel, a motion the shelf.
+"""The shelves of a hotel into which an arm reaches: a plan names the hotel, a motion names the shelf.
 
-Which shelf it is follows when a step starts: where the labware stands that it takes, and the lowest one
-that is free where it puts some down.
+The shelf is chosen when a step starts. Labware is taken from the shelf on which it stands, and is put on the
+lowest free one.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from labos.core.ids import LabwareId, StationName, local
 
 
 def list_vacant(bench: Bench, hotel: StationName) -> list[StationName]:
-    """The shelves of a hotel on which nothing stands, comes to stand or may stand; lowest first."""
+    """The shelves of a hotel without labware, expected labware or possible labware; lowest first."""
     return [s for s in bench.shelves[hotel] if not bench.stations[s].count and s not in bench.haunted]
 
 
 def find_free_shelf(
     bench: Bench, hotel: StationName, but: Collection[StationName] = ()
 ) -> StationName | None:
-    """The lowest shelf that is known to be free, and none of ``but``."""
+    """The lowest shelf that is known to be free and not among ``but``."""
     return next((s for s in list_vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
 
 
 def is_taken(bench: Bench, hotel: StationName) -> bool:
-    """Whether something certainly stands or comes to stand on a shelf: one that may be
-    free again without anybody's help."""
+    """Whether a shelf has, or will certainly get, labware. Such a shelf may become free again without a
+    person."""
     return any(bench.stations[s].count and s not in bench.haunted for s in bench.shelves[hotel])
 
 
 def is_in_doubt(bench: Bench, place: StationName) -> bool:
-    """Whether labware of uncertain place may stand at a place, or on one of its shelves."""
+    """Whether labware with an uncertain place may stand at this place, or on one of its shelves."""
     return place in bench.haunted or any(s in bench.haunted for s in bench.shelves.get(place, ()))
 
 
 def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) -> AnyEffect:
-    """An effect whose labware is known, with shelves in place of hotels. Nothing is
-    put on those of ``but``; where no other is ready, the hotel stays."""
+    """The effect, whose labware is known, with shelves instead of hotels. Shelves in ``but`` are not used as
+    targets. If no other shelf is free, the hotel stays in the effect."""
 
     def stands(name: LabwareId) -> StationName:
         labware = bench.labware[name]
@@ -66,8 +66,8 @@ def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) ->
 
 
 def spread(bench: Bench, place: StationName, items: Sequence[str]) -> list[tuple[StationName, Sequence[str]]]:
-    """What stands at a place, bottom to top: of a hotel with shelves one piece on each shelf, lowest first,
-    and what is too much on the last."""
+    """The labware at a place, bottom to top. For a hotel with shelves: one piece on each shelf, lowest first,
+    and the surplus on the last one."""
     shelves = bench.shelves.get(place)
     if not shelves:
         return [(place, items)]
@@ -78,7 +78,7 @@ def spread(bench: Bench, place: StationName, items: Sequence[str]) -> list[tuple
 def expand_hotels(
     planned: Sequence[AnyEffect], bound: Sequence[AnyEffect], args: dict[str, Any]
 ) -> dict[str, Any]:
-    """Arguments that name hotels, with the shelves in their place."""
+    """Arguments with shelves instead of the hotels that they name."""
     shelves: dict[Any, str] = {}
     for before, after in zip(planned, bound, strict=True):
         for field in ("source", "target", "station"):

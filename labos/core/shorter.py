@@ -1,7 +1,7 @@
-"""A log that is shorter than others know: who knows more, and what has to be said of the bench since.
+"""A log that has lost its end: the evidence for it, and the stations that a person has to report.
 
-What happened behind the end of the log nobody can tell. Until a person has been round the bench, nothing is
-started: every station has to be said, or, where nothing is known to have been at work, confirmed.
+The events after the end of the log are lost. Until a person has checked the whole bench, no action starts.
+Every station has to be reported; a station at which no unknown action was at work may be confirmed instead.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class BenchCompared(Event, frozen=True):
 
 
 class Discovered(msgspec.Struct):
-    """An action that only a node's journal knows; ``effects`` is null where the journal does not
-    say what it moved."""
+    """An action that only a node's journal has. ``effects`` is null if the journal does not have its planned
+    effects."""
 
     module: ModuleName
     name: str
@@ -60,12 +60,13 @@ class Discovered(msgspec.Struct):
 
 
 class Shorter(msgspec.Struct):
-    """``since`` is when the log was found shorter (UTC ns; 0: it was not); ``known`` and ``ended`` are the
-    highest position that somebody knows of and where this log ended, ``evidence`` who knows what.
-    Where an action that is not in the log was at work is ``touched``; where nobody knows what a
-    module did, all of its workcell is (``cells``). ``astray`` is labware that such an action may have moved,
-    ``said`` are the stations that a person has reported since, ``actions`` what was discovered;
-    ``answered`` is the evidence of rounds that are over: a node that was away tells it once more."""
+    """``since`` is the time at which the log was found shorter (UTC ns; 0: it was not). ``known`` is the
+    highest known position, ``ended`` the end of this log, and ``evidence`` the sources with their knowledge.
+    ``touched`` are the stations at which an action was at work that is not in the log. ``cells`` are the
+    workcells in which a module did something unknown: all their stations count as touched. ``astray`` is
+    labware that such an action may have moved. ``said`` are the stations that a person has reported since.
+    ``actions`` are the discovered actions. ``answered`` is the evidence of rounds that are over: a node that
+    was away reports it again."""
 
     since: int = 0
     known: int = 0
@@ -79,7 +80,7 @@ class Shorter(msgspec.Struct):
     answered: dict[str, str] = {}
 
     def is_touched(self, station: StationName) -> bool:
-        """Whether something that is not in the log may have been at work there."""
+        """Whether an action that is not in the log may have been at work at a station."""
         return station in self.touched or workcell_of(station) in self.cells
 
 
@@ -93,7 +94,7 @@ def fold_log_found_shorter(shorter: Shorter, event: LogFoundShorter, at: int) ->
 
 
 def fold_action_discovered(shorter: Shorter, event: ActionDiscovered, at: int) -> None:
-    """Logs of earlier versions discovered actions without a round."""
+    """In logs of earlier versions, actions were discovered without a round."""
     if not shorter.since:
         return
     shorter.actions[event.action] = Discovered(event.module, event.name, event.status, event.effects)

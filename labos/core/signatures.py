@@ -15,7 +15,7 @@ Meaning = Literal["authored", "responsible", "reviewed", "approved", "rejected"]
 MEANINGS: tuple[Meaning, ...] = get_args(Meaning)
 
 STREAM = "signatures"
-"""Of all signatures: the stream of a run ends with the run."""
+"""The stream of all signatures: the stream of a run ends with the run."""
 
 Kind = Literal["experiment", "campaign"]
 
@@ -62,9 +62,9 @@ class RecordsSigned(Event, frozen=True):
 
 
 HANDLERS: dict[Any, Any] = {}
-"""No state depends on it."""
+"""The state does not depend on it."""
 
 
 def make_digest_of_records(envelopes: Iterable[bytes]) -> str:
-    """What a signature binds to: records by their envelopes in the order of the log."""
+    """The digest to which a signature is bound: records by their envelopes, in the order of the log."""
     return hashlib.sha256(b"".join(map(hash_leaf, envelopes))).hexdigest()

@@ -1,4 +1,4 @@
-"""The whole state of a lab, put together from its slices; and its disposable pictures."""
+"""The whole state of a lab, composed of its slices, and its snapshots."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from labos.core.users import Users
 
 
 class LabState(msgspec.Struct):
-    """What the events up to ``position`` amount to. ``versions`` counts events of each stream
-    that is alive."""
+    """The state after the events up to ``position``. ``versions`` counts the events of each stream that is
+    alive."""
 
     position: int = 0
     recorded_at: int = 0
@@ -55,18 +55,20 @@ class LabState(msgspec.Struct):
     lengths: Lengths = msgspec.field(default_factory=Lengths)
 
 
-# Tables keep their order: who came first is part of the state.
+# Tables keep their order: the order of arrival is part of the state.
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(LabState)
-# Logs of before 64 bits were the limit may hold longer numbers, which MessagePack cannot spell.
+# Old logs, from before numbers were limited to 64 bits, may contain longer ones, which MessagePack cannot
+# express.
 _wide_encoder = msgspec.json.Encoder()
 _wide_decoder = msgspec.json.Decoder(LabState)
 _WIDE = b"{"
-"""How a picture in JSON begins. One in MessagePack begins with the mark of a map, which is above 0x7f."""
+"""The first byte of a snapshot in JSON. A snapshot in MessagePack begins with the mark of a map, which is
+above 0x7f."""
 
 
 def encode_picture(state: LabState) -> bytes:
-    """The state as bytes: the same events give the same bytes."""
+    """The state as bytes. The same events always give the same bytes."""
     try:
         return _encoder.encode(state)
     except OverflowError:
@@ -74,7 +76,8 @@ def encode_picture(state: LabState) -> bytes:
 
 
 def from_picture(data: bytes) -> LabState:
-    """Raises msgspec.MsgspecError if the bytes are not a picture of this shape of state."""
+    """The state from a snapshot. Raises msgspec.MsgspecError if the bytes do not fit this form of the
+    state."""
     decoder = _wide_decoder if data[:1] == _WIDE else _decoder
     state: LabState = decoder.decode(data)
     share_plans(state.runs.plans)
@@ -82,7 +85,8 @@ def from_picture(data: bytes) -> LabState:
 
 
 def rewrite_picture(data: bytes, change: Callable[[str], str]) -> bytes:
-    """A picture with each of its texts changed. It is of no event any more, and is only to be shown."""
+    """A snapshot with each of its texts changed. It no longer corresponds to events, and is only for
+    showing."""
     codec: Any = msgspec.json if data[:1] == _WIDE else msgspec.msgpack
 
     def change_value(value: Any) -> Any:
@@ -102,7 +106,7 @@ def hash_state(state: LabState) -> str:
 
 
 def fold_fingerprint() -> str:
-    """Names the fold code: a picture made by other code is not trusted."""
+    """The fingerprint of the fold code. A snapshot from other code is not used."""
     total = hashlib.sha256()
     folder = package_files.files("labos.core")
     for file in sorted(folder.iterdir(), key=lambda entry: entry.name):

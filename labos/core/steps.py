@@ -1,4 +1,4 @@
-"""How far the steps of runs have come."""
+"""The progress of the steps of runs."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class StepRecovering(RunEvent, frozen=True):
 def fold_window_breached(runs: Runs, event: WindowBreached, at: int) -> None:
     run = runs.get(event.run)
     if run is not None:
-        if not run.steps:  # it waits to be let in
+        if not run.steps:  # The run waits for its start.
             run.steps = make_first_states(runs.plan_of(run))
         run.steps[event.step].breached = True
 
@@ -140,7 +140,7 @@ def fold_action_unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
 def fold_action_succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
     run = _mark(runs, event.run, event.step, DONE)
     if run is not None:
-        # A clock that is ahead of the log's says nothing.
+        # The time of a clock that is ahead of the log's clock is not used.
         run.steps[event.step].ended_at = event.ended_ns if 0 < event.ended_ns <= at else at
         if event.step in runs.plan_of(run).feeds:
             run.steps[event.step].result = event.result

@@ -1,4 +1,4 @@
-"""Structs that say what another one says."""
+"""Structs with the same fields as another struct."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 def make_from(kind: type[T], source: object, /, **others: Any) -> T:
-    """A struct whose fields are those of the same names of ``source``, but for the ``others``, which are
-    given. What ``source`` does not have takes its default. Raises TypeError where there is none."""
+    """A struct with the values of the fields of the same names in ``source``. The fields ``others`` are given
+    instead. A field that ``source`` does not have takes its default. Raises TypeError if it has none."""
     given = tuple(others)
     is_struct = isinstance(source, msgspec.Struct)
     origin: Any = type(source) if is_struct else source
@@ -23,7 +23,7 @@ def make_from(kind: type[T], source: object, /, **others: Any) -> T:
 
 
 def _list_shared(kind: type[msgspec.Struct], source: object, given: tuple[str, ...]) -> tuple[str, ...]:
-    """The fields of a struct that a source has, and that are not given."""
+    """The fields of a struct that a source has too, and that are not given."""
     return tuple(name for name in kind.__struct_fields__ if name not in given and hasattr(source, name))
 
 
@@ -31,5 +31,5 @@ def _list_shared(kind: type[msgspec.Struct], source: object, given: tuple[str, .
 def _list_known(
     kind: type[msgspec.Struct], source: type[msgspec.Struct], given: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """The same of all structs of a type, worked out once."""
+    """The same for all structs of a type, computed once."""
     return _list_shared(kind, source, given)

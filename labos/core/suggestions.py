@@ -1,6 +1,6 @@
-"""Suggested orders: in which order a planner would start the next steps of a workcell.
+"""Suggested orders: the order in which a planner would start the next steps of a workcell.
 
-A suggestion is advice. It changes nothing but the order among steps that may start anyway.
+A suggestion changes only the order among steps that may start anyway.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from labos.core.ids import RunId
 from labos.core.registry import Event, event
 
 MOST_STEPS = 600
-"""So many steps a suggestion has at most."""
+"""The most steps of a suggestion."""
 
 
 class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):

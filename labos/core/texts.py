@@ -1,28 +1,28 @@
-"""Texts that others hand in: how much of them is kept, and in what form."""
+"""Texts of people, devices and programs: how many characters are kept, and in which form."""
 
 from __future__ import annotations
 
 import re
 
 LONGEST_NAME = 200
-"""Characters of a name: of a person, module, station, labware type, lot, request …"""
+"""The most characters of a name: of a person, module, station, labware type, lot, request …"""
 
 LONGEST_REASON = 1_000
-"""Characters of a reason (``why``), which is one line."""
+"""The most characters of a reason (``why``), which is one line."""
 
 LONGEST_NOTE = 4_000
-"""Characters of a note, which may have several lines."""
+"""The most characters of a note, which may have several lines."""
 
 LONGEST_REPORT = 4_000
-"""Characters of what a device, node or program says that are kept."""
+"""The most characters that are kept of a report by a device, node or program."""
 
 CUT = " … (cut)"
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
-"""What no name may hold: control characters, line breaks, halves of surrogate pairs."""
+"""Characters that no name may contain: control characters, line breaks, unpaired surrogates."""
 
 CONTROL_IN_NOTE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
-"""What no note may hold; it may have several lines."""
+"""Characters that no note may contain; a note may have several lines."""
 
 
 def strip_unprintable(text: str) -> str:

@@ -1,9 +1,8 @@
-"""Actions that a device carries out together: several runs have labware in it, and it is done to all of it
-at once, as in a centrifuge.
+"""Actions that a device carries out at once for the labware of several runs, as in a centrifuge.
 
-Each run keeps an action of its own. They are requested in one commit and carried out by the device in one
-go. What stands in the device takes part, whether its run is ready or not: so nobody starts before all runs
-that have labware there can start with the same arguments.
+Each run has its own action. The actions are requested in one commit, and the device carries them out at once.
+All labware in the device takes part, even if its run is not ready. So no run starts before all runs with
+labware in the device can start with the same arguments.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from labos.core.waits import Wait, module_key, run_key, station_key
 
 
 def find_together(state: LabState, step: PlanStep) -> Together | None:
-    """How the device of a step does it for several runs at once; None if it does not."""
+    """How the device of a step works for several runs at once; None if it does not."""
     module = state.modules.by_name.get(step.module)
     told = module.spec.together if module is not None else None
     return told if told is not None and step.action in told.actions else None
 
 
 def list_inside(state: LabState, module: ModuleName) -> Iterator[tuple[RunId, LabwareId, StationName]]:
-    """Labware of runs that stands in a module, or may."""
+    """Labware of runs that stands, or may stand, in a module."""
     bench = state.bench
     for place in bench.by_module.get(module, ()):
         for name in bench.stations[place].labware:
@@ -40,8 +39,8 @@ def list_inside(state: LabState, module: ModuleName) -> Iterator[tuple[RunId, La
 
 
 def check_left_out(state: LabState, run: RunState, step: PlanStep, others: Collection[RunId]) -> Wait | None:
-    """Whether labware of a run stands in the module that neither starts this step, nor starts with it, but is
-    done to as well."""
+    """Whether labware in the module would take part although its run does not start this step. ``others`` are
+    the runs that start it together with this one."""
     if find_together(state, step) is None:
         return None
     for owner, labware, place in list_inside(state, step.module):

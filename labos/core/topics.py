@@ -1,7 +1,7 @@
-"""What a person can be asked about: a type for each kind of question, with its fields and its choices.
+"""The questions to people: a type for each kind of question, with its fields and its choices.
 
-What follows from an answer is written beside the rules (``labos.core.decide.interventions``), in one match
-over these types. The text of a question is for people, and nothing is ever read out of it.
+The consequences of an answer are defined beside the rules (``labos.core.decide.interventions``), in one match
+over these types. The text of a question is for people only; no program parses it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from labos.core.effects import AnyEffect, Move, Needs, Reads, list_carried
 from labos.core.ids import ActionId, ExperimentId, LabwareId, StationName, local
 
 NAMED = 8
-"""So many pieces of labware are named in the text of a question; the others are counted."""
+"""The text of a question names at most this number of pieces of labware; the others are counted."""
 
 T = TypeVar("T")
 
@@ -28,27 +28,28 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="topic"):
-    """What a question is about. ``run`` and ``module`` are those it concerns, empty if none."""
+    """The subject of a question with its details. ``run`` and ``module`` are those that it concerns; empty if
+    none."""
 
     KIND: ClassVar[str]
     SUBJECT: ClassVar[str]
-    """The field with the id that the question is about."""
+    """The name of the field with the subject's id."""
     CHOICES: ClassVar[tuple[Choice, ...]]
-    """What may be answered, where it is the same for every question of the type."""
+    """The possible answers, if they are the same for every question of the type."""
     MOST_PIECES: ClassVar[int] = 1_000
-    """So many pieces of labware one question is about at the most: an event has 64 KB."""
+    """The most pieces of labware of one question: an event has at most 64 KB."""
     run: str = ""
     module: str = ""
 
     @property
     def subject(self) -> str:
-        """The id that the question is about."""
+        """The id of the subject of the question."""
         subject: str = getattr(self, self.SUBJECT)
         return subject
 
     @property
     def choices(self) -> tuple[Choice, ...]:
-        """What may be answered."""
+        """The possible answers."""
         return self.CHOICES
 
     @property
@@ -58,18 +59,18 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @property
     def evidence(self) -> tuple[AnyEffect, ...]:
-        """Motions for which it is not known how far they went, or the reading that contradicts the log."""
+        """Motions with an unknown progress, or the reading that contradicts the log."""
         return ()
 
 
 def split_into_batches(topic: type[Topic], pieces: Sequence[T]) -> Iterator[Sequence[T]]:
-    """The pieces, as many at a time as one question of this type may be about."""
+    """The pieces in batches: one question of this type may be about at most one batch."""
     for first in range(0, len(pieces), topic.MOST_PIECES):
         yield pieces[first : first + topic.MOST_PIECES]
 
 
 def name_some(pieces: Sequence[str]) -> str:
-    """The first of several pieces, as one piece of a sentence, and how many more there are."""
+    """The first of several pieces, and the number of the others, as a part of a sentence."""
     more = f" and {len(pieces) - NAMED} more" if len(pieces) > NAMED else ""
     return f"{', '.join(pieces[:NAMED])}{more}"
 
@@ -165,7 +166,7 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
 
     KIND: ClassVar[str] = "contradiction"
     SUBJECT: ClassVar[str] = "station"
-    MOST_PIECES: ClassVar[int] = 200  # each is also told as a motion, with its station
+    MOST_PIECES: ClassVar[int] = 200  # Each is also stored as a motion, with its station.
     station: StationName
     labware: tuple[LabwareId, ...]
     other_type: str = ""
@@ -479,7 +480,7 @@ AnyTopic = (
 )
 
 WhereItStands = LostLabware | LateResult | NotSeen | SeenElsewhere | Unexpected
-"""Questions that are answered when somebody has said of all stations what stands there."""
+"""Questions that are answered when a person has reported the contents of all their stations."""
 
 LabwareInDoubt = LostLabware | Barcode | NotSeen | SeenElsewhere
-"""Questions that are answered when the labware is seen."""
+"""Questions that are answered when the labware was observed."""

@@ -1,4 +1,4 @@
-"""Old payloads, lifted to the present shape one version at a time."""
+"""Old payloads, converted to the present form one version at a time."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ Lift = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def _keep_payload(payload: dict[str, Any]) -> dict[str, Any]:
-    """A version that only added fields, each with a default."""
+    """The next version only added fields with defaults."""
     return payload
 
 
 def _with_topic(payload: dict[str, Any]) -> dict[str, Any]:
-    """A question names the fields of what it is about. What an answer needs, earlier versions read out of
-    ``subject``, ``motions`` and the consequences of choices; that is done here, once."""
+    """Add the topic of a question. Earlier versions read the data for an answer from ``subject``, ``motions``
+    and the consequences of choices. This is done here, once."""
     topic = _upcast_topic(payload, payload["kind"], payload["subject"], payload.get("motions") or [])
     if topic is None:
         return payload
@@ -45,7 +45,7 @@ def _upcast_topic(
     if kind in ("late_step", "failed_step"):
         return {"topic": kind, "step": int(subject.rpartition("#")[2])}
     if kind == "closing_waits":
-        return {"topic": kind, "user": ""}  # it is named in the choices only
+        return {"topic": kind, "user": ""}  # Only the choices name it.
     if kind == "barcode":
         reading = motions[0]
         read = {name: reading[name] for name in ("labware", "station", "barcode")}
@@ -72,12 +72,12 @@ def _upcast_contradiction(
 
 
 def _with_no_anchor(payload: dict[str, Any]) -> dict[str, Any]:
-    """Of a clock that another run started, no step of this run is the anchor; it was written as -1."""
+    """If another run started a clock, the window has no anchor step in this run; this was written as -1."""
     return {**payload, "anchor": _negative_to_null(payload["anchor"])}
 
 
 def _with_no_numbers_for_nothing(payload: dict[str, Any]) -> dict[str, Any]:
-    """Anchors and resets that are not there were written as -1."""
+    """Missing anchors and resets were written as -1."""
     steps = [dict(step) for step in payload["steps"]]
     for step in steps:
         step["windows"] = [_with_no_anchor(window) for window in step.get("windows") or ()]
@@ -88,7 +88,7 @@ def _with_no_numbers_for_nothing(payload: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_named_parts(payload: dict[str, Any]) -> dict[str, Any]:
-    """The workflow itself was written as part -1, the way out as part -2."""
+    """The workflow itself was written as part -1, the ``on_cancel`` steps as part -2."""
     names = {-1: "main", -2: "on_cancel"}
     steps = [
         {**step, "part": names.get(part, part)}
@@ -99,7 +99,7 @@ def _with_named_parts(payload: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_no_row(payload: dict[str, Any]) -> dict[str, Any]:
-    """A run of no campaign was written with row -1."""
+    """For a run without a campaign, the row was written as -1."""
     return {**payload, "row": _negative_to_null(payload.get("row", -1))}
 
 
@@ -117,11 +117,11 @@ LIFTS: dict[tuple[str, int], Lift] = {
     ("module.taken_out", 1): _keep_payload,
     ("intervention.requested", 1): _with_topic,
 }
-"""(type, version) → a function that turns that version's payload into the next one's."""
+"""(type, version) → a function that converts a payload of this version to the next version."""
 
 
 def lift(type_: str, schema: int, target: int, payload: dict[str, Any]) -> dict[str, Any]:
-    """Raise a payload from ``schema`` to ``target``. Raises KeyError where a lift is missing."""
+    """Convert a payload from ``schema`` to ``target``. Raises KeyError if a conversion is missing."""
     for version in range(schema, target):
         payload = LIFTS[type_, version](payload)
     return payload

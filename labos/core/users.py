@@ -1,8 +1,7 @@
-"""Users, and what each of them may do: roles in the whole lab or in a workcell.
+"""Users, and their permissions: roles in the whole lab or in a workcell.
 
-Events bear ids and nothing else of a person. Users are disabled, never removed: the log speaks of them.
-The members of groups are kept with the groups' weights and quotas (``shares.py``): there is one kind of
-group.
+Events contain only the ids of persons. Users are disabled, never removed, because the log refers to them. The
+members of groups are stored with the groups' weights and quotas (``shares.py``): there is one kind of group.
 """
 
 from __future__ import annotations
@@ -20,27 +19,28 @@ Kind = Literal["person", "service"]
 Role = Literal["viewer", "submitter", "operator", "admin"]
 
 ROLES: tuple[Role, ...] = ("viewer", "submitter", "operator", "admin")
-"""From the least to the most; each may do what those before it may."""
+"""The roles from the lowest to the highest; each includes the permissions of those before it."""
 
 NO_ROLE = 0
-"""The rank of a user without a role: such a user may look, as a viewer may."""
+"""The rank of a user without a role: such a user has the permissions of a viewer."""
 
 
 LABOS = "labos"
-"""Under this name LabOS itself asks; modules ask under theirs, which have a slash. No user is called so."""
+"""The name under which LabOS itself acts; modules act under their own names, which contain a slash. No user
+may have this name."""
 
 ON_BEHALF = " for "
-"""Between a service account and the person for whom it acts."""
+"""The text between a service account and the person for whom it acts."""
 
 
 def on_behalf(service: str, person: str) -> str:
-    """How the log names a service account that acts for a person: both."""
+    """The name in the log of a service account that acts for a person; it contains both names."""
     return f"{service}{ON_BEHALF}{person}"
 
 
 def find_person(actor: str) -> str:
-    """The user who counts as the author of an act: the actor itself or, if a service account acts for a
-    person, that person."""
+    """The user who counts as the author of a request: the actor itself. If a service account acts for a
+    person, it is that person."""
     return actor.rpartition(ON_BEHALF)[2]
 
 
@@ -49,12 +49,12 @@ def rank(role: Role) -> int:
 
 
 def user_subject(user: str) -> str:
-    """How a role names a user."""
+    """The name of a user in roles."""
     return f"user:{user}"
 
 
 def group_subject(group: str) -> str:
-    """How a role names a group."""
+    """The name of a group in roles."""
     return f"group:{group}"
 
 
@@ -142,7 +142,7 @@ class RoleRevoked(Event, frozen=True):
 
 
 class User(msgspec.Struct):
-    """``since``: when it was added (UTC ns)."""
+    """``since`` is the time at which the user was added (UTC ns)."""
 
     kind: Kind
     since: int
@@ -150,8 +150,8 @@ class User(msgspec.Struct):
 
 
 class Users(msgspec.Struct):
-    """``known`` by id; ``roles`` by subject and scope. A lab without users is open: everybody who reaches it
-    may do everything."""
+    """``known`` is by id; ``roles`` by subject and scope. A lab without users is open: everybody who can
+    reach it may do everything."""
 
     known: dict[str, User] = {}
     roles: dict[str, dict[str, Role]] = {}
@@ -161,13 +161,13 @@ class Users(msgspec.Struct):
         return not self.known
 
     def get(self, user: str) -> User | None:
-        """A user who may act; None if there is no such user, or it is disabled."""
+        """A user who may act; None if there is no such user, or if the user is disabled."""
         found = self.known.get(user)
         return found if found is not None and not found.disabled else None
 
     def rank_role(self, user: str, group: str, cell: str) -> int:
-        """The rank of a user's role in a workcell, by itself or by its group. ``cell`` is ``*`` for the
-        whole lab, and empty for the best role anywhere."""
+        """The rank of a user's role in a workcell, of the user or of the user's group. ``cell`` is ``*`` for
+        the whole lab, and empty for the best role anywhere."""
         best = NO_ROLE
         for subject in (user_subject(user), group_subject(group)) if group else (user_subject(user),):
             for scope, role in self.roles.get(subject, _NOTHING).items():
@@ -176,7 +176,8 @@ class Users(msgspec.Struct):
         return best
 
     def list_admins(self) -> list[str]:
-        """The persons who may act and were themselves made admins of the whole lab. One of them stays."""
+        """The persons who may act and have themselves the role of admin in the whole lab. At least one of
+        them must stay."""
         return [
             name
             for name, user in self.known.items()

@@ -1,4 +1,4 @@
-"""Who looks at campaigns that not everybody sees, and which of them they see."""
+"""A user who reads campaigns with restricted visibility, and which of them this user can see."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Literal
 import msgspec
 
 Visibility = Literal["lab", "group", "private"]
-"""Who sees a campaign, besides its user and the operators of its workcell: everybody, the user's group, or
-nobody."""
+"""The users who can see a campaign, besides its user and the operators of its workcell: everybody, the user's
+group, or nobody."""
 
 
 class RestrictedCampaign(msgspec.Struct, frozen=True):
-    """Whose a campaign is that not everybody sees, and who does."""
+    """The user of a campaign with restricted visibility, and who can see it."""
 
     user: str
     workcell: str
@@ -20,8 +20,8 @@ class RestrictedCampaign(msgspec.Struct, frozen=True):
 
 
 class Viewer(msgspec.Struct, frozen=True):
-    """Somebody who looks at campaigns, and sees those of their own (``person``), those that groups see of
-    ``peers``, and all in the workcells ``cells``."""
+    """A user who reads campaigns. The user can see their own campaigns (``person``), group campaigns of
+    ``peers``, and all campaigns in the workcells ``cells``."""
 
     person: str
     peers: tuple[str, ...] = ()

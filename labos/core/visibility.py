@@ -1,7 +1,8 @@
-"""Who sees a campaign that is not shown to everybody.
+"""The users who can see a campaign with restricted visibility.
 
-Its user sees it, the operators of its workcell do, who have to look after its runs, and where it says so the
-members of its user's group. In a lab without users everybody sees everything.
+Its user can see it, and so can the operators of its workcell, who take care of its runs. If the visibility is
+``group``, the members of the user's group can see it too. In a lab without users, everybody can see
+everything.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from labos.core.viewer import Viewer
 
 
 def find_viewer(state: LabState, actor: str) -> Viewer | None:
-    """What a user (or a service account for one) sees; None if they see everything."""
+    """The view of a user (or of a service account for a user); None if they can see everything."""
     if state.users.is_open or actor == LABOS:
         return None
     person, needed = find_person(actor), rank("operator")
@@ -28,7 +29,7 @@ def find_viewer(state: LabState, actor: str) -> Viewer | None:
 
 
 def find_hidden(state: LabState, viewer: Viewer | None) -> frozenset[CampaignId]:
-    """The campaigns that somebody does not see."""
+    """The campaigns that a viewer cannot see."""
     if viewer is None:
         return frozenset()
     restricted = state.campaigns.restricted.items()

@@ -1,4 +1,4 @@
-"""What a step can wait for, and which changes may end the wait."""
+"""The reasons for which a step can wait, and the changes that may end the wait."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from labos.core.state import LabState
 
 
 class Wait(msgspec.Struct, frozen=True):
-    """Why a step cannot start, and what ends that: ``on`` are the keys whose change may end the wait;
-    ``until`` is a time (UTC ns) that ends it by itself."""
+    """Why a step cannot start. ``on`` are the keys whose change may end the wait; ``until`` is a time (UTC
+    ns) that ends it by itself."""
 
     reason: AnyReason
     on: tuple[str, ...] = ()
@@ -32,7 +32,7 @@ class Wait(msgspec.Struct, frozen=True):
 
     @property
     def blocked(self) -> bool:
-        """Whether a person has to do something, or a device to come back; else the wait passes by itself."""
+        """Whether a person has to act, or a device has to come back. Otherwise the wait ends by itself."""
         return self.reason.URGENCY is Urgency.PERSON
 
     @property
@@ -42,7 +42,7 @@ class Wait(msgspec.Struct, frozen=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the reason names."""
+        """The names in the reason."""
         return self.reason.names
 
 
@@ -67,7 +67,7 @@ def run_key(run: RunId) -> str:
 
 
 def list_party(run: RunState) -> tuple[Owner, ...]:
-    """The owners whose labware a run may use, nearest first."""
+    """The owners whose labware a run may use, the nearest first."""
     owners = [run_owner(run.id)]
     if run.experiment:
         owners.append(experiment_owner(run.experiment))
@@ -75,8 +75,8 @@ def list_party(run: RunState) -> tuple[Owner, ...]:
 
 
 def list_keys_until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
-    """The keys of a station and of the modules at work there: an arm that only changed its grip
-    there, or a module that worked on what stands there, leaves no other trace."""
+    """The keys of a station and of the modules at work there. An arm that only changed its grip there, or a
+    module that worked on the labware there, changes no other key."""
     bench = state.bench
     standing = {bench.labware[name].moving for name in bench.stations[place].labware}
     modules = [

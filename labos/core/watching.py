@@ -1,8 +1,8 @@
-"""Which stations are looked at before it is believed that a motion did what its module says.
+"""The stations that an observer checks before a motion counts as successful.
 
-A station may name an observer. With ``always`` it is asked after every motion that takes labware from
-there or puts it down there; with ``on_doubt`` after the first ones of a module that failed, was stopped or
-ended unknown, until one was seen to end well, and after those that try a newly taught pose.
+A station may name an observer. With ``always``, it is asked after every motion that takes labware from there
+or puts it there. With ``on_doubt``, it is asked after motions of a module that failed, was stopped or had an
+unknown outcome, until one motion was confirmed. It is also asked after motions that try a newly taught pose.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from labos.core.waits import Wait, module_key
 
 
 def list_end_stations(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:
-    """The stations from which labware is taken, and where it is put down for good."""
+    """The stations from which labware is taken, and those where it is put down at the end."""
     places = [place for what in list_carried(effects) for place in (what.emptied, what.filled)]
     return tuple(dict.fromkeys(filter(None, places)))
 
 
 def list_watched(state: LabState, action: Action) -> tuple[StationName, ...]:
-    """The stations that are looked at when the module of an action says that it is done. What a person
-    has done by hand the person has seen."""
+    """The stations that observers check when the module of an action reports success. Work that a person has
+    done by hand needs no check."""
     bench = state.bench
     if not bench.watched:
         return ()
@@ -45,7 +45,7 @@ def list_watched(state: LabState, action: Action) -> tuple[StationName, ...]:
 
 
 def find_unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
-    """A station of these steps' motions that is always looked at, and whose observer cannot be asked."""
+    """A station of these steps' motions that is always observed, and whose observer cannot be asked."""
     bench = state.bench
     for step in steps if bench.watched else ():
         for place in () if step.by_person else list_end_stations(step.effects):

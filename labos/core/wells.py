@@ -1,4 +1,4 @@
-"""Names of wells, and what may go into them."""
+"""Names of wells, and the volumes that they may hold."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _SLACK_UL = 1e-6
 
 
 def normalise_well(text: str) -> str:
-    """``a01`` as ``A1``. Raises ValueError for what cannot be a well."""
+    """The normal form of a well's name: ``a01`` gives ``A1``. Raises ValueError for a text that cannot be a
+    well."""
     match = _WELL.fullmatch(text.strip())
     if match is None:
         raise ValueError(f"{text!r} is no well")
@@ -38,8 +39,8 @@ def parse_well(well: str) -> tuple[int, int]:
 
 
 def well_key(name: str) -> tuple[int, int, int]:
-    """Sorts wells as a plate has them: A1, A2, A10, B1. What is no well comes after them, in the order in
-    which it stood."""
+    """A sort key for wells in the order of a plate: A1, A2, A10, B1. Other texts come after them and keep
+    their order."""
     try:
         return (0, *parse_well(name))
     except ValueError:
@@ -47,8 +48,8 @@ def well_key(name: str) -> tuple[int, int, int]:
 
 
 def sort_by_well(value: Any, *, others_sorted: bool = False) -> Any:
-    """A value in which objects whose keys are all wells have them in the order of the plate; other objects
-    are as they were, or sorted by their names."""
+    """A value in which objects whose keys are all wells are in the order of the plate. Other objects keep
+    their order, or are sorted by their keys."""
     if isinstance(value, list | tuple):
         return [sort_by_well(item, others_sorted=others_sorted) for item in value]
     if not isinstance(value, dict):
@@ -72,15 +73,15 @@ def row_name(row: int) -> str:
 
 
 def list_doses(effect: Transfers | Draws) -> list[tuple[str, float]]:
-    """Wells and volumes (µL) of what goes in or out; none where there are no two lists. Raises ValueError
-    for lists that do not fit one another, and for what is no well or no volume."""
+    """Wells and volumes (µL) that go in or out; none if the effect does not have two lists. Raises ValueError
+    for lists of different lengths, and for entries that are not wells or volumes."""
     wells, volumes = effect.wells, effect.volumes_ul
     what = effect.liquid if isinstance(effect, Transfers) else "what is drawn"
     if not isinstance(volumes, list | tuple) or not volumes:
         return []
     if not isinstance(wells, list | tuple):
         if wells:
-            return []  # not known yet
+            return []  # Not known yet.
         wells = ()
     if len(wells) != len(volumes):
         raise ValueError(
@@ -101,10 +102,10 @@ def list_doses(effect: Transfers | Draws) -> list[tuple[str, float]]:
 def find_misfit(
     effects: Iterable[AnyEffect], kind: LabwareSpec | None, held: Mapping[str, float], labware: str
 ) -> str:
-    """What is wrong with the liquids that an action puts into wells of labware, and draws out of them, where
-    its wells hold ``held`` (µL) at most already; empty if nothing is. In which order it does so is not known:
-    what is left in the end has to be possible. A well whose content nobody has stated may hold anything.
-    Without a type only the lists are checked."""
+    """The fault of the liquids that an action puts into wells of labware and draws from them; empty if there
+    is none. ``held`` (µL) is the most that the wells already contain. The order is not known, so the final
+    volumes have to be possible. A well with an undeclared content may hold anything. Without a type, only the
+    lists are checked."""
     given: dict[str, float] = {}
     drawn: dict[str, float] = {}
     for effect in effects:
@@ -155,14 +156,14 @@ def _split_doses(doses: list[tuple[str, float]]) -> tuple[list[str], list[float]
 
 
 def add_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterable[float]) -> None:
-    """Note what has gone into wells."""
+    """Add volumes to wells."""
     for well, volume in zip(wells, volumes_ul, strict=False):
         if well in levels or len(levels) < MOST_WELLS:
             levels[well] = levels.get(well, 0.0) + volume
 
 
 def draw_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterable[float]) -> None:
-    """Note what has come out of wells; wells with unknown content stay unknown."""
+    """Subtract volumes from wells; wells with unknown content stay unknown."""
     for well, volume in zip(wells, volumes_ul, strict=False):
         if well in levels:
             levels[well] = max(0.0, levels[well] - volume)

@@ -1,8 +1,8 @@
-"""Words: what a person wrote into an event for other people to read. Nothing is decided by them.
+"""Words: texts that a person wrote into an event for other people. No decision depends on them.
 
-They stand beside the log, so that they can be erased. In their place the event bears a reference: the digest
-of a salt and the text. With text and salt one can check that they are what was written; from the reference
-alone nobody can guess even a short text. Events of before bear the text itself.
+They are stored beside the log, so that they can be erased. The event contains a reference instead: the digest
+of a salt and the text. With the salt and the text one can verify that they are the original. From the
+reference alone nobody can guess even a short text. Older events contain the text itself.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from typing import Annotated, Any
 import msgspec
 
 Words = Annotated[str, msgspec.Meta(extra={"words": True})]
-"""The type of a field for a reason, note or comment that a person may have written. A name, a tag, a
-fact or an id is data: others look it up, and a decision may depend on it."""
+"""The type of a field for a reason, note or comment that a person may have written. Names, tags, facts and
+ids are data, not words: others look them up, and decisions may depend on them."""
 
 PREFIX = "words:"
-"""How a reference begins; 64 hexadecimal digits follow."""
+"""The beginning of a reference; 64 hexadecimal digits follow."""
 
 ERASED = "(erased)"
-"""What is shown in place of words that were erased."""
+"""The text that is shown instead of erased words."""
 
 _MARK = PREFIX.encode()
 _REFERENCE = re.compile(rb"words:[0-9a-f]{64}")
 
 Keep = Callable[[str], str]
-"""Puts a text beside the log, and returns the reference that takes its place."""
+"""Stores a text beside the log, and returns the reference that replaces it."""
 
 
 class Kept(msgspec.Struct, frozen=True):
-    """A text as it stands beside the log. ``salt`` are 16 random bytes; both are empty if the text was
+    """A text that is stored beside the log. ``salt`` are 16 random bytes; both are empty if the text was
     erased."""
 
     reference: str
@@ -48,7 +48,7 @@ class Kept(msgspec.Struct, frozen=True):
 
     @property
     def is_genuine(self) -> bool:
-        """Whether this is the text that was written, or it was erased."""
+        """Whether this is the original text, or it was erased."""
         return self.is_erased or make_reference(self.salt, self.text) == self.reference
 
 
@@ -57,7 +57,7 @@ def keep(text: str, salt: bytes) -> Kept:
 
 
 def make_reference(salt: bytes, text: str) -> str:
-    """What stands in an event in place of a text."""
+    """The reference to a text in an event."""
     return PREFIX + hashlib.sha256(salt + text.encode()).hexdigest()
 
 
@@ -69,7 +69,7 @@ def list_references(data: bytes) -> list[str]:
 
 
 def put_into_json(data: bytes, texts: Mapping[str, str]) -> bytes:
-    """JSON with texts in the place of their references; a reference without a text was erased."""
+    """JSON with texts instead of their references. A reference without a text was erased."""
 
     def put(found: re.Match[bytes]) -> bytes:
         return msgspec.json.encode(texts.get(found[0].decode(), ERASED))[1:-1]
@@ -78,7 +78,7 @@ def put_into_json(data: bytes, texts: Mapping[str, str]) -> bytes:
 
 
 def put_into_text(text: str, texts: Mapping[str, str]) -> str:
-    """The same for plain text."""
+    """The same for a plain text."""
     if PREFIX not in text:
         return text
     return re.sub(_REFERENCE.pattern.decode(), lambda found: texts.get(found[0], ERASED), text)

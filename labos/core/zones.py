@@ -1,8 +1,8 @@
-"""Zones: parts of the bench that only one arm may be in at a time.
+"""Zones: parts of the bench in which only one arm may be at a time.
 
-An arm is in a zone while an action of it carries labware into or out of a station of the zone. A
-module with a zone of its own is in it whenever it acts. An arm that failed there is taken to stand
-there still until it is idle again.
+An arm is in a zone while an action of it carries labware into or out of a station of the zone. A module with
+a zone of its own is in it during all its actions. An arm that failed in a zone is assumed to be still there
+until it is idle again.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ def find_zones(state: LabState, module: ModuleName, effects: Iterable[AnyEffect]
 def find_zones_reached(
     own: str, effects: Iterable[AnyEffect], zone_at: Callable[[StationName], str]
 ) -> tuple[str, ...]:
-    """The zones of an action of a module whose ``own`` zone may be empty; ``zone_at`` tells that of
-    a station."""
+    """The zones of an action of a module. ``own`` is the module's own zone (may be empty); ``zone_at``
+    returns the zone of a station."""
     zones = dict.fromkeys([own, *map(zone_at, _find_reached(effects))])
     zones.pop("", None)
     return tuple(zones)
 
 
 def _find_reached(effects: Iterable[AnyEffect]) -> list[StationName]:
-    """The stations that an action reaches into."""
+    """The stations into which an action reaches."""
     places: list[StationName] = []
     for effect in effects:
         if isinstance(effect, Carrying):
             places += effect.entered
         elif isinstance(effect, Needs) and effect.station:
-            places.append(effect.station)  # as an arm does that lifts a lid there
+            places.append(effect.station)  # An arm that lifts a lid there does so too.
     return places
 
 
@@ -56,7 +56,7 @@ def find_other_at_work(state: LabState, zone: str, besides: ModuleName) -> Modul
 
 
 def find_stopped_module(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
-    """Another module that failed in a zone and is not known to have come out of it."""
+    """Another module that failed in a zone and may still be in it."""
     for name, module in state.modules.list_in_cell(workcell_of(besides)):
         in_doubt = module.reached and module.status != ModuleStatus.IDLE
         if name != besides and in_doubt and zone in _list_left_in(state, module):
@@ -65,8 +65,8 @@ def find_stopped_module(state: LabState, zone: str, besides: ModuleName) -> Modu
 
 
 def find_barred_zones(state: LabState, cell: str) -> dict[str, ModuleName]:
-    """Zones of a workcell that nobody else can use before a person or a device has done something, and the
-    module in each of them."""
+    """Zones of a workcell that no other module can use before a person or a device has acted, and the module
+    in each of them."""
     found: dict[str, ModuleName] = {}
     for name in state.modules.in_cell.get(cell, ()):
         module = state.modules.by_name[name]

@@ -1,7 +1,7 @@
-"""Commands ask, ``decide`` answers with events or a rejection. One file per family.
+"""``decide`` answers a command with events or a rejection. There is one file per family of commands.
 
-``carry_out`` folds these events, and then those that follow from them (``reactions``), so that each is
-worked out on the state that the ones before it have left.
+``carry_out`` folds these events, and then the events that follow from them (``reactions``). So each event is
+computed from the state after all earlier ones.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, check_recordable
 from labos.core.decide.limits import cut_report, refuse_misfit, shorten_report
 from labos.core.decide.reactions import REACTIONS
-from labos.core.decide.rights import Denied, check_rights  # its table loads every command
+from labos.core.decide.rights import Denied, check_rights  # Its table imports the modules of all commands.
 from labos.core.decide.submissions import hold_for_approval, name_both_actors
 from labos.core.decide.wording import refer_to_words
 from labos.core.registry import Event
@@ -20,7 +20,8 @@ from labos.core.words import Keep
 __all__ = ["LABOS", "REACTIONS", "Command", "Decision", "Denied", "Rejection", "carry_out", "decide"]
 
 MOST_REACTIONS = 10_000
-"""More events than that do not follow from a command, unless it has more than a tenth of that itself."""
+"""The most events that may follow from a command, unless the command itself has more than a tenth of this
+number."""
 
 
 def carry_out(
@@ -30,17 +31,17 @@ def carry_out(
     actor: str,
     keep: Keep | None = None,
 ) -> list[Event] | Rejection:
-    """Decide a command of ``actor``. Each of its events is folded by ``write``, which returns it as it is
-    stored, before the next is worked out; then what follows from them, in their order, until nothing follows
-    any more. With ``keep``, the words of the command stand beside the log. Returns all these events, or why
-    the command cannot be carried out: then nothing was written. Whatever raises leaves the state in the midst
-    of it."""
+    """Decide a command of ``actor``. ``write`` folds each of its events, and returns the event as it is
+    stored, before the next event is computed. Then the events that follow are computed, in order, until no
+    more follow. With ``keep``, the words of the command are stored beside the log. Returns all these events,
+    or why the command cannot be carried out: then nothing was written. If an exception is raised, the state
+    is left with a part of the events."""
     decision = decide(state, command, actor, keep)
     if isinstance(decision, Rejection):
         return decision
     events = [write(event) for event in decision]
     most = len(events) + max(MOST_REACTIONS, 10 * len(events))
-    for event in events:  # also those that are added meanwhile
+    for event in events:  # Includes the events that are added meanwhile.
         for react in REACTIONS.get(type(event), ()):
             for follows in react(state, event):
                 events.append(write(follows))
@@ -51,7 +52,7 @@ def carry_out(
 
 def decide(state: LabState, command: Command, actor: str, keep: Keep | None = None) -> Decision:
     """The events that carry out a command of ``actor``, or why it cannot be carried out (``Denied`` if the
-    actor may not). Changes nothing. What follows from the events is not among them."""
+    actor may not). The state is not changed. The events that follow from these are not included."""
     if refusal := check_rights(state, command, actor):
         return refusal
     if isinstance(command, Report):
@@ -64,7 +65,7 @@ def decide(state: LabState, command: Command, actor: str, keep: Keep | None = No
     if isinstance(command, Report) and isinstance(decision, Rejection) and decision.code == UNFIT:
         return _decide(
             state, shorten_report(command), actor
-        )  # what has happened is recorded, if without the words
+        )  # A report of a past event is recorded in any case, if necessary without the words.
     return decision
 
 

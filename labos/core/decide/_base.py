@@ -1,4 +1,4 @@
-"""What every decision is made of."""
+"""The types that all decisions use."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from labos.core.registry import Event, encode
 from labos.core.state import LabState
 
 UNFIT = "unfit"
-"""The code of a rejection whose events could not be written."""
+"""The code of a rejection of a command: its events cannot be written."""
 
 
 class Command(msgspec.Struct, frozen=True, tag=True):
-    """Somebody asks for something. Ids and times come in with the command."""
+    """A request to the lab. Ids and times come in with the command."""
 
     def list_parts(self) -> Sequence[Command]:
-        """The parts of this command: the actor must be allowed each of them, and the texts
-        of each must be fit to be recorded. All of them are carried out, or none."""
+        """The parts of this command. The actor must be allowed each of them, and the texts of each must be
+        fit to be recorded. All of them are carried out, or none."""
         return ()
 
 
 class Report(Command, frozen=True):
-    """A device, a node or a program says what has happened. It is not refused for its words: long texts are
-    cut."""
+    """A device, a node or a program reports something that has happened. A report is not refused because of
+    its texts: long texts are cut."""
 
 
 class Rejection(msgspec.Struct, frozen=True):
-    """Why not, and what to do about it. ``code`` is for programs."""
+    """Why a command cannot be carried out, and the remedy. ``code`` is for programs."""
 
     code: str
     message: str
@@ -39,8 +39,8 @@ class Rejection(msgspec.Struct, frozen=True):
 
 
 Decision = Iterable[Event] | Rejection
-"""A list of events is decided as a whole. What is worked out one by one (by a generator) finds each event
-in the state when it works out the next; its first event does not depend on that."""
+"""A list of events is decided as a whole. A generator yields the events one by one: when it computes an
+event, the state already has the ones before. Its first event does not depend on that."""
 
 Decider = Callable[[LabState, Any], Decision]
 D = TypeVar("D", bound=Decider)
@@ -49,8 +49,8 @@ DECIDERS: dict[type[Command], Decider] = {}
 
 
 def check_recordable(events: Iterable[Event]) -> Decision:
-    """The events, unless one of them cannot be written: then what somebody handed in is too large
-    or no JSON. Of events that are worked out one by one the first is looked at."""
+    """The events, or a rejection if one of them cannot be written because the input is too large or is not
+    JSON. If the events are generated one by one, only the first is checked."""
     later = None if isinstance(events, list) else iter(events)
     known = [*(events if later is None else islice(later, 1))]
     for event in known:
@@ -66,7 +66,7 @@ def check_recordable(events: Iterable[Event]) -> Decision:
 
 
 def refuse_hotel(state: LabState, station: StationName) -> Rejection | None:
-    """Why a station cannot be meant as one place: it is a hotel, and each of its shelves is a place."""
+    """Why a station cannot be used as one place: it is a hotel, and each of its shelves is a place."""
     shelves = state.bench.shelves.get(station)
     if not shelves:
         return None

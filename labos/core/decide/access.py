@@ -1,4 +1,4 @@
-"""A person reaches into a workcell: nothing starts there, arms are parked, what is in flight ends."""
+"""A person reaches into a workcell: no action starts there, arms are parked, and actions in flight end."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from labos.core.words import Words
 
 
 class ReportedChange(msgspec.Struct, frozen=True):
-    """What a person has found or made of a station: ``what`` is ``empty``, the id of labware that
-    the log knows, or the type of fresh labware."""
+    """A person's report of a station: ``what`` is ``empty``, the id of labware that the log knows, or the
+    type of fresh labware."""
 
     station: StationName
     what: str
 
 
 class RequestAccess(Command, frozen=True):
-    """Let nothing start in a workcell but the runs ``parking``, which bring its arms to rest. One of them
-    that cannot be submitted keeps nobody out."""
+    """Stop all starts in a workcell except those of the runs ``parking``, which bring its arms to rest. If a
+    parking run cannot be submitted, access is granted without it."""
 
     workcell: str
     by: str
@@ -45,13 +45,13 @@ class RequestAccess(Command, frozen=True):
 
 
 class GrantAccess(Command, frozen=True):
-    """Planning has nothing left to start: say that it is safe if nothing moves."""
+    """Planning has nothing left to start: grant access if nothing moves."""
 
     workcell: str
 
 
 class EndAccess(Command, frozen=True):
-    """The person is out, and says what stands elsewhere now."""
+    """The access has ended, and the person reports the changes at the stations."""
 
     workcell: str
     by: str
@@ -60,8 +60,8 @@ class EndAccess(Command, frozen=True):
 
 
 def list_in_motion(state: LabState, cell: str) -> list[str]:
-    """The modules of a workcell that may move: what a person does there by plan, and what nobody
-    knows the end of, does not count."""
+    """The modules of a workcell that may move. Planned work of a person does not count, and neither do
+    actions with an unknown outcome."""
     moving = [
         local(action.module)
         for action in state.actions.open.values()
@@ -78,8 +78,8 @@ def list_in_motion(state: LabState, cell: str) -> list[str]:
 
 
 def list_perhaps_in_motion(state: LabState, cell: str) -> list[str]:
-    """The modules of a workcell that may still be in motion, because nobody knows: who is let in has to
-    see to it."""
+    """The modules of a workcell that may still be in motion because the outcome of their action is unknown.
+    The person with access has to take care of them."""
     unknown = {
         action.module: True for action in state.actions.open.values() if action.status == ActionStatus.UNKNOWN
     }
@@ -132,7 +132,7 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
     left: dict[StationName, list[LabwareId]] = {}
     kept = {change.what for change in command.changes}
     fresh = 0
-    # What was taken away makes room for what was put there.
+    # Labware that was taken away makes room for labware that was put there.
     for change in sorted(command.changes, key=lambda change: change.what != "empty"):
         found = _apply_change(state, cell, command.by, change, left, fresh, kept)
         if isinstance(found, Rejection):
@@ -151,8 +151,9 @@ def _apply_change(
     fresh: int,
     kept: set[str],
 ) -> list[Event] | Rejection:
-    """The events of one change; ``left`` keeps what stands where after those before it, ``fresh``
-    how many of them brought new labware, ``kept`` what is named by any: it has not left the bench."""
+    """The events of one change. ``left`` maps stations to the labware there after the earlier changes.
+    ``fresh`` counts the earlier changes that brought new labware. ``kept`` is the labware that any change
+    names: it has not left the bench."""
     station = state.bench.stations.get(change.station)
     if station is None or workcell_of(change.station) != cell:
         return Rejection("no_station", f"{cell} has no station {local(change.station)}.")
@@ -187,7 +188,7 @@ def _apply_change(
             "Answer what is asked: labos resolve",
         )
     before = left.setdefault(labware.station, list(state.bench.stations[labware.station].labware))
-    if labware.id in before:  # else the station was cleared
+    if labware.id in before:  # Otherwise the station was cleared.
         before.remove(labware.id)
     here.append(labware.id)
     return [LabwareObserved(labware.id, "", change.station, by)]
@@ -196,7 +197,7 @@ def _apply_change(
 def _place_new(
     state: LabState, change: ReportedChange, here: list[LabwareId], number: int
 ) -> list[Event] | Rejection:
-    """Labware that the log has not seen before."""
+    """The events of labware that is new to the log."""
     spec = state.bench.stations[change.station].spec
     if spec.kind in ("stack", "waste"):
         return Rejection(

@@ -1,4 +1,4 @@
-"""From a step that may start to the end of its action, known or not."""
+"""From a step that may start to the end of its action, with a known or an unknown outcome."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ from labos.core.wells import find_misfit
 
 
 class StartStep(Command, frozen=True):
-    """Request a step's action. ``action`` is the id it will bear for ever. ``plan`` is the one that a run is
-    bound to with its first step, if it has several to choose from."""
+    """Request a step's action. ``action`` is its permanent id. If a run has several plans to choose from, its
+    first step binds it to ``plan``."""
 
     run: RunId
     step: int
@@ -76,7 +76,7 @@ class StartStep(Command, frozen=True):
 
 
 class AcceptAction(Report, frozen=True):
-    """The node says that it carries the attempt out."""
+    """The node reports that it carries the attempt out."""
 
     action: ActionId
     attempt: int
@@ -84,7 +84,7 @@ class AcceptAction(Report, frozen=True):
 
 
 class RefuseAction(Report, frozen=True):
-    """The node says that it did not and will not carry the attempt out."""
+    """The node reports that it did not and will not carry the attempt out."""
 
     action: ActionId
     attempt: int
@@ -93,10 +93,10 @@ class RefuseAction(Report, frozen=True):
 
 
 class FinishAction(Report, frozen=True):
-    """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown).
-    ``collided``: something was hit, dropped or jammed. ``journal`` is the journal that says so: of an open
-    action it has to be the one that was asked. Empty: the report comes from somebody else, not from a
-    node."""
+    """The node reports how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown).
+    ``collided``: something was hit, dropped or jammed. ``journal`` is the journal from which the report
+    comes; for an open action it has to be the one for which the request was meant. If ``journal`` is empty,
+    the report does not come from a node."""
 
     action: ActionId
     attempt: int
@@ -110,7 +110,7 @@ class FinishAction(Report, frozen=True):
 
 
 class ResendAction(Report, frozen=True):
-    """The attempt can never run: make the next one."""
+    """The attempt can never run: make the next attempt."""
 
     action: ActionId
     attempt: int
@@ -118,7 +118,7 @@ class ResendAction(Report, frozen=True):
 
 
 class DoubtAction(Report, frozen=True):
-    """Nobody can say whether the attempt was carried out."""
+    """It cannot be found out whether the attempt was carried out."""
 
     action: ActionId
     why: str
@@ -132,8 +132,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
 def request_action(
     state: LabState, command: StartStep, others: Collection[RunId] = (), together: tuple[ActionId, ...] = ()
 ) -> Decision:
-    """The events of a start. With ``together``, its device carries it out in one go with other actions, for
-    the runs ``others``."""
+    """The events of a start. With ``together``, the device carries it out at once with other actions, for the
+    runs ``others``."""
     run = state.runs.get(command.run)
     if run is None:
         return Rejection("no_run", f"There is no run {command.run} that has not ended.")
@@ -188,7 +188,7 @@ def request_action(
     if step.by_person:
         events.append(ask_for_work(state, run, step, command.action, args, effects, command.now))
     unfit = check_recordable(events)
-    if isinstance(unfit, Rejection):  # results of earlier steps were too large for it
+    if isinstance(unfit, Rejection):  # Results of earlier steps were too large for it.
         return _fail_start(state, run, step, unfit.message)
     return events
 
@@ -196,8 +196,8 @@ def request_action(
 def _hand_labware_to_run(
     state: LabState, run: RunState, effects: tuple[AnyEffect, ...]
 ) -> Iterator[LabwareHandedOver]:
-    """What a step touches belongs to its run: what it carries or changes for good, what it only needs until
-    the run ends."""
+    """Labware that a step touches gets the run as owner. If the step only needs the labware, the run borrows
+    it until it ends."""
     owner, stays, labware = run_owner(run.id), find_labware_changed(effects), state.bench.labware
     names = find_labware_used(effects)
     lids = {labware[name].lid: name for name in names if labware[name].lid}
@@ -214,8 +214,8 @@ def _fail_start(state: LabState, run: RunState, step: PlanStep, why: str) -> Ite
 def _fill_in_from_labware(
     state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]
 ) -> dict[str, Any]:
-    """Arguments ``{labware.slot}`` become what the labware that is worked on has for it; empty if
-    nobody said."""
+    """Replace arguments ``{labware.slot}`` by the samples' values of the labware that the step works on;
+    empty if there is no value."""
     subject = next((e.labware for e in effects if isinstance(e, Move | Needs) and e.labware), None)
     values = state.bench.labware[subject].variables if subject else {}
     return {
@@ -229,7 +229,8 @@ def _fill_in_from_labware(
 def _add_labware_types(
     state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]
 ) -> dict[str, Any]:
-    """Arguments with the types of what is carried, where the action takes them and the step is silent."""
+    """Add the types of the carried labware to the arguments, if the action accepts them and the step does not
+    set them."""
     if args.get(LABWARE_TYPE) != "" and args.get(PLATE_TYPE) != "":
         return args
     told = dict(args)
@@ -249,7 +250,7 @@ def _add_labware_types(
 def _fill_in_wells(
     plan: Plan, results: dict[int, Any], effects: tuple[AnyEffect, ...]
 ) -> tuple[AnyEffect, ...]:
-    """Lists of wells and volumes that an earlier step has worked out, written in."""
+    """Replace references to results by the lists of wells and volumes from an earlier step."""
     out: list[AnyEffect] = []
     for effect in effects:
         if isinstance(effect, Transfers | Draws):
@@ -261,7 +262,7 @@ def _fill_in_wells(
 
 
 def _find_liquid_fault(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
-    """What is wrong with the liquids that an action would put into wells or draw; empty if nothing is."""
+    """The fault of the liquids that an action would put into wells or draw; empty if there is none."""
     fed = next((e.labware for e in effects if isinstance(e, Transfers | Draws) and e.labware), None)
     if fed is None:
         return find_misfit(effects, None, {}, "the labware")
@@ -288,7 +289,7 @@ def accept_action(state: LabState, command: AcceptAction) -> Decision:
         return []
     accepted = ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)
     if action.status == ActionStatus.UNKNOWN and not action.looks:
-        # Its node was away, and is back at it. Who has asked because it takes too long still asks.
+        # Its node was away and is back. A question because of a late end stays open.
         due = find_end_by(state, action)
         return [] if due is not None and command.now > due else [accepted]
     return [accepted] if action.status == ActionStatus.REQUESTED else []
@@ -300,8 +301,9 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     if action is None or action.attempt != command.attempt:
         return []
     if state.shorter.since and action.status == ActionStatus.UNKNOWN and not command.final:
-        return []  # another attempt may have been made behind the log's end: a person says how it ended
-    # A recovery waits for no change of the module's status: tried again, it would be for ever.
+        # Another attempt may have been made in the lost end of the log: a person reports how it ended.
+        return []
+    # A recovery waits for no change of the module's status: it would be tried again without end.
     final = command.final or _is_recovery(state, action)
     events: list[Event] = [
         ActionRejected(
@@ -316,13 +318,13 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
         *put_back_in_place(state, action),
     ]
     if not final and state.modules.by_name[action.module].status == ModuleStatus.IDLE:
-        # It is not as idle as it seemed: wait until it says so again.
+        # The module is not idle, although its state said so: wait until it reports idle again.
         events.append(NodeStateChanged(action.module, "BUSY", command.why))
     return events
 
 
 def _is_recovery(state: LabState, action: Action) -> bool:
-    """Whether the action is to bring its module out of an error."""
+    """Whether the action resets its module after an error."""
     run = state.runs.active.get(action.run)
     return run is not None and state.runs.plan_of(run).steps[action.step].recovers
 
@@ -344,7 +346,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
             f"Journal {action.journal} was asked to do {action.id}, and {command.journal} says how it ended.",
         )
     if action.looks:
-        return []  # what it said is known, and is being looked at, or a person is asked
+        return []  # The result is known, and is being confirmed by an observer, or a person is asked.
     places = list_watched(state, action) if command.succeeded else ()
     if places:
         return [_report(action, command, places)]
@@ -358,7 +360,7 @@ def _report(action: Action, command: FinishAction, places: tuple[StationName, ..
 
 
 def finish(state: LabState, action: Action, command: FinishAction) -> Iterator[Event]:
-    """The end of an action, and what it did to the bench."""
+    """The events of an action's end, and of its effects on the bench."""
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     kind: FailureKind = "operational" if command.collided else "software"
     if not command.succeeded:
@@ -378,7 +380,8 @@ def finish(state: LabState, action: Action, command: FinishAction) -> Iterator[E
 
 
 def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
-    """A result for what the log has settled: kept as evidence; a contradiction asks a person."""
+    """A late result for an action that the log has settled: it is kept as evidence, and a contradiction opens
+    a question to a person."""
     settled = state.actions.settled.get(command.action)
     if settled is None:
         return []
@@ -414,7 +417,8 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
     if action is None or action.attempt != command.attempt or action.status != ActionStatus.REQUESTED:
         return []
     if state.shorter.since and not _is_recovery(state, action):
-        # A later attempt may have been made behind the log's end; and nothing moves on a bench unseen.
+        # A later attempt may have been made in the lost end of the log. Nothing may move on a bench whose
+        # state is unknown.
         return doubt(state, action, "its node never began this attempt, and the log has lost its end")
     run = state.runs.active.get(action.run)
     if run is not None and run.status == RunStatus.CANCELLING:
@@ -444,15 +448,15 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
 def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.looks or find_work(state, action) is not None:
-        return []  # its device has said that it is done, or a person knows
+        return []  # Its device has reported success, or a person knows the outcome.
     if action.status == ActionStatus.UNKNOWN:
         return _settle_by_sight(state, action)
     return doubt(state, action, command.why)
 
 
 def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
-    """Its node is back and knows nothing more, but where its labware stands has been seen while the node was
-    away."""
+    """Settle an action by observations: its node is back without a result, but its labware was observed
+    meanwhile."""
     question = state.interventions.find_about(action.id)
     name = next((move.labware for move in list_moved(action.effects)), None)
     item = state.bench.labware.get(name) if name is not None else None

@@ -1,4 +1,4 @@
-"""Asking for a second person before a run does something dangerous, and what follows from the answer."""
+"""Asking a second person to approve a run with dangerous steps, and the events after the answer."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from labos.core.topics import SecondPerson
 from labos.core.users import ON_BEHALF, find_person
 
 MOST_NAMED = 5
-"""So many dangerous steps are named in the question."""
+"""The question names at most this number of dangerous steps."""
 
 
 def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) -> Decision:
-    """A second person lets a run do what is dangerous, or does not."""
+    """A second person approves a run's dangerous steps, or refuses."""
     run = state.runs.queued.get(RunId(topic.run))
     if run is None:
         return []

@@ -1,4 +1,4 @@
-"""What a barcode that was read says of labware, and what is asked if it contradicts the log."""
+"""The events that follow when a barcode was read, and the question if it contradicts the log."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ NOWHERE = StationName("")
 
 
 def find_barcode(result: Any) -> str:
-    """The barcode that a result tells of; empty if none could be read."""
+    """The barcode in a result; empty if none could be read."""
     found = result.get("barcode") if isinstance(result, dict) else result
     text = found.strip() if isinstance(found, str) else ""
     return text if text.isprintable() and len(text) <= LONGEST_BARCODE else ""
 
 
 def record_barcodes(state: LabState, action: Action, result: Any, by: str = "") -> list[Event]:
-    """What follows from the barcode that an action read. One that contradicts the log leaves it
-    uncertain where the labware is, and what else bears that barcode: only what needs them waits.
-    ``by`` is who says what was read, if it is not the module."""
+    """The events that follow from the barcode that an action read. If it contradicts the log, two things
+    become uncertain: the place of the labware, and the other labware with this barcode. Only steps that need
+    this labware wait. ``by`` is the person or module that reported the barcode, if it is not the acting
+    module."""
     code = find_barcode(result)
     if not code:
         return []
@@ -87,8 +88,8 @@ def _describe_place(labware: Labware) -> str:
 
 
 def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> list[Event]:
-    """The events that follow when a person has looked at the plate. What has been found or taken
-    away meanwhile stays as it is."""
+    """The events that follow when a person has checked the plate. Labware that was found or taken away
+    meanwhile is not changed."""
     labware, other, here = (
         _find_uncertain(state, topic.labware),
         _find_uncertain(state, topic.other),
@@ -99,7 +100,7 @@ def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> lis
         there = other.maybe[0] if choice not in ("swapped", "other") else here
         events.append(LabwareObserved(other.id, "", there, by))
     if choice in ("swapped", "other"):
-        # It might use the other plate, if that is shared, as if it were its own.
+        # If the other plate is shared, the run might use it as if it were its own.
         run = state.runs.get(topic.run)
         events += [RunPaused(run.id)] if run is not None and not run.paused else []
     if labware is None:

@@ -1,5 +1,4 @@
-"""Runs that are submitted together: one command, so that all of them are queued before the first one starts,
-or none is."""
+"""Runs that are submitted together: one command queues all of them before the first one starts, or none."""
 
 from __future__ import annotations
 
@@ -17,12 +16,12 @@ from labos.core.quotas import explain_full_queue
 from labos.core.state import LabState
 
 MOST_RUNS = 50
-"""Runs of one command: so many are decided in one turn of the kernel."""
+"""The most runs of one command: all are decided in one turn of the kernel."""
 
 
 class SubmitRuns(Command, frozen=True):
-    """Queue several runs, in order, and say which labware was put on the bench for them. A rejection names
-    the run by its payload; so many payloads were sent before: ``first``."""
+    """Queue several runs, in order, and declare the labware that was put on the bench for them. A rejection
+    names the run by the number of its payload; ``first`` is the number of payloads that were sent before."""
 
     runs: tuple[SubmitRun, ...]
     loads: tuple[LoadStation, ...] = ()
@@ -64,7 +63,7 @@ def submit_runs(state: LabState, command: SubmitRuns) -> Decision:
 
 
 def list_new(state: LabState, command: SubmitRuns) -> dict[int, SubmitRun]:
-    """The runs that the log does not know yet, by their numbers in the command."""
+    """The runs that are new to the log, by their numbers in the command."""
     known = state.runs.requests
     return {
         number: run for number, run in enumerate(command.runs) if not run.request or run.request not in known
@@ -76,7 +75,7 @@ def name_payload(command: SubmitRuns, number: int) -> str:
 
 
 def name_run(command: SubmitRuns, number: int, why: Rejection) -> Rejection:
-    """The rejection of one run as that of all of them."""
+    """The rejection of one run, as the rejection of the whole command."""
     message = f"{name_payload(command, number)}: {why.message} None of the runs was submitted."
     return msgspec.structs.replace(why, message=message)
 

@@ -1,4 +1,4 @@
-"""Booking a module or a workcell, and what becomes of a booking."""
+"""Booking a module or a workcell, and the changes of a booking."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ from labos.core.words import Words
 HOUR_NS = 3_600_000_000_000
 
 LONGEST_DAYS = 366
-"""So long a booking lasts at most."""
+"""The longest time of a booking."""
 
 CONFLICT_DAYS = 400
-"""So far ahead it is looked whether bookings that are repeated overlap."""
+"""Overlaps of repeated bookings are checked up to this far ahead."""
 
 
 class NewTerms(msgspec.Struct, frozen=True, kw_only=True):
-    """When (UTC ns), and for whom: a user, a group, or nobody's runs (``maintenance``). With a ``rule`` it is
-    repeated by the clock of a time zone, at the latest at ``last`` (UTC ns; 0: without end). ``why`` is null
-    for the reason that a booking has that is changed."""
+    """The times of a booking (UTC ns), and its user or group; neither for ``maintenance``. With a ``rule`` it
+    is repeated by the clock of a time zone, at the latest at ``last`` (UTC ns; 0: without end). ``why`` is
+    null if a changed booking keeps its reason."""
 
     begins: int
     ends: int
@@ -69,8 +69,7 @@ class MakeBooking(Command, frozen=True):
 
 
 class ChangeBooking(Command, frozen=True):
-    """Let a booking be for another time, or for somebody else. With ``force``, also where others have
-    booked."""
+    """Change the time or the owner of a booking. With ``force``, also where others have booked."""
 
     booking: str
     terms: NewTerms
@@ -80,8 +79,8 @@ class ChangeBooking(Command, frozen=True):
 
 
 class CancelBooking(Command, frozen=True):
-    """Cancel a booking; of a repeated one only the time that begins at ``begins`` (UTC ns), if that
-    is named."""
+    """Cancel a booking. If ``begins`` (UTC ns) is given, only this time of a repeated booking is
+    cancelled."""
 
     booking: str
     by: str
@@ -169,7 +168,7 @@ def begin_booking(state: LabState, command: BeginBooking) -> Decision:
 
 @decides(EndBooking)
 def end_booking(state: LabState, command: EndBooking) -> Decision:
-    """Times that nobody took note of, because the lab was down, are over together."""
+    """Several times that passed while the lab was down are over at once."""
     booking = state.bookings.open.get(command.booking)
     if booking is None or booking.change_due(command.now) != "end":
         return []
@@ -190,7 +189,7 @@ def refuse_unknown_booking(name: str) -> Rejection:
 
 
 def list_modules(state: LabState, target: str) -> list[ModuleName]:
-    """The modules that a booking of a module or a workcell takes."""
+    """The modules that are booked with a module or a workcell."""
     return [name for name in state.modules.by_name if target in (name, workcell_of(name))]
 
 
@@ -219,7 +218,7 @@ def _make_event(
 def _find_overridden(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> tuple[str, ...] | Rejection:
-    """The bookings that one is made over, or why it is not made. ``name`` is its own, if it has one."""
+    """The bookings that a booking overrides, or why it cannot be made. ``name`` is its id, if it has one."""
     return (
         _check_terms(state, target, command.terms, command.now)
         or _check_quota(state, target, command, name)
@@ -278,7 +277,8 @@ def _check_for_whom(state: LabState, terms: NewTerms) -> Rejection | None:
 def _check_quota(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> Rejection | None:
-    """Users who are no operators there book as much, and as far ahead, as the policy lets them."""
+    """Check the policy's limits for users who are not operators there: how much, and how far ahead, they may
+    book."""
     who, terms, now = find_person(command.by), command.terms, command.now
     cell = workcell_of(ModuleName(target))
     if state.users.is_open or rank_role_in(state, who, cell) >= rank("operator"):
@@ -336,7 +336,7 @@ def _refuse(other: Booking, met: BookingSpan, *, force: bool) -> Rejection:
 
 
 def _find_first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> BookingSpan | None:
-    """The first of the others' times that one of ours overlaps; both are in order."""
+    """The first of the others' times that overlaps one of ours; both lists are in order."""
     index = 0
     for span in others:
         while index < len(ours) and ours[index].ends <= span.begins:
@@ -415,14 +415,14 @@ def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:
 
 
 def _list_standing(state: LabState, module: ModuleName) -> list[Labware]:
-    """What stands in a module, and not in storage that stands apart or in waste."""
+    """Labware in a module, without labware in waste or in storage that is accessible separately."""
     stations = [state.bench.stations[name] for name in state.bench.by_module.get(module, ())]
     inside = [station for station in stations if not station.spec.stands_apart]
     return [state.bench.labware[name] for station in inside for name in station.labware]
 
 
 def _is_theirs(state: LabState, booking: Booking, item: Labware) -> bool:
-    """Whether labware belongs to everybody, or to those who have the booking."""
+    """Whether labware is shared, or belongs to a person with the booking."""
     if item.owner == SHARED:
         return True
     kind, name = split_owner(item.owner)

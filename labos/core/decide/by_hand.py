@@ -1,4 +1,4 @@
-"""What a person does about labware on the bench answers the questions that were asked about it."""
+"""A person's report about labware answers the open questions about this labware."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from labos.core.registry import Event
 from labos.core.state import LabState
 
 WHERE_IT_IS = ("lost_labware", "failed_run")
-"""Questions that ask where labware is, or what became of it."""
+"""Questions about the place or the fate of labware."""
 
 
 def withdraw_answered(state: LabState, events: Sequence[Event], by: str) -> list[Event]:
-    """The questions that answer themselves by what somebody took away or put somewhere: all that they are
-    about was among it, or had left the bench before."""
+    """Withdraw the questions that these events answer: all labware of the question was taken away or placed
+    by them, or had left the bench before."""
     told = {labware for event in events if (labware := _find_settled(state, event))}
     return [
         InterventionResolved(question.id, "withdrawn", "labos", f"taken away, or put elsewhere, by {by}")
@@ -28,14 +28,14 @@ def withdraw_answered(state: LabState, events: Sequence[Event], by: str) -> list
 
 
 def _find_settled(state: LabState, event: Event) -> LabwareId | None:
-    """The labware that has left the bench by it, or stands where no hand holds it."""
+    """The labware that has left the bench by the event, or that stands at a station that is not a hand."""
     if isinstance(event, LabwareObserved):
         return event.labware if state.bench.stations[event.station].spec.kind != "gripper" else None
     return event.labware if isinstance(event, LabwareRemoved) else None
 
 
 def _find_asked_for(question: Intervention) -> set[LabwareId]:
-    """The labware whose place is asked for; none if some of it has no name yet."""
+    """The labware that the question is about; none if some of it has no id yet."""
     if question.kind not in WHERE_IT_IS or any(what.stock for what in list_carried(question.motions)):
         return set()
     return {move.labware for move in list_moved(question.motions)} | {*question.labware}

@@ -1,4 +1,4 @@
-"""Somebody records that a module was calibrated."""
+"""A person records that a module was calibrated."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from labos.core.words import Words
 
 
 class CalibrateModule(Command, frozen=True):
-    """Record a calibration of a module, or of ``what`` of it; ``file`` is the digest of its report, ``until``
-    its last day."""
+    """Record a calibration of a module, or of its part ``what``. ``file`` is the digest of its report;
+    ``until`` is its last day."""
 
     module: ModuleName
     by: str

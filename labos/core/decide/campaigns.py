@@ -46,20 +46,21 @@ from labos.core.viewer import Visibility
 from labos.core.words import Words
 
 NO_ROOM = "no_room"
-"""The code of a rejection of a row for which there is no room yet."""
+"""The code of a rejection of a row because too many runs of its campaign wait."""
 
 NOT_NEXT = "not_next"
-"""The code of a rejection of a row whose turn it is not."""
+"""The code of a rejection of a row that is not the next one."""
 
 NOT_OPEN = "not_open"
-"""The code of a rejection of a row whose campaign takes none."""
+"""The code of a rejection of a row whose campaign takes no rows."""
 
 
 class SubmitCampaign(Command, frozen=True):
-    """Carry out a workflow for each row of a table. ``table`` and ``definition`` are digests of blobs;
-    the same ``request`` twice is one campaign. ``demand`` is what its rows ask of the lab by their plans.
-    ``propose``: it waits for an approval, whatever the policy. ``visibility``: who sees it; ``cloned_from``:
-    the campaign that it repeats; ``due``: the key of a row that says when its run is due."""
+    """Carry out a workflow for each row of a table. ``table`` and ``definition`` are digests of blobs; the
+    same ``request`` twice is one campaign. ``demand`` is the work and material that its rows need by their
+    plans. ``propose``: it waits for an approval, even if the policy does not demand one. ``visibility``: who
+    can see it; ``cloned_from``: the campaign that it repeats; ``due``: the column with the due date of each
+    row's run."""
 
     name: str
     user: str
@@ -78,7 +79,7 @@ class SubmitCampaign(Command, frozen=True):
 
 
 class SubmitRow(Command, frozen=True):
-    """The next row of a campaign becomes a run, which should be over when it is ``due_at`` (UTC ns)."""
+    """The next row of a campaign becomes a run with the due date ``due_at`` (UTC ns)."""
 
     campaign: CampaignId
     row: int
@@ -90,7 +91,7 @@ class SubmitRow(Command, frozen=True):
 
 
 class RefuseRow(Command, frozen=True):
-    """The next row of a campaign cannot become a run, and why."""
+    """The next row of a campaign cannot become a run; ``why`` is the reason."""
 
     campaign: CampaignId
     row: int
@@ -98,7 +99,8 @@ class RefuseRow(Command, frozen=True):
 
 
 class SubmitRows(Command, frozen=True):
-    """The next rows of a campaign become runs, or cannot, one after the other, as long as there is room."""
+    """The next rows of a campaign become runs or are refused, one after the other, as long as there is
+    room."""
 
     rows: tuple[SubmitRow | RefuseRow, ...]
 
@@ -116,7 +118,7 @@ class ResumeCampaign(Command, frozen=True):
 
 
 class AmendCampaign(Command, frozen=True):
-    """Go on under other terms."""
+    """Continue a campaign under changed terms."""
 
     campaign: CampaignId
     terms: Terms
@@ -131,7 +133,7 @@ class CancelCampaign(Command, frozen=True):
 
 
 class ArchiveCampaign(Command, frozen=True):
-    """Leave a campaign that has ended out of lists; ``undo``: no longer."""
+    """Hide a campaign that has ended from lists; ``undo``: show it again."""
 
     campaign: CampaignId
     undo: bool = False
@@ -235,7 +237,7 @@ def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
 
 
 def check_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
-    """Why a campaign cannot go on under these terms."""
+    """Why a campaign cannot continue under these terms; None if it can."""
     until, known = terms.until, campaign.terms.until
     if (
         until is None
@@ -285,8 +287,8 @@ def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Ite
 
 
 def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
-    """What a further run of a plan would use beyond the campaign's budget, as a sentence; empty if it fits.
-    Runs alive are counted in full, by what their plans say."""
+    """Why a further run of a plan would exceed the campaign's budget, as a sentence; empty if it fits. Runs
+    alive count in full, by their plans."""
     budget = campaign.terms.budget
     submitted = campaign.next_row - campaign.refused
     if budget.runs and submitted >= budget.runs:
@@ -307,12 +309,12 @@ def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
 
 
 def compute_module_time_s(plan: Plan) -> float:
-    """The nominal module time of a plan that goes well, in lab seconds."""
+    """The nominal module time of a plan without failures, in lab seconds."""
     return sum(step.duration_s for step in plan.steps if step.part == MAIN)
 
 
 def sum_consumption(plan: Plan) -> dict[str, float]:
-    """What a plan that goes well uses up, by kind."""
+    """The consumption of a plan without failures, by kind."""
     found: dict[str, float] = {}
     for index, _, resource, amount in list_used_up(plan.steps):
         if plan.steps[index].part == MAIN:
@@ -368,7 +370,7 @@ def _find_queued(campaign: Campaign) -> list[RunId]:
 
 
 def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool = False) -> Iterator[Event]:
-    """Cancel runs, one after the other, as far as that can be done."""
+    """Cancel runs, one after the other, as far as possible."""
     for run in list(runs):
         answer = cancel_run(state, CancelRun(run, stay, why))
         if not isinstance(answer, Rejection):

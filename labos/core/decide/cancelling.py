@@ -1,4 +1,5 @@
-"""Cancelling runs: what is in flight is let finish; then labware goes the way out that the plan has."""
+"""Cancelling runs: actions in flight end first; then the ``on_cancel`` steps of the plan clear the labware
+away."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ from labos.core.words import Words
 
 
 class CancelRun(Command, frozen=True):
-    """``stay``: its labware stays where it is, also if the run has a way out or goes it already. ``why`` is a
-    word about it for the log."""
+    """``stay``: its labware stays where it is, even if the run has ``on_cancel`` steps or is carrying them
+    out. ``why`` is a reason for the log."""
 
     run: RunId
     stay: bool = False
@@ -26,14 +27,15 @@ class CancelRun(Command, frozen=True):
 
 
 class TakeWayOut(Command, frozen=True):
-    """Nothing of a cancelled run is in flight any more. Planning says when, after all that the last result
-    has caused; which steps of its way out the run needs is worked out here (decision 69)."""
+    """Nothing of a cancelled run is in flight any more. Planning sends this command after everything that
+    follows from the last result. Here it is computed which ``on_cancel`` steps the run needs (decision
+    69)."""
 
     run: RunId
 
 
 class GiveUpWayOut(Command, frozen=True):
-    """A run cannot go its way out to its end, whatever the others do."""
+    """A run cannot complete its ``on_cancel`` steps, whatever the other runs do."""
 
     run: RunId
 

@@ -1,4 +1,5 @@
-"""Which of several modules does a step: a run has a plan for each choice, and is bound to one of them."""
+"""Which of several modules carries out a step: a run has a plan for each choice, and is bound to one of
+them."""
 
 from __future__ import annotations
 
@@ -11,11 +12,11 @@ from labos.core.runs import PENDING, SKIPPED, RunBound, RunState, RunStatus, fin
 from labos.core.state import LabState
 
 MOST_PLANS = 16
-"""So many plans a run may choose from."""
+"""The most plans from which a run may choose."""
 
 
 class BindAnew(Command, frozen=True):
-    """A run that was let in goes on by another of its plans, as a module of the one that it has is down.
+    """An admitted run continues with another of its plans, because a module of its present plan is down.
     ``why`` is for people."""
 
     run: RunId
@@ -32,14 +33,14 @@ def bind_anew(state: LabState, command: BindAnew) -> Decision:
 
 
 def bind(state: LabState, run: RunState, why: str = "") -> RunBound:
-    """A run is bound to the plan that it has here."""
+    """The event that binds a run to the plan ``run.plan``."""
     chosen = find_chosen_modules(state.runs, run)
     return RunBound(run.id, run.plan, chosen, state.runs.find_plan_stream(run.plan), why)
 
 
 def can_change_to(state: LabState, run: RunState, plan: str) -> bool:
-    """Whether a run inside could go on by a plan: it is one of its own, and what has begun is the same in
-    it."""
+    """Whether a started run could continue with a plan: the plan is one of the run's own, and the steps that
+    have begun are the same in it."""
     if plan not in run.choices or run.status != RunStatus.ACTIVE:
         return False
     old, new = state.runs.plan_of(run), state.runs.plans[plan].plan
@@ -50,7 +51,7 @@ def can_change_to(state: LabState, run: RunState, plan: str) -> bool:
 
 
 def compare_plans(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
-    """Why plans are not the same steps on other modules."""
+    """Why plans are not the same steps on other modules; None if they are."""
     if len(others) >= MOST_PLANS:
         return Rejection(
             "too_many_choices",

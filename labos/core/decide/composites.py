@@ -1,8 +1,7 @@
-"""Requests with several consequences that belong together: one command, so that all of them happen, or
-none.
+"""Requests with several parts that belong together: one command, so that all parts are carried out, or none.
 
-Whether each of them can be carried out is seen before anything happens: on the state before the first of
-them. So none may be in the way of another.
+All parts are checked before anything happens, on the state before the first part. So no part may make another
+one impossible.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from labos.core.topics import ShorterLog
 
 
 class SubmitWithLabware(Command, frozen=True):
-    """Queue a run, and say which labware was put on the bench for it."""
+    """Queue a run, and declare the labware that was put on the bench for it."""
 
     run: SubmitRun
     loads: tuple[LoadStation, ...] = ()
@@ -40,7 +39,7 @@ class SubmitWithLabware(Command, frozen=True):
 
 
 class DeclareStations(Command, frozen=True):
-    """Say what stands at several stations."""
+    """Declare the contents of several stations."""
 
     stations: tuple[DeclareStation, ...]
 
@@ -49,9 +48,9 @@ class DeclareStations(Command, frozen=True):
 
 
 class ReportRound(Command, frozen=True):
-    """Somebody who goes round the bench says what stands at ``stations``, and which are ``as_recorded``.
-    Of each station that can be spoken of so, it is recorded; ``finish``: once nothing is left to be said,
-    the question that asked for the round is answered."""
+    """A person on the round reports the contents of ``stations``, and confirms the stations ``as_recorded``.
+    Every possible report is recorded. With ``finish``, the question that asked for the round is answered as
+    soon as no station is left to report."""
 
     by: str
     stations: tuple[SayContents, ...] = ()
@@ -107,7 +106,7 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
 
 
 def carry_out_all(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
-    """The events of parts that are known to be possible."""
+    """The events of parts that were checked before and are possible."""
     for part in parts:
         decision = decider(state, part)
         if isinstance(decision, Rejection):

@@ -1,4 +1,5 @@
-"""What follows when a person says all that stands at a station: the record is made to say the same."""
+"""The events that follow when a person reports everything that stands at a station: the record is changed to
+match the report."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ GONE = StationName("")
 
 
 def list_recorded(state: LabState, name: StationName) -> list[str]:
-    """What stands at a station by the record, as ``list_contents_events`` takes it."""
+    """The labware at a station according to the record, in the form that ``list_contents_events`` accepts."""
     station, labware = state.bench.stations[name], state.bench.labware
     if station.spec.kind == "waste":
         return ["labware"] * station.level
@@ -37,9 +38,9 @@ def _name_with_lid(name: str, lid: str) -> str:
 def list_contents_events(
     state: LabState, station: Station, contents: Sequence[str], by: str
 ) -> list[Event] | Rejection:
-    """The events that make the record of a station say ``contents``, bottom to top: labware by its id or,
-    where the log does not know it, by its type, with its lid (``P7+P8``). Labware that was recorded there and
-    is not among it may be anywhere from now on."""
+    """The events that change the record of a station to ``contents``, bottom to top. Each entry is the id of
+    labware, or the type of labware that the log does not know, with its lid (``P7+P8``). Labware that was
+    recorded there and is not in ``contents`` becomes uncertain."""
     name = station.spec.name
     if len(contents) > station.spec.capacity:
         return Rejection(
@@ -64,7 +65,7 @@ def list_contents_events(
 def _refuse_misfit(
     state: LabState, station: Station, pieces: Sequence[tuple[str, str]], named: Sequence[str]
 ) -> Rejection | None:
-    """Why that cannot stand there."""
+    """Why these pieces cannot stand at the station; None if they can."""
     twice = next((piece for piece in named if named.count(piece) > 1), "")
     if twice:
         return Rejection("twice", f"{twice} is named twice at {local(station.spec.name)}.", "Name it once.")
@@ -116,7 +117,8 @@ def _list_stack_events(
 
 
 def _remove_missing(station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
-    """What was recorded there and is not there: first of all, so that it makes room."""
+    """The events for labware that was recorded there and is missing. They come first, so that there is room
+    for the other labware."""
     told = {piece for pair in pieces for piece in pair}
     why = f"{by} did not find it at {local(station.spec.name)}"
     return [LabwareUncertain(item, "", (GONE,), why) for item in station.labware if item not in told]
@@ -125,7 +127,7 @@ def _remove_missing(station: Station, pieces: Sequence[tuple[str, str]], by: str
 def _place_or_observe(
     state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str
 ) -> list[Event]:
-    """The events for labware with names, and for what gets one now."""
+    """The events for labware with ids, and for labware that gets its id now."""
     name, labware = station.spec.name, state.bench.labware
     events: list[Event] = []
     as_recorded = [plate for plate, _ in pieces] == station.labware

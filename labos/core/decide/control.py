@@ -17,8 +17,8 @@ from labos.core.words import Words
 
 
 class PauseStarts(Command, frozen=True):
-    """Nothing of an experiment, on a module, in a workcell, or in the whole lab (``*``) is started any
-    more. What is in flight goes on to its end."""
+    """Stop all starts of an experiment, on a module, in a workcell, or in the whole lab (``*``). Actions in
+    flight continue to their end."""
 
     target: str
     by: str
@@ -32,7 +32,7 @@ class ResumeStarts(Command, frozen=True):
 
 class CancelRuns(Command, frozen=True):
     """Cancel the runs under way that still need a module; or all runs of a workcell, or of the whole lab
-    (``*``), those that wait too. Closing workflows go on: they clear away."""
+    (``*``), including those that wait. Closing workflows continue, because they clear labware away."""
 
     target: str
     stay: bool = False
@@ -40,8 +40,9 @@ class CancelRuns(Command, frozen=True):
 
 
 class CancelExperiment(Command, frozen=True):
-    """Cancel all runs of an experiment. It takes no more of them, and closes when they have ended. With
-    ``stay``, also its closing workflow if that is under way: what is not cleared away stays."""
+    """Cancel all runs of an experiment. It takes no more runs, and closes when its runs have ended. With
+    ``stay``, its closing workflow is cancelled too if it is under way: labware that is not cleared away
+    stays."""
 
     experiment: ExperimentId
     by: str
@@ -92,7 +93,7 @@ def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
 
 
 def _is_known_target(state: LabState, target: str) -> bool:
-    """Whether a target names something whose starts can be paused."""
+    """Whether a target names a part of the lab whose starts can be paused."""
     return (
         target == WHOLE_LAB
         or target in state.lab.workcells

@@ -1,4 +1,4 @@
-"""Somebody who speaks for a module is not believed: a person is told, once."""
+"""A message in the name of a module that is not accepted: a person is notified once."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from labos.core.state import LabState
 from labos.core.topics import DoubtfulNode, OutrankedNode, Topic
 
 LARGEST_EPOCH = 2**53
-"""No kernel ever has a greater one: ``labos db restored`` counts seconds."""
+"""No kernel ever has a greater epoch: ``labos db restored`` counts seconds."""
 
 
 class DoubtNode(Report, frozen=True):
-    """Something was said in the name of a module that is not believed; nothing follows from it. However much
-    of it comes, one question is open for each module."""
+    """A message in the name of a module was not accepted; it has no other consequence. For each module at
+    most one such question is open, however many messages come."""
 
     module: ModuleName
     why: str
@@ -22,8 +22,8 @@ class DoubtNode(Report, frozen=True):
 
 class OutrankNode(Report, frozen=True):
     """A node obeys a later kernel than this one, although the database says that this one is the lab's
-    kernel: the log may be an older copy. The module is used again when a person has compared the bench with
-    the log."""
+    kernel. So the log may be an older copy. The module is used again when a person has compared the bench
+    with the log."""
 
     module: ModuleName
     epoch: int

@@ -1,4 +1,4 @@
-"""How far a run goes on when one of its steps has ended, and how it ends."""
+"""The events that follow when a step of a run has ended, and the end of runs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from labos.core.topics import LeftLabware, name_some, split_into_batches
 
 
 def has_open_action(run: RunState) -> bool:
-    """Whether an action of the run has not ended: until then the run cannot end either."""
+    """Whether an action of the run has not ended. Until then the run cannot end either."""
     return run.has(IN_FLIGHT, UNKNOWN)
 
 
@@ -92,7 +92,7 @@ def end_run(
     run = state.runs.active.get(event.run)
     if run is None or run.steps[event.step].status == FAILED:
         return
-    # From behind: what is to come stands there.
+    # From the last part to the first: the next part to carry out is at the end.
     if all(step.status in SETTLED for step in reversed(run.steps)):
         if run.status == RunStatus.LEAVING:
             yield from record_end(state, run, RunCancelled(run.id), "was cancelled")
@@ -113,9 +113,9 @@ def end_run(
 
 
 def fail_run(state: LabState, run: RunState, why: str, kind: str = "software") -> Iterator[Event]:
-    """A step has failed, and with it the run. One that was cancelled goes the way out that it has first."""
+    """A step has failed, and with it the run. A cancelled run carries out its ``on_cancel`` steps first."""
     if not has_open_action(run) and will_leave(state.runs.plan_of(run), run):
-        return  # its way out begins where this has left its labware
+        return  # Its ``on_cancel`` steps begin at the places where this action has left its labware.
     if not has_open_action(run) and run.status == RunStatus.LEAVING:
         what = f"was cancelled, and its way out failed: {(run.why or why).rstrip('.')}"
         yield from record_end(state, run, RunCancelled(run.id), what)
@@ -124,7 +124,7 @@ def fail_run(state: LabState, run: RunState, why: str, kind: str = "software") -
 
 
 def give_up(state: LabState, run: RunState, why: str, kind: str = "experiment") -> Iterator[Event]:
-    """A run ends as failed, as soon as nothing of it is in flight. ``kind`` is the class of failure."""
+    """End a run as failed, as soon as nothing of it is in flight. ``kind`` is the class of failure."""
     if has_open_action(run):
         yield RunCancelling(run.id, why)
     else:
@@ -133,8 +133,8 @@ def give_up(state: LabState, run: RunState, why: str, kind: str = "experiment") 
 
 
 def record_end(state: LabState, run: RunState, end: RunEnd, what: str) -> Iterator[Event]:
-    """The events that end a run: its labware goes to its experiment or user; what it leaves in
-    the way is shown to a person."""
+    """The events that end a run. Its labware goes to its experiment or user, and a person is asked about
+    labware that it leaves in the way."""
     heir = user_owner(run.user)
     experiment = state.experiments.open.get(run.experiment)
     if experiment is not None and not run.closing:
@@ -156,4 +156,4 @@ def record_end(state: LabState, run: RunState, end: RunEnd, what: str) -> Iterat
             yield state.interventions.ask(
                 left, f"Run {run.id} ({run.workflow}) {what.rstrip('.')}. It left {stands}."
             )
-    yield end  # the last event in the run's stream
+    yield end  # The last event in the run's stream.

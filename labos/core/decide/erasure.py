@@ -1,4 +1,4 @@
-"""Erasing words. The caller looks up which ones stand beside the log; this module decides who may erase
+"""Erasing words. The caller finds the words that are stored beside the log; this module decides who may erase
 them."""
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from labos.core.state import LabState
 from labos.core.users import find_person
 
 PER_EVENT = 400
-"""So many digests one event bears."""
+"""The most digests in one event."""
 
 MOST_RECORDS = 1000
-"""So many records are named at once."""
+"""The most records in one request."""
 
 _DIGEST = re.compile("[0-9a-f]{64}")
 
 
 class EraseWords(Command, frozen=True):
-    """Erase the words of the events at the positions ``records``, or all of a ``user``. ``found`` are digests
-    of their references, each with the position of its event. With ``erasure``, a second person agrees to what
-    waits under that id."""
+    """Erase the words of the events at the positions ``records``, or all words of a ``user``. ``found`` are
+    digests of their references, each with the position of its event. With ``erasure``, a second person agrees
+    to the waiting erasure with this id."""
 
     because: str
     by: str
@@ -36,7 +36,7 @@ class EraseWords(Command, frozen=True):
 
 
 class RefuseErasure(Command, frozen=True):
-    """Do not erase what waits for a second person."""
+    """Refuse an erasure that waits for a second person."""
 
     erasure: str
     by: str

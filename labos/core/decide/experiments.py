@@ -1,4 +1,4 @@
-"""Experiments: an application begins, notes what it does, and ends."""
+"""Experiments: an application begins, records notes, and ends."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ from labos.core.words import Words
 
 
 class StartExperiment(Command, frozen=True):
-    """An application begins; ``closing`` clears away what it parks between its runs, at the stations
-    ``parking`` only, if it names any. ``propose``: it waits for an approval, whatever the policy."""
+    """An application begins. ``closing`` is the workflow that clears away the labware that it parks between
+    its runs. If ``parking`` names stations, it may park labware only there. ``propose``: it waits for an
+    approval, even if the policy does not demand one."""
 
     name: str
     user: str
@@ -52,14 +53,15 @@ class StartExperiment(Command, frozen=True):
 
 
 class ResumeExperiment(Command, frozen=True):
-    """An application that was started again goes on with its experiment; ``name`` is what it calls it."""
+    """An application that was started again continues its experiment. ``name`` is the application's own name
+    for the experiment."""
 
     experiment: ExperimentId
     name: str
 
 
 class NoteExperiment(Command, frozen=True):
-    """An application logs something of its own. The same thing under the same ``key`` is logged once."""
+    """An application records a note. A note with the same ``key`` is recorded only once."""
 
     experiment: ExperimentId
     kind: str
@@ -69,21 +71,21 @@ class NoteExperiment(Command, frozen=True):
 
 
 class EndExperiment(Command, frozen=True):
-    """The application is over."""
+    """The application has ended."""
 
     experiment: ExperimentId
     why: Words = "ended"
 
 
 class AskAboutClosing(Command, frozen=True):
-    """A closing workflow has not begun in the time that it may wait."""
+    """A closing workflow has not begun within its allowed waiting time."""
 
     run: RunId
     now: int
 
 
 class LoseExperiment(Report, frozen=True):
-    """The application is silent."""
+    """The application sends no heartbeats."""
 
     experiment: ExperimentId
     why: str
@@ -228,15 +230,15 @@ def ask_about_closing(state: LabState, command: AskAboutClosing) -> Decision:
 
 
 def end_without_closing(state: LabState, name: RunId) -> Iterator[Event]:
-    """An experiment ends without its closing workflow, which has not begun."""
+    """End an experiment without its closing workflow, which has not begun."""
     run = state.runs.queued.get(name)
     if run is not None:
         yield from record_end(state, run, RunCancelled(run.id), "was cancelled")
 
 
 def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:
-    """Clear away an experiment's labware if it has any and said how, by the steps that are needed for that;
-    else, or if nobody has approved it, end it at once."""
+    """Start the closing workflow of an experiment, with the steps that its labware needs. The experiment ends
+    at once if it has no labware or no closing workflow, or if it was not approved."""
     experiment = state.experiments.open.get(name)
     if experiment is None or experiment.status == ExperimentStatus.CLOSING:
         return []
@@ -265,7 +267,7 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
 
 
 def _end(state: LabState, experiment: Experiment, why: str = "") -> list[Event]:
-    """An experiment is over; what was not cleared away is its user's."""
+    """End an experiment. Labware that was not cleared away goes to its user."""
     owned = state.bench.list_owned(experiment_owner(experiment.id))
     return [
         *(LabwareHandedOver(item.id, "", user_owner(experiment.user)) for item in owned),

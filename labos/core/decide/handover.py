@@ -1,4 +1,4 @@
-"""Labware changes hands: between users, experiments and everybody."""
+"""Labware gets another owner: a user, an experiment, or all users."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from labos.core.words import Words
 
 
 class HandOver(Command, frozen=True):
-    """Give labware to a user (``user:NAME``), an experiment (``experiment:E3``) or everybody
-    (``shared``). With ``force`` an operator gives away what is somebody else's; ``note`` says why."""
+    """Give labware to a user (``user:NAME``), an experiment (``experiment:E3``) or all users (``shared``).
+    With ``force``, an operator gives away labware of other owners; ``note`` says why."""
 
     labware: LabwareId
     to: Owner

@@ -1,4 +1,4 @@
-"""Arguments that earlier steps of a run have worked out."""
+"""Arguments of a step from the results of earlier steps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from labos.core.model import Plan, PlanStep
 
 
 def fill_inputs(plan: Plan, results: Mapping[int, Any], args: dict[str, Any]) -> dict[str, Any] | str:
-    """Arguments with earlier results written in, or the reference that leads nowhere."""
+    """The arguments with the results of earlier steps filled in, or the first reference that cannot be
+    resolved."""
     filled: dict[str, Any] = {}
     for name, value in args.items():
         if isinstance(value, dict) and "$result" in value:
@@ -30,15 +31,15 @@ def fill_inputs(plan: Plan, results: Mapping[int, Any], args: dict[str, Any]) ->
 def name_returned_files(
     plan: Plan, step: PlanStep, args: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, str]] | str:
-    """Arguments with the names of files in place of what earlier steps have returned, and the digests of all
-    files of the step by these names; or which argument was given no file."""
+    """The arguments with file names instead of the files that earlier steps have returned, and the digests of
+    all files of the step by these names. Returns the name of the argument if it got no file."""
     named = dict(args)
     files = {name: found for name, found in plan.files.items() if name in args.values()}
     for name, written in step.args.items():
         if not (isinstance(written, dict) and written.get("$file")):
             continue
         found = args[name]
-        if isinstance(found, dict) and len(found) == 1:  # a step's only file
+        if isinstance(found, dict) and len(found) == 1:  # The only file of the step.
             (found,) = found.values()
         if not isinstance(found, dict) or not {"file", "sha256"} <= found.keys():
             key = plan.steps[written["$result"][0]].key

@@ -1,4 +1,4 @@
-"""A person answers."""
+"""A person answers a question."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ from labos.core.words import Words
 
 
 class ResolveIntervention(Command, frozen=True):
-    """Choose one of an intervention's choices. ``by`` is the person's actor id; ``result`` is what
-    a step that was done has measured, if later steps read it."""
+    """Choose one of an intervention's choices. ``by`` is the person's actor id. If later steps read the
+    result of a step that was done, ``result`` is its measured value."""
 
     intervention: InterventionId
     choice: str
@@ -88,7 +88,7 @@ def resolve_intervention(state: LabState, command: ResolveIntervention) -> Decis
 
 
 def _decide_answer(state: LabState, question: Intervention, command: ResolveIntervention) -> Decision:
-    """What each answer does."""
+    """The events that follow from each answer."""
     topic, choice, by = question.topic, command.choice, command.by
     match topic:
         case UnknownAction():
@@ -122,7 +122,7 @@ def _decide_answer(state: LabState, question: Intervention, command: ResolveInte
         case LostExperiment():
             return _close(state, topic) if choice == "close" else []
         case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | BookedPlace() | None:
-            return []  # nothing but that somebody has seen to it
+            return []  # Nothing follows, except that a person has taken care of it.
         case _:
             assert_never(topic)
 
@@ -148,7 +148,7 @@ def _close(state: LabState, topic: LostExperiment) -> Decision:
 
 
 def _confirm(state: LabState, action: Action, command: ResolveIntervention) -> Decision:
-    """Planned work ends by a person's word, whatever its node knows."""
+    """Planned work ends when a person reports it, whatever its node reports."""
     done = command.choice == "done"
     unfit = _refuse_result(state, action, command) if done else None
     why = f"{command.by} says that it cannot be done{f': {command.note}' if command.note else ''}"
@@ -173,7 +173,7 @@ def _settle_unknown(state: LabState, action: Action, command: ResolveInterventio
 
 
 def _refuse_taken_source(state: LabState, action: Action) -> Rejection | None:
-    """Why labware cannot be put back that was seen elsewhere meanwhile: others were let in there."""
+    """Why labware that was seen elsewhere cannot be put back: its former place has been given to others."""
     for effect in action.effects:
         if not isinstance(effect, Move) or isinstance(effect, Unlid | Relid):
             continue
@@ -192,7 +192,7 @@ def _refuse_taken_source(state: LabState, action: Action) -> Rejection | None:
 
 
 def _refuse_result(state: LabState, action: Action, command: ResolveIntervention) -> Rejection | None:
-    """Why later steps, or the log, could not do with the result that was told."""
+    """Why the reported result cannot be used by later steps, or cannot be recorded in the log."""
     if command.result is None and is_read_later(state, action):
         return Rejection(
             "result_needed",
@@ -209,7 +209,7 @@ def _refuse_result(state: LabState, action: Action, command: ResolveIntervention
 
 
 def _expect_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Decision:
-    """Events that say where labware stands, unless there is no room for it."""
+    """Events that place labware, or a rejection if there is no room for it."""
     stations = state.bench.stations
     for event in events():
         if not isinstance(event, LabwarePlaced | LabwareObserved) or event.station not in stations:
@@ -217,9 +217,9 @@ def _expect_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Deci
         place, station = event.station, stations[event.station]
         item = state.bench.labware.get(event.labware)
         if item is not None and item.on in station.labware:
-            continue  # it lies on the plate there
+            continue  # It lies on the plate there.
         if isinstance(event, LabwarePlaced) and event.stack == place:
-            continue  # it only gets its name there
+            continue  # It only gets its id there.
         if station.count - _is_awaited(state, item, place) >= station.spec.capacity:
             held = ", ".join(station.labware) or "something is on its way there"
             return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")
@@ -227,7 +227,7 @@ def _expect_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Deci
 
 
 def _is_awaited(state: LabState, item: Labware | None, place: StationName) -> bool:
-    """Whether what is expected at a place is this very piece."""
+    """Whether the arrival that is expected at a place is this piece."""
     if item is None:
         return False
     effects = state.bench.reserved.get(ActionId(item.moving), ())

@@ -1,4 +1,4 @@
-"""Creating a lab, starting its kernel, applying workcells, saying what stands where."""
+"""Creating a lab, starting its kernel, applying workcells, declaring the contents of stations."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class StartKernel(Command, frozen=True):
 
 
 class ApplyWorkcell(Command, frozen=True):
-    """Set up a workcell, or change it to a new description. With ``contents``, the stations of which nobody
-    has said what stands there hold what it says, bottom to top; those that it does not name are empty."""
+    """Set up a workcell, or change it to a new description. With ``contents``, stations that nobody has
+    declared yet get these contents, bottom to top; stations that ``contents`` does not name are empty."""
 
     workcell: Workcell
     contents: dict[StationName, tuple[str, ...]] | None = None
@@ -47,7 +47,7 @@ class ApplyWorkcell(Command, frozen=True):
 
 
 class DeclareStation(Command, frozen=True):
-    """Say what stands at a station: labware types, bottom to top."""
+    """Declare the contents of a station: labware types, bottom to top."""
 
     station: StationName
     contents: tuple[str, ...] = ()
@@ -73,7 +73,8 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
     if leaps:
         knows = "says that it was put back, perhaps from an older copy"
         yield from record_shorter_log(state, "the restored database", knows, 0, ended)
-    # Earlier versions asked about each module whose node knew more than the log: that becomes one round.
+    # Earlier versions asked a question for each module whose node knew more than the log. These questions
+    # become one round.
     asked = state.interventions.open_about(DiscoveredAction)
     for name in dict.fromkeys(ModuleName(question.module) for question in asked):
         module = state.modules.by_name.get(name)
@@ -133,7 +134,7 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
 
 
 def list_obstacles(state: LabState, cell: Workcell) -> list[Rejection]:
-    """Everything that keeps a workcell from being changed to a new description."""
+    """All reasons why a workcell cannot be changed to a new description."""
     return [*_find_needed(state, cell), *_find_parking(state, cell), *_find_too_small(state, cell)]
 
 
@@ -194,7 +195,7 @@ def _refuse_occupied(state: LabState, place: StationName, so: str) -> Rejection:
 
 
 def _find_parking(state: LabState, cell: Workcell) -> Iterator[Rejection]:
-    """Experiments that are open come back to where they park."""
+    """Parking stations of open experiments must stay: the experiments come back to them."""
     gone = _find_left_out(state, cell)[1]
     for experiment in state.experiments.open.values():
         for place in sorted(gone & set(experiment.parking)):
@@ -258,7 +259,7 @@ def _refuse_occupied_or_doubtful(state: LabState, station: Station) -> Rejection
 
 
 def _refuse_contents(spec: StationSpec, contents: tuple[str, ...]) -> Rejection | None:
-    """Why a station could not hold this."""
+    """Why a station cannot hold these contents; None if it can."""
     if len(contents) > spec.capacity:
         return Rejection("too_many", f"{local(spec.name)} holds {spec.capacity}, not {len(contents)}.")
     wrong = next((kind for kind in contents if not spec.admits(split_item(kind)[0])), "")

@@ -1,4 +1,4 @@
-"""What a person says of labware: which samples are in it, which barcode is on it."""
+"""A person reports data of labware: the samples in it, or its barcode."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class PlateSamples(msgspec.Struct, frozen=True):
 
 
 class RegisterSamples(Command, frozen=True):
-    """Say what the wells of plates hold, by a sheet (the digest of its bytes). All of it or
-    nothing."""
+    """Register the contents of the wells of plates from a sample sheet. ``sheet`` is the digest of its bytes.
+    All plates are registered, or none."""
 
     sheet: str
     plates: tuple[PlateSamples, ...]
@@ -52,7 +52,7 @@ def register_samples(state: LabState, command: RegisterSamples) -> Decision:
 
 
 class NameBarcode(Command, frozen=True):
-    """Say which barcode labware bears."""
+    """Report the barcode of labware."""
 
     labware: LabwareId
     barcode: str

@@ -1,8 +1,8 @@
-"""How long texts may be. Every command passes here once, before it is decided.
+"""The maximum lengths of texts. Every command is checked here once, before it is decided.
 
-What a person or program asks for is refused if a text is too long or has a form that nobody can read again.
-What a device or node reports is never refused for its words: they are cut, since it
-has happened.
+A request of a person or program is refused if a text is too long or has a form that cannot be recorded. A
+report of a device or node is never refused because of its texts, since it reports a past event: its texts are
+cut.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ BAD_TEXT = "bad_text"
 """The code of a rejection for a text that is too long, or has a form that cannot be recorded."""
 
 MOST_REPORTED = 1_000
-"""Items of a list in a report that are kept."""
+"""The most items of a list in a report; the others are dropped."""
 
 
 def cut_report(report: Report) -> Report:
-    """The report with its texts, and lists, cut to their limits."""
+    """The report with its texts and lists cut to their limits."""
     changed: dict[str, object] = {}
     fields = _find_fields(type(report))
     for name in fields.texts:
@@ -46,7 +46,7 @@ def cut_report(report: Report) -> Report:
 
 
 def shorten_report(report: Report) -> Report:
-    """The report without what makes it too large: short texts, and no result."""
+    """The report without its largest parts: with short texts, and without a result."""
     texts = _find_fields(type(report)).texts
     changed: dict[str, object] = {name: cut(getattr(report, name), LONGEST_NAME) for name in texts}
     if "result" in report.__struct_fields__:
@@ -55,7 +55,7 @@ def shorten_report(report: Report) -> Report:
 
 
 def refuse_misfit(command: Command) -> Rejection | None:
-    """Why a request cannot be recorded as it is worded; None if it can."""
+    """Why the texts of a request cannot be recorded; None if they can."""
     fields = _find_fields(type(command))
     texts = [(getattr(command, field), field) for field in fields.texts]
     texts += [(text, field) for field in fields.several for text in getattr(command, field)]
@@ -67,7 +67,7 @@ def refuse_misfit(command: Command) -> Rejection | None:
 
 
 def find_fault(text: str, field: str) -> str:
-    """What is wrong with a text of a request, as a sentence; empty if nothing is."""
+    """The fault of a text of a request, as a sentence; empty if it has none."""
     most = {"note": LONGEST_NOTE, "why": LONGEST_REASON}.get(field, LONGEST_NAME)
     if len(text) > most:
         return f"The field {field!r} has {len(text)} characters; {most} are allowed."
@@ -78,7 +78,7 @@ def find_fault(text: str, field: str) -> str:
 
 
 class _Fields(msgspec.Struct, frozen=True):
-    """The fields of a command that are a text, those that are several texts, and all that are lists."""
+    """The fields of a command that are texts, that are lists of texts, and that are lists of any kind."""
 
     texts: list[str]
     several: list[str]

@@ -1,4 +1,4 @@
-"""Nodes come and go and report their state."""
+"""Nodes join, leave and report their state."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from labos.core.words import Words
 
 
 class JoinNode(Report, frozen=True):
-    """A living node answers for a module. ``discovered`` are actions that its journal knows and the
-    log does not; ``beyond`` is the position up to which it was told of things, if the log does not
-    hold all of that. Then nothing is started before a person has been round the bench."""
+    """A living node represents a module. ``discovered`` are actions in its journal that the log does not
+    have. ``beyond`` is the highest log position that the node has received, if the log ends before it; then
+    no action starts before a person has checked the bench."""
 
     module: ModuleName
     journal: str
@@ -46,7 +46,7 @@ class JoinNode(Report, frozen=True):
 
 
 class LoseNode(Report, frozen=True):
-    """The node of that instance is gone or silent; ``stopped``: it was told to end."""
+    """The node of this instance is gone or does not answer; ``stopped``: LabOS ended it."""
 
     module: ModuleName
     instance: str
@@ -55,7 +55,7 @@ class LoseNode(Report, frozen=True):
 
 
 class ReportState(Report, frozen=True):
-    """A node says IDLE, BUSY or ERROR."""
+    """A node reports IDLE, BUSY or ERROR."""
 
     module: ModuleName
     status: str
@@ -63,7 +63,7 @@ class ReportState(Report, frozen=True):
 
 
 class HearJournal(Report, frozen=True):
-    """A module's journal holds actions that the log does not; ``beyond`` as of ``JoinNode``."""
+    """A module's journal has actions that the log does not have; ``beyond`` as for ``JoinNode``."""
 
     module: ModuleName
     found: tuple[FoundAction, ...] = ()
@@ -71,7 +71,7 @@ class HearJournal(Report, frozen=True):
 
 
 class TakeOut(Command, frozen=True):
-    """Take a module out of service, until it is put back or until a time (UTC ns)."""
+    """Take a module out of service, until a person puts it back or until a time (UTC ns)."""
 
     module: ModuleName
     why: Words
@@ -95,22 +95,22 @@ class PutBack(Command, frozen=True):
 
 
 class EndOutage(Command, frozen=True):
-    """The time has come until which a module was taken out of service."""
+    """The end of a module's time out of service has come."""
 
     module: ModuleName
     now: int
 
 
 MOST_SILENT = 300
-"""So many modules are recorded that did not say that they stopped."""
+"""The most modules that are recorded as not having confirmed a stop."""
 
 LONGEST_SILENT = 120
-"""Characters of why they did not."""
+"""The most characters of the reason why they did not."""
 
 
 class RecordStops(Report, frozen=True):
-    """Somebody has stopped modules in an emergency, at these times (UTC ns). ``target`` is what was to be
-    stopped, if this is the lab's own word about a request; ``silent`` are those that did not say so."""
+    """A person has stopped modules in an emergency, at these times (UTC ns). If the lab reports its own
+    request, ``target`` names the target of this request, and ``silent`` the modules that did not confirm."""
 
     by: str
     stopped_at: dict[ModuleName, int]
@@ -162,7 +162,7 @@ def lose_node(state: LabState, command: LoseNode) -> Decision:
 
 @decides(ReportState)
 def report_state(state: LabState, command: ReportState) -> Decision:
-    """Only transitions that no action explains are worth an event."""
+    """Only transitions that no action explains are recorded."""
     module = state.modules.by_name.get(command.module)
     if module is None or module.status == ModuleStatus.GONE:
         return []
@@ -170,7 +170,7 @@ def report_state(state: LabState, command: ReportState) -> Decision:
     if status == "BUSY" and module.in_flight:
         status = (
             "BUSY" if module.status == ModuleStatus.BUSY else "IDLE"
-        )  # an error is over, and the action goes on
+        )  # The error is over, and the action continues.
     if status == module.status and command.error == module.error:
         return []
     return [NodeStateChanged(command.module, status, command.error)]
@@ -230,7 +230,7 @@ def end_outage(state: LabState, command: EndOutage) -> Decision:
 
 @decides(RecordStops)
 def record_stops(state: LabState, command: RecordStops) -> Decision:
-    """Nodes tell it again with each heartbeat until they are reset: it is written once."""
+    """Nodes repeat this report with each heartbeat until they are reset; it is recorded once."""
     known = state.modules.by_name
     stops = command.stopped_at.items()
     fresh = [(name, at) for name, at in stops if name in known and known[name].stopped_at != at]

@@ -1,4 +1,4 @@
-"""Somebody looks at a station: what was uncertain is narrowed, what contradicts the log is asked."""
+"""An observation of a station: it reduces uncertainty, and a contradiction to the log opens a question."""
 
 from __future__ import annotations
 
@@ -39,12 +39,13 @@ from labos.core.topics import (
 )
 
 GONE = StationName("")
-"""The place of what is off the bench."""
+"""The place of labware that is off the bench."""
 
 
 class ObserveStation(Command, frozen=True):
-    """Say what stands at a station: so many pieces (``count``; 0: it is empty; null: at least one),
-    labware by its id, or labware of a type (``kind``). ``by`` is the person or the module that looked."""
+    """Report an observation of a station: a number of pieces (``count``; 0: it is empty; null: at least
+    one), labware by its id, or labware of a type (``kind``). ``by`` is the person or the module that
+    observed it."""
 
     station: StationName
     by: str
@@ -115,8 +116,8 @@ def _has_unknown_end(state: LabState, labware: LabwareId) -> bool:
 
 
 class Sight:
-    """What is left of the possible places of uncertain labware once something was seen. Nothing is
-    changed; ``events`` says what follows."""
+    """The possible places of uncertain labware that remain after an observation. The state is not changed;
+    ``events`` lists the events that follow."""
 
     def __init__(self, state: LabState, by: str) -> None:
         self._state, self._by = state, by
@@ -126,12 +127,12 @@ class Sight:
         self._standing: set[LabwareId] = set()
 
     def may_be_at(self, place: StationName, type_: str = "") -> list[LabwareId]:
-        """Uncertain labware that may stand there."""
+        """Uncertain labware of the type that may stand there."""
         known = self._state.bench.labware
         return [n for n, left in self._left.items() if place in left and type_ in ("", known[n].type)]
 
     def count_room(self, place: StationName) -> int:
-        """How much more can stand at a place than what is known, or was found now, to stand there."""
+        """How many more pieces can stand at a place, besides those known there before or found now."""
         station = self._state.bench.stations.get(place)
         if station is None:
             return 0
@@ -141,20 +142,20 @@ class Sight:
         return station.spec.capacity - len(station.labware) - len(station.stock) - found
 
     def add_standing(self, labware: LabwareId, place: StationName) -> None:
-        """It was seen there."""
+        """Note that the labware was seen at the place."""
         self._left[labware] = [place]
         self._standing.add(labware)
         self._conclude()
 
     def add_empty(self, place: StationName) -> None:
-        """Nothing stands there."""
+        """Note that nothing stands at the place."""
         for name in self.may_be_at(place):
             self._left[name] = [other for other in self._left[name] if other != place] or [GONE]
         self._conclude()
 
     def _conclude(self) -> None:
-        """What has one place left is there; a place that it fills is no place for others. At a place that
-        has an observer it is there when it was seen there."""
+        """Labware with one possible place left is there. If it fills this place, the place is impossible for
+        other labware. At a place with an observer, labware is there only when it was seen there."""
         for name, left in self._left.items():
             place = left[0]
             if name in self._found or len(left) > 1 or place == GONE or not self.count_room(place):
@@ -172,7 +173,7 @@ class Sight:
             return
 
     def events(self) -> Iterator[Event]:
-        """Questions that answered themselves, and where things stand."""
+        """The events that place labware, and that withdraw questions which the observation has answered."""
         told: set[LabwareId] = set()
         for question in list(self._state.interventions.open.values()):
             yield from self._answer(question, told)
@@ -190,8 +191,8 @@ class Sight:
         return LabwareObserved(name, "", place, self._by)
 
     def _answer(self, question: Intervention, told: set[LabwareId]) -> Iterator[Event]:
-        """What follows for a question about labware that was found; ``told`` is labware whose place
-        its events tell."""
+        """The events for a question about labware that was found. ``told`` is labware that other events of
+        this observation place."""
         withdrawn = InterventionResolved(
             question.id, "withdrawn", "labos", f"seen by {self._by}, where it stands"
         )
@@ -216,7 +217,7 @@ class Sight:
             yield from self._tell_left_behind(topic)
 
     def _tell_left_behind(self, topic: LostLabware) -> Iterator[Event]:
-        """Nobody stood there: a person hears of what a run that has ended left in the way."""
+        """A person is asked about labware that an ended run left in the way."""
         stations = self._state.bench.stations
         left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
         mine = {e.labware for e in list_moved(topic.motions)}
@@ -230,12 +231,12 @@ class Sight:
             yield self._state.interventions.ask(found, f"{whose} was seen by {self._by}: {stands}.")
 
     def _in_doubt(self, name: LabwareId) -> bool:
-        """What is in a hand is found, but somebody has to put it down and say where."""
+        """Whether labware was found in a hand: a person still has to put it down and report the place."""
         place = self._found.get(name)
         return place is None or self._state.bench.stations[place].spec.kind == "gripper"
 
     def _find_outcome(self, action: Action, told: set[LabwareId]) -> str:
-        """The outcome of an unknown action, if where its labware stands shows it; else empty."""
+        """The outcome of an unknown action, if the place of its labware shows it; otherwise empty."""
         names = [e.labware for e in list_moved(action.effects)]
         choice = find_shown_outcome(self._state, action, self._found.get(names[0])) if names else ""
         if choice:
@@ -260,7 +261,7 @@ def _decide_count(
         sight.add_empty(name)
         return chain(_withdraw_strange(state, name), sight.events())
     if any(name in found for found in state.bench.searched.values()):
-        return []  # it may be what came off a stack and has no name yet
+        return []  # It may be an item from a stack that has no id yet.
     may_be = sight.may_be_at(name, command.kind)
     if len(may_be) < more:
         taken = _find_take(state, name)
@@ -274,7 +275,8 @@ def _decide_count(
 
 
 def _find_take(state: LabState, place: StationName) -> Action | None:
-    """An action that may have brought something from a stack to a place, or not: nobody knows."""
+    """The action with an unknown outcome that may have brought an item from a stack to a place; None if there
+    is none."""
     for action in state.actions.open.values():
         takes = [e for e in list_carried(action.effects) if e.stock]
         hand = name_hand(action.module)
@@ -284,7 +286,7 @@ def _find_take(state: LabState, place: StationName) -> Action | None:
 
 
 def _settle_take(state: LabState, action: Action, place: StationName, by: str) -> Iterable[Event]:
-    """What came off a stack was seen: at its target the action was done."""
+    """The item from a stack was seen: if it is at its target, the action was done."""
     motions = list_carried(action.effects)
     question = state.interventions.find_about(action.id)
     there = len(motions) == 1 and motions[0].target == place
@@ -295,7 +297,7 @@ def _settle_take(state: LabState, action: Action, place: StationName, by: str) -
 
 
 def _withdraw_strange(state: LabState, place: StationName) -> list[Event]:
-    """What nobody expected there is not there any more: the question about it is answered."""
+    """The unexpected labware has left the place: withdraw the question about it."""
     question = _find_question(state, place)
     if question is None or question.labware:
         return []
@@ -303,7 +305,7 @@ def _withdraw_strange(state: LabState, place: StationName) -> list[Event]:
 
 
 def _find_question(state: LabState, place: StationName) -> Intervention | None:
-    """The question about what was seen at a station."""
+    """The question about an observation of a station."""
     asked = state.interventions.open_about(NotSeen, SeenElsewhere, Unexpected)
     return next((question for question in asked if question.subject == place), None)
 
@@ -326,7 +328,7 @@ def _doubt_missing(
 def _doubt_other_type(
     state: LabState, here: list[Labware], station: Station, command: ObserveStation
 ) -> Iterator[Event]:
-    """Where no named labware stands, nothing follows: the stock of a stack is what somebody declared."""
+    """If no labware with an id stands there, nothing follows: a person has declared the stock of a stack."""
     module, place, kind = station.spec.module, station.spec.name, command.kind
     for item in here:
         yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
@@ -340,8 +342,9 @@ def _doubt_other_type(
 
 
 def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> Iterator[Event]:
-    """Labware was recognised where it should not be, or where something else is known to stand. One question
-    is about it and what it may have replaced; if that is too much for one, others are about the rest."""
+    """Labware was recognised at an unexpected station, or at one where other labware is recorded. One
+    question is about this labware and the labware that it may have replaced. If that is too much for one
+    question, further ones are about the rest."""
     place = station.spec.name
     recorded = labware.station
     others = list(station.labware) if station.spec.capacity <= len(station.labware) else []
@@ -368,7 +371,8 @@ def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: s
 
 
 def _report_unexpected(state: LabState, station: Station, command: ObserveStation) -> list[Event]:
-    """Something stands where the log knows of nothing: nobody puts anything there meanwhile."""
+    """Labware stands at a place that is empty in the log. Until this is settled, no other labware is put
+    there."""
     place = station.spec.name
     if _find_question(state, place) is not None:
         return []
@@ -385,8 +389,8 @@ def _report_unexpected(state: LabState, station: Station, command: ObserveStatio
 def settle_sight(
     state: LabState, topic: NotSeen | SeenElsewhere | Unexpected, choice: str, by: str
 ) -> list[Event]:
-    """The events that follow when a person says what stands at a station. What was found meanwhile
-    stays as it is."""
+    """The events that follow when a person reports what stands at a station. Labware that was found meanwhile
+    is not changed."""
     here = topic.station
     match topic:
         case NotSeen():

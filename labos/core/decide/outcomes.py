@@ -1,4 +1,4 @@
-"""What an action's end, known or not, means for the bench and for the people in the room."""
+"""The consequences of an action's end, with a known or unknown outcome, for the bench and for people."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ from labos.core.topics import LostLabware, UnknownAction
 from labos.core.wells import list_doses
 
 LARGEST_RESULT = 48 * 1024
-"""Bytes of JSON that a result may take in the log."""
+"""The most bytes of JSON that a result may have in the log."""
 
 
 def mark_uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
-    """The labware of a motion that nobody saw end: at its start, in the hand, on the way, at its
-    target."""
+    """The labware of a motion with an unknown end may be at its source, in the hand, at the regrip station,
+    or at its target."""
     places = [effect.source, name_hand(action.module), effect.target]
     if effect.via:
         places.insert(2, effect.via)
@@ -68,8 +68,8 @@ def mark_uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
 def make_question(
     state: LabState, action: Action, why: str, maybe: Sequence[LabwareUncertain]
 ) -> InterventionRequested:
-    """What a person is asked about an action whose outcome nobody knows; ``maybe`` is where its labware
-    may be."""
+    """The question to a person about an action with an unknown outcome. ``maybe`` lists the possible places
+    of its labware."""
     name = local(action.module)
     text = f"{name}: {action.name!r} ended unknown ({why})."
     if maybe:
@@ -83,27 +83,27 @@ def make_question(
 
 
 def limit_result(result: Any) -> Any:
-    """A result, or the note that it was too large for the log or cannot be written there: nodes keep to the
-    limits, and a result that does not is not worth a stopped lab."""
+    """The result, or a note that it was too large for the log or cannot be written there. Nodes keep to the
+    limits; if a result does not, the lab must not stop because of it."""
     if result is None:
         return None
     try:
-        size = len(encode_canonical([result])) - len("[]")  # in its event it stands one level deeper
+        size = len(encode_canonical([result])) - len("[]")  # In its event it is nested one level deeper.
     except (ValueError, TypeError) as error:
         return {"$unreadable": str(error)[:200]}
     return result if size <= LARGEST_RESULT else {"$too_large": size}
 
 
 def is_read_later(state: LabState, action: Action) -> bool:
-    """Whether later steps of its run read what an action results in."""
+    """Whether later steps of its run read the result of an action."""
     run = state.runs.active.get(action.run)
-    told = bool(action.looks)  # its device has said what it results in
+    told = bool(action.looks)  # Its device has already reported the result.
     return run is not None and not told and action.step in state.runs.plan_of(run).feeds
 
 
 def find_shown_outcome(state: LabState, action: Action, place: StationName | None) -> str:
-    """The answer about an unknown action that the place of its labware gives; empty if it gives none. What is
-    in the hand, or on the way, shows nothing: somebody has to put it down first."""
+    """The answer about an unknown action that the place of its labware shows; empty if it shows none. Labware
+    in the hand or at the regrip station shows nothing: a person has to put it down first."""
     motions = list_carried(action.effects)
     move = motions[0] if len(motions) == 1 else None
     if move is None or move.stock or may_still_act(state, action):
@@ -145,14 +145,14 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
 def list_effect_events(
     state: LabState, action: Action, done: EffectsDone, why: str, result: Any = None, *, looked: bool = False
 ) -> Iterator[Event]:
-    """What an ended action did to the bench, as events, each worked out on what the ones before have left.
-    What the device decided itself, such as a slot, is read from its result. Somebody who has ``looked`` is
-    believed, whatever was seen before; a device is not."""
+    """The effects of an ended action on the bench, as events. Each event is computed from the state after the
+    ones before. Decisions of the device, such as a slot, are read from its result. The report of a person who
+    has ``looked`` overrides earlier observations; the report of a device does not."""
     if done == "none":
         yield from put_back_in_place(state, action)
         return
     seen = {} if looked else find_carried_off(state, action)
-    # From which lots liquid came is read before it is used up.
+    # The lots of a liquid are read before the liquid is used up.
     for effect in sorted(action.effects, key=lambda effect: not isinstance(effect, Transfers)):
         match effect:
             case Move() if effect.labware in seen:
@@ -181,7 +181,7 @@ def list_effect_events(
             case Draws() if effect.labware:
                 yield from _draw(state, action, effect, certain=done == "all")
             case Consumes():
-                # Of a failed action it is not known how much was used: all is the safe answer.
+                # The amount that a failed action has used is not known. The safe assumption is all of it.
                 yield from record_usage(state, action, effect)
             case Replaces() if done == "all":
                 yield from _replace_pack(state, effect)
@@ -193,7 +193,7 @@ def list_effect_events(
 
 
 def record_usage(state: LabState, action: Action, effect: Consumes) -> list[Event]:
-    """What an action used, one event for each lot."""
+    """The amounts that an action used, one event for each lot."""
     if not effect.amount:
         return []
     parts = list_charges(state.resources, action.module, effect.resource, float(effect.amount))
@@ -204,7 +204,7 @@ def record_usage(state: LabState, action: Action, effect: Consumes) -> list[Even
 
 
 def _replace_pack(state: LabState, effect: Replaces) -> list[Event]:
-    """A full pack is in; nothing where nobody ever said how much the module holds."""
+    """The events of a new full pack; none if the module's capacity was never declared."""
     module = ModuleName(effect.module)
     level = state.resources.find(module, effect.resource)
     if level is None:
@@ -216,7 +216,7 @@ def _replace_pack(state: LabState, effect: Replaces) -> list[Event]:
 def _list_transfer_events(
     state: LabState, action: Action, effect: Transfers, *, certain: bool
 ) -> list[Event]:
-    """What a pipette put into wells; nothing where there are no lists of them."""
+    """The liquid that a pipette put into wells; nothing if the effect has no lists of wells and volumes."""
     pairs = _find_doses(state, effect)
     if not pairs:
         return []
@@ -229,7 +229,7 @@ def _list_transfer_events(
 
 
 def _draw(state: LabState, action: Action, effect: Draws, *, certain: bool) -> list[Event]:
-    """What a pipette drew out of wells; nothing where there are no lists of them."""
+    """The liquid that a pipette drew from wells; nothing if the effect has no lists of wells and volumes."""
     pairs = _find_doses(state, effect)
     if not pairs:
         return []
@@ -241,16 +241,16 @@ def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, f
     try:
         doses = list_doses(effect)
     except ValueError:
-        return []  # it was refused before it was asked for; an older LabOS did not look
+        return []  # Such a request is refused before it is sent; an older LabOS did not check this.
     return [(w, volume) for w, volume in doses if volume] if effect.labware in state.bench.labware else []
 
 
 def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:
-    """Where somebody has seen labware of a motion since nobody knew how that ended, if that is on none of
-    its places: that is later than what the device tells now."""
+    """The places at which a person has seen labware of a motion after its outcome became unknown, if these
+    are not places of the motion. This observation is later than the device's report."""
     own = {StationName(""), name_hand(action.module), *list_places(action.effects)}
     items = [state.bench.labware[e.labware] for e in list_moved(action.effects)]
-    astray = state.shorter.astray  # an action that came after this one may have taken it further
+    astray = state.shorter.astray  # A later action may have carried it further.
     return {item.id: item.station for item in items if item.station not in own or item.id in astray}
 
 
@@ -268,8 +268,8 @@ def _move(state: LabState, action: Action, effect: Move) -> list[Event]:
 def _find_at(
     state: LabState, effect: Move, place: StationName, run: str, by: str, action: str = ""
 ) -> LabwareObserved | LabwareMoved:
-    """Labware of a motion is at its start or its target. A lid that was seen off its plate meanwhile lies
-    on it again."""
+    """Labware of a motion is at its source or its target. A lid that was seen off its plate meanwhile lies on
+    it again."""
     item = state.bench.labware[effect.labware]
     plate = effect.plate if place == effect.plate_at else LabwareId("")
     if plate and item.on != plate:
@@ -290,7 +290,7 @@ def _turn(state: LabState, action: Action, effect: Move) -> list[Event]:
 def take_from_stack(
     state: LabState, effect: Take, owner: Owner, run: str = "", action: str = ""
 ) -> Iterator[Event]:
-    """The topmost item of a stack as labware of its own, and its lid, if it has one."""
+    """The topmost item of a stack becomes labware with an id, together with its lid, if it has one."""
     item, lot = find_topmost(state, effect)
     kind, lid = split_item(item)
     plate = LabwarePlaced(effect.labware, run, kind, effect.target, owner, effect.stack, action, lot)
@@ -306,19 +306,19 @@ def put_back_in_place(state: LabState, action: Action) -> list[Event]:
 
 
 def _is_in_doubt(state: LabState, effect: Move) -> bool:
-    """Whether it is this motion that labware is uncertain by."""
+    """Whether labware is uncertain because of this motion."""
     return bool(state.bench.labware[effect.labware].maybe) and effect.labware not in state.shorter.astray
 
 
 def find_topmost(state: LabState, effect: Take) -> tuple[str, str]:
-    """The type and the lot of what is taken off a stack."""
+    """The type and the lot of the item that is taken off a stack."""
     stack = state.bench.stations[effect.stack]
     return stack.stock[-1], stack.lots[-1]
 
 
 def _take_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
-    """A person took away what had come off a stack. It gets its name there: where it was to stand others
-    may stand by now."""
+    """A person took away an item that had come off a stack. It gets its id at the stack, because other
+    labware may stand at its target by now."""
     item, lot = find_topmost(state, effect)
     return [
         LabwarePlaced(effect.labware, run, split_item(item)[0], effect.stack, NOBODY, effect.stack, lot=lot),
@@ -329,7 +329,7 @@ def _take_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
 def _ask_where(
     state: LabState, action: Action, motions: tuple[Move | Take, ...], why: str
 ) -> InterventionRequested:
-    """A motion failed half-way: a person has to say where the labware is now."""
+    """A motion failed half-way: a person has to report where the labware is."""
     topic = LostLabware(run=action.run, module=action.module, action=action.id, motions=motions)
     return state.interventions.ask(
         topic, f"{why.rstrip('.')}. Where is {', '.join(e.labware for e in motions)} now?"
@@ -337,11 +337,11 @@ def _ask_where(
 
 
 def settle_found(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by: str) -> Iterator[Event]:
-    """The events that follow when a person says where lost labware is."""
+    """The events that follow when a person reports where lost labware is."""
     for effect in motions:
         match effect, choice:
             case Move(), _ if effect.labware not in state.bench.labware:
-                pass  # it has left the bench since the question was asked
+                pass  # It has left the bench since the question was asked.
             case Move(), "gone":
                 why = f"taken away ({by})"
                 yield from remove_labware(state.bench, effect.labware, "", StationName(""), why)

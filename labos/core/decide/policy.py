@@ -1,4 +1,4 @@
-"""What the lab's policy says of a submission: whether it waits for an approval, and its priority."""
+"""The lab's policy applied to a submission: whether it waits for an approval, and its priority."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from labos.core.state import LabState
 from labos.core.users import LABOS, ON_BEHALF, find_person, rank
 
 COVERED = ("program", "newcomer")
-"""Reasons that do not count for runs like one that was approved with `alike`."""
+"""Reasons that do not apply to runs like one that was approved with `alike`."""
 
 MOST_DANGERS = 20
-"""So many dangerous steps are named."""
+"""At most this number of dangerous steps is named."""
 
 
 class Submission(msgspec.Struct, frozen=True):
-    """What is submitted, as far as the policy asks. ``terms`` of a campaign; ``before`` are those that it has
-    if they are changed."""
+    """The properties of a submission that the policy depends on. ``terms`` are those of a campaign;
+    ``before`` are its present terms if they are being changed."""
 
     user: str
     workcell: str
@@ -40,7 +40,7 @@ class Submission(msgspec.Struct, frozen=True):
 
 
 def sum_demand(plans: Iterable[Plan], times: float = 1.0) -> Demand:
-    """What plans ask of the lab, so many ``times``."""
+    """The work and material that plans need, multiplied by ``times``."""
     steps, time, modules = 0, 0.0, dict[str, float]()
     consumables, dangers = dict[str, float](), dict[str, bool]()
     for plan in plans:
@@ -58,8 +58,8 @@ def sum_demand(plans: Iterable[Plan], times: float = 1.0) -> Demand:
 
 
 def sum_demand_of_choices(plans: Sequence[Plan]) -> Demand:
-    """What a run asks of the lab that follows one of these plans: that of the longest one, and whatever is
-    dangerous in any of them."""
+    """The work and material of a run that may follow one of these plans: those of the longest plan, with the
+    dangerous steps of all plans."""
     demands = [sum_demand([plan]) for plan in plans]
     dangers = dict.fromkeys(danger for demand in demands for danger in demand.dangers)
     most = max(demands, key=lambda demand: demand.module_time_s)
@@ -67,7 +67,7 @@ def sum_demand_of_choices(plans: Sequence[Plan]) -> Demand:
 
 
 def list_dangers(plan: Plan) -> tuple[str, ...]:
-    """The dangerous steps of a plan, in words."""
+    """The dangerous steps of a plan, as text."""
     found = [f"{step.key} on {local(step.module)} ({step.hazard})" for step in plan.steps if step.hazard]
     return tuple(found[:MOST_DANGERS])
 
@@ -76,7 +76,7 @@ def list_dangers(plan: Plan) -> tuple[str, ...]:
 
 
 def refuse_priority(state: LabState, command: Any, actor: str) -> Rejection | None:
-    """Why a submission may not have the priority that it asks for."""
+    """Why a submission may not have the requested priority; None if it may."""
     if isinstance(command, SubmitCampaign | AmendCampaign):
         priority = command.terms.priority
     else:
@@ -120,7 +120,8 @@ def _find_cell(state: LabState, command: Command) -> str:
 def list_reasons(
     state: LabState, asked: Submission, actor: str, parts: dict[str, str] | None = None
 ) -> tuple[Why, ...]:
-    """Why a submission of ``actor`` waits for an approval; empty if it does not. ``parts`` of a run."""
+    """Why a submission of ``actor`` waits for an approval; empty if it does not. ``parts`` are those of a
+    run."""
     found = tuple(_iterate_reasons(state, asked, actor))
     experiment = parts.get("experiment", "") if parts is not None else ""
     if parts is not None and take_common_parts(parts) in state.approvals.alike.get(experiment, {}):
@@ -147,7 +148,7 @@ def _iterate_reasons(state: LabState, asked: Submission, actor: str) -> Iterator
     )
     others = asked.before is not None and person != asked.user
     if operates and (policy.own or others):
-        return  # whoever asks could approve it
+        return  # The submitter could approve it anyway.
     given = state.approvals.given.get(asked.user, 0)
     is_vouched_for = operates or asked.user in policy.trusted or state.users.is_open
     if given < policy.newcomers and not is_vouched_for:
@@ -164,7 +165,7 @@ def _iterate_reasons(state: LabState, asked: Submission, actor: str) -> Iterator
 
 
 def find_service(state: LabState, actor: str) -> str:
-    """The service account that acts, by itself or for a person; empty if none does."""
+    """The service account that acts, for itself or for a person; empty if there is none."""
     name, _, person = actor.rpartition(ON_BEHALF)
     user = state.users.known.get(name or person)
     return name or person if user is not None and user.kind == "service" else ""
@@ -176,8 +177,8 @@ def _is_sooner(terms: Terms, before: Terms | None) -> bool:
 
 
 def _describe_excess(most: Budget, asked: Submission) -> str:
-    """What a submission may use that takes an approval, in words. A campaign may use what its budget says, or
-    what its rows need by their plans if that is less."""
+    """The parts of a submission that exceed the limit and need an approval, as text. For a campaign, the
+    smaller one counts: its budget, or what its rows need by their plans."""
     need, budget = asked.demand, asked.terms.budget if asked.terms is not None else Budget()
     was = asked.before.budget if asked.before is not None else None
     rows = min(need.rows, budget.runs or need.rows)
@@ -197,7 +198,8 @@ def _describe_excess(most: Budget, asked: Submission) -> str:
 
 
 def _may_use(limit: float | None, planned: float, *, known: bool) -> float:
-    """What may be used: what is planned, or the limit if that is less; without both, anything."""
+    """The most that may be used: the planned amount, or the limit if that is smaller; infinite without
+    both."""
     most = float("inf") if limit is None else limit
     return min(planned, most) if known else most
 

@@ -1,4 +1,4 @@
-"""The answer to what waits for an operator's approval, and what follows from it."""
+"""The answer to a proposal that waits for an operator's approval, and the events that follow."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ from labos.core.users import ON_BEHALF, find_person
 from labos.core.words import Words
 
 SHORTEST_DIGEST = 12
-"""Characters of a digest that are enough to say what was looked at."""
+"""So many characters of a digest identify the content that the operator has seen."""
 
 
 class ApproveProposal(Command, frozen=True):
-    """Let the run, campaign, experiment or change ``subject`` go on, as it was when it had this ``digest``
-    (or its beginning). ``priority`` of a run or an experiment, ``terms`` of a campaign or its change are in
-    place of what was asked. ``alike``: see ``ApprovalGiven``."""
+    """Approve the run, campaign, experiment or change ``subject`` with the content that has this ``digest``
+    (or its beginning). ``priority`` (of a run or an experiment) and ``terms`` (of a campaign or its change)
+    replace those of the submission. ``alike``: see ``ApprovalGiven``."""
 
     subject: str
     digest: str
@@ -57,7 +57,7 @@ class ApproveProposal(Command, frozen=True):
 
 
 class RefuseProposal(Command, frozen=True):
-    """Do not let it go on."""
+    """Refuse a proposal."""
 
     subject: str
     by: str
@@ -90,7 +90,7 @@ def refuse_proposal(state: LabState, command: RefuseProposal) -> Decision:
 
 
 def answer_question(state: LabState, topic: Approval, choice: str, by: str, note: str) -> Decision:
-    """The same, as the answer to the question about a proposal."""
+    """Answer a proposal through the question about it."""
     proposal = _open(state, topic.about)
     if isinstance(proposal, Rejection):
         return []
@@ -143,7 +143,7 @@ def refuse(state: LabState, proposal: Proposal, command: RefuseProposal) -> Iter
 
 
 def _find_waiting(state: LabState, experiment: str) -> Iterator[Proposal]:
-    """The runs of an experiment that wait for nothing but its approval."""
+    """The runs of an experiment that wait only because the experiment is not approved."""
     known = state.experiments.open[ExperimentId(experiment)]
     for run in known.runs:
         proposal = state.approvals.open.get(run)
@@ -161,7 +161,7 @@ def _open(state: LabState, subject: str) -> Proposal | Rejection:
 
 
 def _check_as_seen(proposal: Proposal, seen: str) -> Rejection | None:
-    """Why an answer is not about the proposal as it is now."""
+    """Why an answer is not about the present content of the proposal."""
     if len(seen) >= SHORTEST_DIGEST and proposal.digest.startswith(seen):
         return None
     return Rejection(
@@ -206,7 +206,7 @@ def _may_not_approve(state: LabState, proposal: Proposal, by: str) -> Rejection 
 
 
 def _check_experiment(state: LabState, proposal: Proposal) -> Rejection | None:
-    """Why a run cannot be approved before its experiment is."""
+    """Why a run cannot be approved before its experiment; None if it can."""
     experiment = proposal.parts.get("experiment", "") if proposal.kind == "run" else ""
     known: Experiment | None = state.experiments.open.get(ExperimentId(experiment))
     if known is None or not known.held:
@@ -228,7 +228,7 @@ def _list_questions(state: LabState, subject: str) -> list[Intervention]:
 def _resolve_question(
     state: LabState, subject: str, choice: str, by: str, note: str
 ) -> Iterable[InterventionResolved]:
-    """The question about a proposal is answered along with it."""
+    """The question about a proposal is resolved together with it."""
     return [InterventionResolved(q.id, choice, by, note) for q in _list_questions(state, subject)]
 
 

@@ -1,8 +1,8 @@
-"""What follows from an event, in the order in which it is worked out.
+"""The events that follow from an event, in order.
 
-A reaction reads the state that the event, and all that was decided with it, has left, and yields further
-events; each is folded before it goes on. Reactions run while a command is carried out, never while a log is
-folded: what they have decided stands in the log.
+A reaction reads the state after the event and all events that were decided with it. It yields further events;
+each is folded before the reaction continues. Reactions run while a command is carried out, never while a log
+is folded: their results are in the log.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ from labos.core.users import UserDisabled
 Reaction = Callable[[LabState, Any], Iterator[Event]]
 
 REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
-    # Logs of earlier versions may have left these to a command that was never given.
+    # In logs of earlier versions, a later command should have done these, but it was never sent.
     KernelStarted: (end_experiments, conclude_campaigns),
     NodeLeft: (withdraw_waiting,),
     NodeStateChanged: (withdraw_waiting,),

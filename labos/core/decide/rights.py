@@ -1,8 +1,8 @@
-"""Who may ask for what: the permission that each command needs, in one table, and the guard at the door.
+"""Permissions of users: one table with the permission that each command needs, and the check.
 
-A lab without users is open. From its first user on, everybody who asks must be one: everybody may touch what
-is their own; what is somebody else's needs an operator of the workcell where it is. What LabOS asks of itself
-(planning, nodes, the feeder of campaigns) is not held up here."""
+A lab without users is open. After the first user was added, every actor must be a user. Users may change
+their own things; for things of others they need to be operators of the workcell. Commands that LabOS sends
+itself (planning, nodes, the feeder of campaigns) are not checked."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ from labos.core.state import LabState
 from labos.core.users import LABOS, ON_BEHALF, ROLES, Role, User, rank
 
 MOST_NAMED = 5
-"""So many people are named who may do what was refused."""
+"""A refusal names at most this number of people who may do it."""
 
 
 class Denied(Rejection, frozen=True):
-    """The actor may not do this; ``remedy`` says who may."""
+    """The actor may not do this; ``remedy`` names the people who may."""
 
 
 class Right(msgspec.Struct, frozen=True):
-    """What a command needs. ``role`` is the least role with which it may succeed, empty for what only LabOS
-    itself asks for; ``words`` say for the documentation what it takes. ``asker`` is the field that says who
-    asks."""
+    """The permission that a command needs. ``role`` is the lowest role with which it may succeed; it is empty
+    for commands that only LabOS sends. ``words`` describe the permission for the documentation. ``asker`` is
+    the field with the user who asks."""
 
     role: Role | None
     words: str = ""
@@ -74,8 +74,8 @@ class Right(msgspec.Struct, frozen=True):
 
 
 def check_rights(state: LabState, command: Command, actor: str) -> Denied | None:
-    """Why ``actor`` (a user's id, or ``on_behalf``) may not give a command; None if they may. Takes no
-    longer than the command has targets."""
+    """Why ``actor`` (a user's id, or ``on_behalf``) may not send a command; None if they may. The time is
+    proportional to the number of the command's targets."""
     if _is_free(state, actor) or isinstance(command, nodes.RecordStops):
         return None
     right = RIGHTS[type(command)]
@@ -100,8 +100,8 @@ def check_rights(state: LabState, command: Command, actor: str) -> Denied | None
 
 
 def check_role(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
-    """Why ``actor`` may not do what is no command and needs a role in a workcell (``*``: in the whole lab;
-    empty: anywhere); None if they may."""
+    """Why ``actor`` may not do something that is not a command but needs a role in a workcell (``*``: in the
+    whole lab; empty: in any workcell). None if they may."""
     if _is_free(state, actor):
         return None
     service, _, person = actor.rpartition(ON_BEHALF)
@@ -111,12 +111,12 @@ def check_role(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -
 
 
 def _is_free(state: LabState, actor: str) -> bool:
-    """Whether nobody is asked for a right: the lab is open, or LabOS itself acts."""
+    """Whether no permission is needed: the lab is open, or LabOS itself acts."""
     return state.users.is_open or actor == LABOS or "/" in actor
 
 
 def _refuse_names(state: LabState, person: str, service: str) -> Denied | None:
-    """Why nobody may act under these names."""
+    """Why no user may act under these names; None if they may be used."""
     return _refuse_stranger(state, person) or (_refuse_agent(state, service, person) if service else None)
 
 
@@ -186,7 +186,7 @@ def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: 
 
 
 def _find_who_may(state: LabState, needs: Role, cell: str) -> list[str]:
-    """Persons with at least a role, those of the lowest such role first."""
+    """The people who have at least a role; those with the lowest such role come first."""
     people = [name for name, user in state.users.known.items() if _may_act(user)]
     ranks = {name: rank_role_in(state, name, cell) for name in people}
     return sorted((name for name in people if ranks[name] >= rank(needs)), key=lambda name: ranks[name])
@@ -311,7 +311,7 @@ RIGHTS: dict[type[Command], Right] = {
     users.RemoveMember: Right("admin", _ADMIN, targets.require_in_lab("admin")),
     users.GrantRole: Right("admin", "an admin of where the role is granted", targets.find_grant_target),
     users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.find_grant_target),
-    # what LabOS asks of itself
+    # Commands that LabOS sends itself.
     access.GrantAccess: _INSIDE,
     actions.AcceptAction: _INSIDE,
     actions.DoubtAction: _INSIDE,

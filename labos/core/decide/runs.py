@@ -58,15 +58,15 @@ QUOTA_REMEDY = "Wait until some have begun, or cancel some."
 
 
 NOBODYS = CampaignId("")
-"""In place of the campaign of a run that belongs to none."""
+"""Stands for the campaign of runs that belong to no campaign."""
 
 
 class SubmitRun(Command, frozen=True):
-    """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
-    one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy.
-    ``others`` are plans of the same steps on other modules, from which it may choose one in place of ``plan``
-    when it is let in. ``apart``: the campaign that shares its plans with nobody. ``due_at`` is when it
-    should be over (UTC ns, 0: no such time)."""
+    """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is one run.
+    ``pins`` are digests by name. ``propose``: it waits for an approval, even if the policy does not demand
+    one. ``others`` are plans of the same steps on other modules; at its start the run may choose one of them
+    instead of ``plan``. ``apart``: the campaign that does not share its plans. ``due_at`` is its due date
+    (UTC ns, 0: none)."""
 
     plan: Plan
     user: str
@@ -82,12 +82,12 @@ class SubmitRun(Command, frozen=True):
 
     @property
     def plans(self) -> tuple[Plan, ...]:
-        """All plans from which it chooses."""
+        """All plans from which the run may choose."""
         return (self.plan, *self.others)
 
 
 class PauseRun(Command, frozen=True):
-    """``why`` is a word about it for the log."""
+    """``why`` is a reason for the log."""
 
     run: RunId
     why: Words = ""
@@ -98,7 +98,7 @@ class ResumeRun(Command, frozen=True):
 
 
 class BreachWindow(Command, frozen=True):
-    """The time for a step has passed without its start."""
+    """The latest time for a step has passed, and the step has not started."""
 
     run: RunId
     step: int
@@ -107,13 +107,13 @@ class BreachWindow(Command, frozen=True):
 
 
 def plan_digest(plan: Plan, apart: str = "") -> str:
-    """The name of a plan; another one for a campaign that keeps its plans apart."""
+    """The name of a plan. A campaign that does not share its plans has other names for them."""
     name = digest(encode_canonical(plan))
     return digest(f"{apart} {name}".encode()) if apart else name
 
 
 def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: CampaignId = NOBODYS) -> list[Event]:
-    """The events that make a plan known, none if it is."""
+    """The events that record a plan; none if it is recorded already."""
     if name in state.runs.plans:
         return []
     parts = [
@@ -142,14 +142,14 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: Campaign
 
 
 def _list_setups(state: LabState, step: PlanStep) -> list[Any]:
-    """For what a step's module has to be set up: runs for which that differs do not wait in one line."""
+    """The values for which a step's module is set up. Runs with different values wait in different queues."""
     module = state.modules.by_name.get(step.module)
     setup = module.spec.setup if module is not None else None
     return [] if setup is None or setup.argument not in step.args else [step.args[setup.argument]]
 
 
 def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
-    """Why a plan could never be carried out in this lab."""
+    """Why a plan can never be carried out in this lab; None if it can."""
     if not plan.steps:
         return Rejection("empty", f"The workflow {plan.workflow!r} has no steps.", "Add a step.")
     if plan.workcell not in state.lab.workcells:
@@ -193,7 +193,7 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
 
 
 def _check_capacity(state: LabState, step: PlanStep) -> Rejection | None:
-    """Why a step could not even start on a full module."""
+    """Why a step could not start even on a full module; None if it could."""
     for effect in step.effects:
         level = state.resources.find(step.module, effect.resource) if isinstance(effect, Consumes) else None
         if level is None or not isinstance(effect, Consumes):
@@ -258,8 +258,8 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
 
 
 def _check_parking(state: LabState, plan: Plan, experiment: Experiment) -> Rejection | None:
-    """A run of an experiment with parking stations leaves labware there, in storage, or nowhere. Only
-    what the run itself carries counts, in the order of its steps."""
+    """Check that a run of an experiment with parking stations leaves labware only there, in storage, or
+    nowhere. Only labware that the run itself carries counts, in the order of its steps."""
     if not experiment.parking:
         return None
     ends: dict[StationName, str] = {}
@@ -318,7 +318,7 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
     within = window.within_s or 0.0
     breached = WindowBreached(run.id, command.step, window.anchor, within, started_by)
     if run.is_ending:
-        return [breached]  # it ends as it is
+        return [breached]  # The run ends in any case.
     what = describe_lateness(run, plan, command.step, window)
     if window.on_breach == "fail":
         return chain([breached], give_up(state, run, what))
@@ -329,7 +329,7 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
 
 
 def answer_late(state: LabState, topic: LateStep, choice: str) -> Iterator[Event]:
-    """What follows when a person says what becomes of a run whose step is late."""
+    """The events that follow when a person decides about a run with a late step."""
     run = state.runs.get(topic.run)
     if run is None or run.status == RunStatus.CANCELLING:
         return

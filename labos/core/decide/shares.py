@@ -8,7 +8,7 @@ from labos.core.state import LabState
 
 
 class ApplyShares(Command, frozen=True):
-    """Weights and quotas from now on, as a file of that ``digest`` says."""
+    """Apply new weights and quotas from the file with this ``digest``."""
 
     digest: str
     groups: tuple[Group, ...] = ()

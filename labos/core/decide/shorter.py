@@ -1,4 +1,4 @@
-"""A log that is shorter than others know: nothing is started before a person has been round the bench."""
+"""A log that has lost its end: no action starts before a person has checked the whole bench."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ from labos.core.topics import ShorterLog, WhereItStands
 GONE = StationName("")
 
 HIGHEST = 2**53
-"""No log comes to more events: a node that names a higher position is not taken at its word."""
+"""No log has more events than this: a higher position from a node is not believed."""
 
 MOST_EFFECTS = 100
-"""An action that claims more effects on the bench than this counts as one that does not say what it did."""
+"""If an action lists more effects on the bench than this, its effects count as unknown."""
 
 MANY_FOUND = 100
-"""Actions of one journal that are told at once."""
+"""The most actions of one journal that are reported at once."""
 
 NAMED = 8
-"""So many stations are named in a message."""
+"""A message names at most this number of stations."""
 
 
 class FoundAction(msgspec.Struct, frozen=True):
-    """An action in a node's journal that the log does not know. ``effects`` is null where the journal does
-    not say what the action was to do."""
+    """An action in a node's journal that the log does not know. ``effects`` is null if the journal does not
+    have the planned effects."""
 
     action: ActionId
     name: str
@@ -55,9 +55,10 @@ class FoundAction(msgspec.Struct, frozen=True):
 
 
 class ReportShorterLog(Command, frozen=True):
-    """Something knows of a position that this log does not have. ``evidence`` says what (a checkpoint, a
-    restored backup), ``knows`` what, in words after its name; ``ended`` where the log ended when the two were
-    compared. ``known_position`` 0: it is only known that the log may be shorter."""
+    """A part of the system knows a position that this log does not have. ``evidence`` names it (a checkpoint,
+    a restored backup). ``knows`` describes its knowledge, as words after its name. ``ended`` is the end of
+    the log at the time of the comparison. If ``known_position`` is 0, it is only known that the log may be
+    shorter."""
 
     known_position: int
     evidence: str
@@ -66,9 +67,9 @@ class ReportShorterLog(Command, frozen=True):
 
 
 class SayContents(Command, frozen=True):
-    """A person on the round says what stands at a station, bottom to top: labware by its id, or labware
-    that the log does not know by its type; each with the lid that lies on it (``P7+P8``, ``plate96+lid96``).
-    Of a waste the number counts."""
+    """A person on the round reports the contents of a station, bottom to top. Each entry is the id of
+    labware, or the type of labware that the log does not know, with the lid that lies on it (``P7+P8``,
+    ``plate96+lid96``). For a waste, only the number counts."""
 
     station: StationName
     by: str
@@ -76,8 +77,8 @@ class SayContents(Command, frozen=True):
 
 
 class ConfirmStations(Command, frozen=True):
-    """A person on the round says that stations are as recorded, where nothing that the log does not know
-    is known to have been at work."""
+    """A person on the round confirms that stations are as recorded. This is possible only for stations at
+    which no unknown action may have been at work."""
 
     stations: tuple[StationName, ...]
     by: str
@@ -86,7 +87,8 @@ class ConfirmStations(Command, frozen=True):
 def record_shorter_log(
     state: LabState, evidence: str, knows: str, known: int, ended: int, workcell: str = ""
 ) -> list[Event]:
-    """The events for a piece of evidence: none if it is known already. The first one asks a person."""
+    """The events for a piece of evidence; none if it is already recorded. The first piece of evidence opens a
+    question to a person."""
     known = known if 0 <= known <= HIGHEST else 0
     if state.shorter.evidence.get(evidence) == knows:
         return []
@@ -125,8 +127,9 @@ def report_shorter_log(state: LabState, command: ReportShorterLog) -> Decision:
 def record_journal(
     state: LabState, module: ModuleName, found: Sequence[FoundAction], beyond: int
 ) -> list[Event]:
-    """The events for what a module's journal knows and the log does not: actions, whose labware is uncertain
-    now, and that the node was told of a log up to the position ``beyond`` (0: it was not)."""
+    """The events for the data in a module's journal that the log does not have. These are actions, whose
+    labware is now uncertain, and the position ``beyond`` up to which the node has received acknowledgements
+    (0: none)."""
     actions, doubted = state.actions, state.modules.by_name[module]
     known = {*actions.discovered, *actions.settled, *actions.ended.get(module, ())}
     found = [
@@ -142,7 +145,7 @@ def record_journal(
     again = [entry.name for entry in found if entry.action in actions.open]
     for told in (state.shorter.evidence, state.shorter.answered):
         if f"position {beyond}" in told.get(str(module), ""):
-            beyond = 0  # it has told so already
+            beyond = 0  # It has reported this before.
     knows = []
     if fresh:
         more = f" and {len(fresh) - 1} more" if len(fresh) > 1 else ""
@@ -154,12 +157,12 @@ def record_journal(
     if not knows:
         return []
     highest = max(beyond, *(entry.position for entry in found), 0)
-    # One that tells of very many may know of more than it tells.
+    # A journal with very many unknown actions may have more than it reports.
     cell = workcell_of(module) if beyond or len(found) >= MANY_FOUND else ""
     events = record_shorter_log(state, str(module), " and ".join(knows), highest, state.position, cell)
     if not (fresh or events):
         return []
-    # What it was left like, a lid or a door, follows from actions too.
+    # The states of its lid and door depend on these actions too.
     events += [
         VariableSet(module, variable, None, "labos")
         for variable, value in doubted.values.items()
@@ -173,8 +176,8 @@ def record_journal(
 
 
 def _find_credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tuple[AnyEffect, ...] | None:
-    """What a journal says that an action was to do, unless that names what this log does not know: then the
-    whole workcell is in doubt."""
+    """The planned effects of an action in a journal; None if they name something that this log does not know.
+    Then the whole workcell is in doubt."""
     if effects is None or len(effects) > MOST_EFFECTS:
         return None
     on_labware = tuple(effect for effect in effects if isinstance(effect, Carrying | Needs))
@@ -182,7 +185,8 @@ def _find_credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tu
 
 
 def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[FoundAction]) -> list[Event]:
-    """Where labware may be by now that these actions may have moved: where it was, on the way, or gone."""
+    """The possible places of labware that these actions may have moved: its old place, a place on the way, or
+    off the bench."""
     maybe: dict[LabwareId, list[StationName]] = {}
     for entry in found:
         for effect in entry.effects or ():
@@ -213,7 +217,8 @@ def list_to_say(state: LabState) -> list[StationName]:
 
 
 def must_describe(state: LabState, name: StationName) -> bool:
-    """Whether it is not enough to confirm that a station is as recorded."""
+    """Whether a person must list the contents of a station, because a confirmation that it is as recorded is
+    not enough."""
     station = state.bench.stations[name]
     doubtful = any(
         state.bench.labware[item].lid and state.bench.is_lid_in_doubt(state.bench.labware[item])
@@ -241,7 +246,7 @@ def say_contents(state: LabState, command: SayContents) -> Decision:
 
 
 def _withdraw_answered(state: LabState, command: SayContents) -> list[Event]:
-    """Questions about these stations are older than this report: they are withdrawn."""
+    """Withdraw the questions about these stations, which are older than this report."""
     words = {word for item in command.contents for word in split_item(item)}
     here = words | {*state.bench.stations[command.station].labware}
     found: list[Event] = []
@@ -310,8 +315,9 @@ def _refuse_in_motion(module: str) -> Rejection:
 
 
 def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
-    """Why a word about a station would be old soon: something moves there, or it is asked how a motion that
-    the log knows has ended. That is answered first; what is said afterwards counts."""
+    """Why a report about a station would soon be outdated: a motion is under way there, or there is an
+    open question about a motion that the log knows. That question has to be answered first; later reports
+    count."""
     name, bench = command.station, state.bench
     busy = find_strange_motion(state, workcell_of(name))
     if busy:
@@ -346,7 +352,7 @@ def _refuse_asked_first(state: LabState, action: Action) -> Rejection:
 
 
 def find_strange_motion(state: LabState, cell: str) -> str:
-    """A module of a workcell (of any, if empty) that is at work with nothing that the log asked of it."""
+    """A module of a workcell (of any, if empty) that is at work on an action that the log does not have."""
     for name, module in state.modules.by_name.items():
         if cell in ("", workcell_of(name)) and module.status == ModuleStatus.BUSY and not module.in_flight:
             return local(name)
@@ -354,7 +360,8 @@ def find_strange_motion(state: LabState, cell: str) -> str:
 
 
 def finish_round(state: LabState, by: str, note: str) -> Decision:
-    """What follows when a person says that all was said; refused, by name, while something was not."""
+    """The events that follow when a person declares the round complete. It is refused if stations have not
+    been reported; the message names them."""
     left = list_to_say(state)
     if left:
         named = ", ".join(map(local, left[:NAMED])) + (

@@ -12,8 +12,8 @@ from labos.core.words import Words
 
 
 class SignRun(Command, frozen=True):
-    """``by`` has shown who they are, by ``method``, and signs the ``records`` of a run, which have this
-    digest."""
+    """The user ``by`` has proven their identity with ``method``, and signs the ``records`` of a run, which
+    have this digest."""
 
     run: RunId
     by: str
@@ -25,7 +25,7 @@ class SignRun(Command, frozen=True):
 
 
 class SignRecords(Command, frozen=True):
-    """As ``SignRun``: the ``records`` of an experiment or a campaign and of all its ``runs``."""
+    """The same as ``SignRun`` for the ``records`` of an experiment or a campaign and of all its ``runs``."""
 
     subject: str
     kind: Kind

@@ -1,4 +1,4 @@
-"""What follows for a step when its action has failed, or does not end."""
+"""The events for a step whose action has failed or does not end."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from labos.core.topics import FailedStep
 
 
 class TimeOutAction(Command, frozen=True):
-    """An action has not ended in the time that its step gives it, its node stays away, or its device stands
-    still and says why."""
+    """An action has no result: its time-out has passed, its node stays away, or its device stands still and
+    reports why."""
 
     action: ActionId
     now: int
@@ -61,8 +61,8 @@ def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
 def doubt(
     state: LabState, action: Action, why: str, maybe: Sequence[LabwareUncertain] | None = None
 ) -> list[Event]:
-    """What follows when nobody can say how an action ended; ``maybe`` is where its labware may be, if more
-    is known of that."""
+    """The events when it cannot be found out how an action ended. ``maybe`` lists the possible places of its
+    labware, if more is known about them."""
     ids = (action.id, action.run, action.step, action.module, action.attempt)
     events: list[Event] = [ActionUnknown(*ids, why)]
     if maybe is None:
@@ -122,7 +122,7 @@ def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepU
         effects, kind = "none" if is_inert(plan, step) else "all", "experiment"
     tried_again = reset_by(plan, step)
     if tried_again is not None:
-        # A module that cannot be reset is as good as another failure of the step it serves.
+        # A reset that fails counts as another failure of the step that it serves.
         step, effects = tried_again, "none"
     policy = plan.steps[step].on_error
     if policy is None or effects not in ("none", "all") or run.status == RunStatus.CANCELLING:
@@ -146,7 +146,7 @@ def fail_spoilt(state: LabState, event: ActionReconciled) -> Iterator[Event]:
 
 
 def _describe_failure(step: PlanStep, event: ActionFailed | ActionRejected | StepUnexpected) -> str:
-    """Why a step failed, for people."""
+    """Why a step failed, as text for people."""
     if isinstance(event, StepUnexpected):
         return event.why
     if isinstance(event, ActionRejected):
@@ -160,7 +160,7 @@ def _shorten(result: Any) -> str:
 
 
 def reset_by(plan: Plan, step: int) -> int | None:
-    """The step whose module this one resets before it is tried again; None if it is not there for that."""
+    """The step whose module this step resets before a retry; None if it is not such a reset."""
     served = plan.steps[step].serves
     retry = plan.steps[served].retry if served is not None else None
     return served if retry is not None and retry.reset == step else None
@@ -169,7 +169,7 @@ def reset_by(plan: Plan, step: int) -> int | None:
 def _ask_about_step(
     state: LabState, run: RunState, index: int, effects: EffectsDone, why: str
 ) -> InterventionRequested:
-    """What a person is asked about a step that failed."""
+    """The question to a person about a step that failed."""
     step = state.runs.plan_of(run).steps[index]
     policy = step.on_error
     topic = FailedStep(
@@ -186,7 +186,7 @@ def _ask_about_step(
 
 
 def answer_failed(state: LabState, topic: FailedStep, choice: str, by: str) -> Iterator[Event]:
-    """What follows when a person says what becomes of a run whose step failed."""
+    """The events that follow when a person decides about a run whose step failed."""
     run = state.runs.active.get(RunId(topic.run))
     if run is None or run.status == RunStatus.CANCELLING:
         return
@@ -203,8 +203,8 @@ def answer_failed(state: LabState, topic: FailedStep, choice: str, by: str) -> I
 
 
 def can_be_repeated(step: PlanStep) -> bool:
-    """Whether a step may be repeated although nobody knows how far it went: its driver allows it, it
-    carries nothing, and it changes nothing that it needs itself."""
+    """Whether a step may be repeated although its progress is unknown. This is so if its driver allows it, it
+    carries nothing, and it does not change anything that it needs itself."""
     if not step.safe_to_repeat or list_carried(step.effects):
         return False
     changed = {(e.of, e.variable) for e in step.effects if isinstance(e, Sets)}

@@ -1,4 +1,4 @@
-"""What people bring to the bench and take away: consumables, stacks of labware, full wastes."""
+"""Supplies that people bring to the bench or take away: consumables, stacks of labware, full wastes."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ from labos.core.shelves import list_vacant
 from labos.core.state import LabState
 
 MOST_AWAITED = 100
-"""So many runs that could not go on are named by the event that lets them."""
+"""The most waiting runs that one event names."""
 
 MOST_AT_ONCE = 200
-"""Pieces of labware that get their names in one command."""
+"""The most pieces of labware that get their ids in one command."""
 
 
 FOLLOWS = {
@@ -49,13 +49,12 @@ FOLLOWS = {
     "a1": "It is known from how it lies in its nest.",
     "lot": "Name its lot: labos load STATION --type TYPE --lot LOT",
 }
-"""Variables of labware that follow from something else, and how that is said."""
+"""Variables of labware that are computed from other data, and how people change them."""
 
 
 class Replenish(Command, frozen=True):
-    """Say that more of a resource was put in: an amount, or as much as there was room for (0).
-    ``instead``: what was left was taken out before. ``today`` is the day by which packs are past their
-    date (empty: none is)."""
+    """Report that a resource was refilled: by an amount, or to its capacity (0). ``instead``: the rest was
+    taken out before. ``today`` is the date for the check of expiry dates (empty: no check)."""
 
     module: ModuleName
     resource: str
@@ -67,9 +66,9 @@ class Replenish(Command, frozen=True):
 
 
 class LoadStation(Command, frozen=True):
-    """Say that labware of a type was put on top of what stands at a station; in a hotel with shelves, a
-    piece on each of the lowest ones that are free. ``set`` are variables that each piece has (``sealed``),
-    ``unset`` those that it has not."""
+    """Report that labware of a type was put on top of a station. In a hotel with shelves, each piece goes to
+    the lowest free shelf. ``set`` are variables that are true for each piece (``sealed``); ``unset`` are
+    variables that are false."""
 
     station: StationName
     labware: str
@@ -80,8 +79,8 @@ class LoadStation(Command, frozen=True):
 
 
 class UnloadStation(Command, frozen=True):
-    """Say that labware was taken away from a station: one by name, the topmost ``count``, or all
-    (neither named)."""
+    """Report that labware was taken away from a station: one piece by its id, the topmost ``count``, or all
+    (neither given)."""
 
     station: StationName
     by: str
@@ -197,7 +196,8 @@ def _place(state: LabState, command: LoadStation, places: Sequence[StationName])
 def unload_station(state: LabState, command: UnloadStation) -> Decision:
     station = state.bench.stations.get(command.station)
     waste = station is not None and station.spec.kind == "waste"
-    # What is in a waste is gone: whatever is being thrown in, or may have been, is not taken out of it.
+    # Labware in a waste has left the bench. So labware that is being discarded, or may have been, is not
+    # taken out of the waste.
     found = station if waste and station is not None else _expect_free_of_doubt(state, command.station)
     if isinstance(found, Rejection):
         return found
@@ -236,7 +236,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
 
 
 def _find_waiting(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:
-    """The runs under way whose next step lacks something; of many, the first."""
+    """The runs under way whose next step lacks something; the first ones if there are many."""
     waiting = (
         run.id
         for run in state.runs.active.values()
@@ -264,7 +264,7 @@ def _throws_into(step: PlanStep, waste: StationName) -> bool:
 
 
 def _expect_free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
-    """A station at which no arm is at work and nothing may stand unknown."""
+    """A station at which no arm is at work and no uncertain labware may stand."""
     station = state.bench.stations.get(name)
     if station is None:
         return Rejection("no_station", f"There is no station {local(name)}.")
@@ -280,7 +280,7 @@ def _expect_free_of_doubt(state: LabState, name: StationName) -> Station | Rejec
 
 
 def _find_owner_alive(state: LabState, owner: Owner) -> str:
-    """The run or experiment that owns labware, if it has not ended; else empty."""
+    """The run or experiment that owns labware, if it has not ended; otherwise empty."""
     kind, name = split_owner(owner)
     if kind == "run" and state.runs.get(RunId(name)) is not None:
         return f"run {name}"

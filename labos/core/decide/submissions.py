@@ -1,7 +1,8 @@
-"""At the door: every submission passes here once it is decided, and waits for an approval if it takes one.
+"""The entry of all submissions: each is checked here after it was decided, and waits for an approval if it
+needs one.
 
-It does not matter who hands it in, and by which way. What a plan does to the bench is not judged here: an
-approved run waits for its turn as any other.
+This does not depend on who submits it, or through which interface. The effects of a plan on the bench are not
+checked here: an approved run is scheduled like any other.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ from labos.core.users import LABOS, ON_BEHALF, find_person
 
 
 class ApplyPolicy(Command, frozen=True):
-    """From now on this policy holds, as a file of that ``digest`` says."""
+    """Apply the policy from the file with this ``digest``."""
 
     digest: str
     policy: Policy
@@ -67,7 +68,7 @@ def apply_policy(state: LabState, command: ApplyPolicy) -> Decision:
 
 @decides(SubmitRows)
 def submit_rows(state: LabState, command: SubmitRows) -> Decision:
-    """The first row is decided as if it were alone; of the others, as many as may be."""
+    """The first row is decided as if it were alone; then as many further rows as are allowed."""
     first = _decide_next_row(state, command.rows[0]) if command.rows else []
     return first if isinstance(first, Rejection) else _submit_rows(state, command.rows)
 
@@ -87,8 +88,8 @@ def _decide_next_row(state: LabState, row: SubmitRow | RefuseRow) -> Decision:
 
 
 def name_both_actors(command: Command, actor: str) -> Command:
-    """The command as it is recorded: what a service account says for a person is put down to both, so that
-    nobody takes it for the person's own word."""
+    """The command as it is recorded. If a service account submits for a person, both names are recorded, so
+    that it does not look like the person's own request."""
     if ON_BEHALF not in actor:
         return command
     changed: dict[str, Any] = {}
@@ -104,7 +105,7 @@ def name_both_actors(command: Command, actor: str) -> Command:
 
 
 def hold_for_approval(state: LabState, command: Command, decision: Decision, actor: str) -> Decision:
-    """What is decided of a submission of ``actor``, with the request for an approval if it takes one."""
+    """The events of a submission of ``actor``, with the request for an approval if it needs one."""
     if not isinstance(command, _SUBMISSIONS) or isinstance(decision, Rejection):
         return decision
     if isinstance(command, SubmitWithLabware):
@@ -115,7 +116,7 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
         return _check_policy_actor(state, actor) or decision
     events = list(decision)
     if not events:
-        return events  # it is known already
+        return events  # It is known already.
     if isinstance(command, SubmitRow):
         return _decide_row(state, command, events)
     high = refuse_priority(state, command, actor)
@@ -148,7 +149,7 @@ _SUBMISSIONS = (
 def _with_labware(
     state: LabState, command: SubmitWithLabware, decision: Iterable[Event], actor: str
 ) -> Decision:
-    """A run that comes with labware waits as any run; the labware stands there in any case."""
+    """A run that is submitted with labware waits like any other run. The labware is recorded in any case."""
     known = submit_run(state, command.run)
     run = hold_for_approval(state, command.run, known, actor)
     if isinstance(run, Rejection):
@@ -157,7 +158,7 @@ def _with_labware(
 
 
 def _each_of_batch(state: LabState, command: SubmitRuns, decision: Iterable[Event], actor: str) -> Decision:
-    """Each run of several waits as any run."""
+    """Each of several runs waits like any other run."""
     new = list_new(state, command)
     for number, run in new.items():
         high = refuse_priority(state, run, actor)
@@ -169,7 +170,7 @@ def _each_of_batch(state: LabState, command: SubmitRuns, decision: Iterable[Even
 def _hold_each(
     state: LabState, runs: list[SubmitRun], decision: Iterable[Event], actor: str
 ) -> Iterator[Event]:
-    """Each event is folded before the next one is asked for."""
+    """Each event is folded before the next one is computed."""
     left = iter(runs)
     for event in decision:
         yield event
@@ -179,7 +180,7 @@ def _hold_each(
 
 
 def _check_policy_actor(state: LabState, actor: str) -> Rejection | None:
-    """Why a policy is not changed: no program lets its own submissions go on."""
+    """Why the policy may not be changed: a program must not approve its own submissions."""
     service = find_service(state, actor)
     if not service:
         return None
@@ -243,8 +244,8 @@ def _request_for_experiment(
 
 
 def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Event], actor: str) -> Decision:
-    """If a campaign waits for an approval, it waits again with its new terms. If it goes on, a change by
-    which it may do more waits, and the campaign goes on as before."""
+    """The new terms of a campaign that waits for an approval need an approval again. If the campaign is under
+    way, a change that allows it more waits, and the campaign continues under its old terms."""
     campaign = state.campaigns.open[command.campaign]
     waiting = state.approvals.open.get(campaign.id)
     if waiting is not None and waiting.kind == "campaign":
@@ -272,8 +273,8 @@ def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Even
 
 
 def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Event]:
-    """A campaign waits for an approval before a row that does something dangerous, if nobody knew of that
-    when it was submitted, or approved."""
+    """A campaign waits for an approval before a row with a dangerous step, if the danger was not known when
+    the campaign was submitted or approved."""
     campaign = state.campaigns.open[command.campaign]
     dangers = sum_demand_of_choices((command.plan, *command.others)).dangers
     if not dangers or campaign.danger_seen or not any(isinstance(e, RunSubmitted) for e in events):
@@ -293,7 +294,7 @@ def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> lis
 
 
 def allows_more(old: Terms, new: Terms) -> bool:
-    """Whether a campaign may do more, or go sooner, under new terms than under the old ones."""
+    """Whether a campaign may do more, or start earlier, under new terms than under the old ones."""
     budget, was = new.budget, old.budget
     kinds = {*budget.consumables, *was.consumables}
     none = float("inf")
@@ -320,7 +321,7 @@ def _request(
     also: list[int],
     terms: Terms | None = None,
 ) -> ApprovalRequested | None:
-    """The event that has a submission wait; None if nothing says that it has to."""
+    """The event that makes a submission wait for an approval; None if it needs none."""
     if not why:
         return None
     past = state.approvals.find_last("campaign" if kind == "amendment" else kind, name)  # type: ignore[arg-type]
@@ -345,11 +346,11 @@ def _request(
 
 
 UNCOMPARED = ("plan", "choices", "experiment")
-"""Parts that follow from others, or are others each time."""
+"""Parts that follow from other parts, or that are different each time."""
 
 
 def _make_digest(values: Terms | dict[str, Any]) -> str:
     try:
         return digest(encode_canonical(values))
     except (ValueError, TypeError, OverflowError, RecursionError):
-        return ""  # it cannot be recorded, and is refused for that
+        return ""  # It cannot be recorded, and is refused for that reason.

@@ -1,4 +1,4 @@
-"""Taking a planner's advice."""
+"""Recording the suggestions of a planner."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from labos.core.suggestions import MOST_STEPS, OrderSuggested, Suggested
 
 
 class SuggestOrder(Command, frozen=True):
-    """A planner (``by``) suggests in which order steps of a workcell should start. It was worked out from the
-    log up to ``position`` and counts until ``until`` (UTC ns)."""
+    """A planner (``by``) suggests the order in which steps of a workcell should start. It was computed from
+    the log up to ``position`` and is valid until ``until`` (UTC ns)."""
 
     workcell: str
     by: str
@@ -41,7 +41,7 @@ def suggest_order(state: LabState, command: SuggestOrder) -> Decision:
     for one in sorted(command.steps, key=lambda step: step.start):
         run = state.runs.get(one.run)
         if run is None:
-            continue  # it has ended meanwhile
+            continue  # It has ended meanwhile.
         plan = state.runs.plan_of(run)
         if plan.workcell != command.workcell:
             return Rejection(

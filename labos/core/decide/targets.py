@@ -1,4 +1,4 @@
-"""What a command touches: where it is, and whose it is."""
+"""The targets of a command: where they are, and who owns them."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, Lost
 from labos.core.users import Role, find_person
 
 ANYWHERE = ""
-"""In place of a workcell: a role in any of them is enough."""
+"""Stands for the workcell if a role in any workcell is enough."""
 
 OWN_QUESTIONS = (FailedStep, LateStep, ClosingWaits, LostExperiment)
-"""Questions about what becomes of a run or an experiment, which its owner may answer. All others are about
-what somebody has seen."""
+"""Questions about the continuation of a run or an experiment, which its owner may answer. All other questions
+are about observations."""
 
 
 class Target(msgspec.Struct, frozen=True):
-    """What a command touches: where it is, whose it is (empty: nobody's in particular), and how it is called.
-    ``needs`` is the role that it takes; with ``owner_only`` no role replaces being its owner."""
+    """A thing that a command changes: its workcell, its owner (empty: none), and its name. ``needs`` is the
+    required role. With ``owner_only``, no role replaces being its owner."""
 
     needs: Role
     cells: tuple[str, ...]
@@ -62,7 +62,7 @@ def require_in_lab(needs: Role) -> Callable[[LabState, Command], Iterable[Target
 
 
 def require_anywhere(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
-    """For what belongs to no workcell any more: the role in one of them is enough."""
+    """The target of commands about things without a workcell: the role in any workcell is enough."""
     return lambda state, command: (Target(needs, (ANYWHERE,)),)
 
 
@@ -79,7 +79,7 @@ def list_station_targets(state: LabState, command: shorter.ConfirmStations) -> I
 
 
 def find_round_target(state: LabState, command: Any) -> Iterable[Target]:
-    """Its stations are looked at one by one."""
+    """The stations of the command are checked one by one."""
     return (Target("operator", (WHOLE_LAB if command.finish else ANYWHERE,)),)
 
 
@@ -93,7 +93,7 @@ def find_workcell_target(state: LabState, command: Any) -> Iterable[Target]:
 
 def target_run(state: LabState, name: str) -> Target:
     run = state.runs.get(name)
-    if run is None:  # it will be refused for that
+    if run is None:  # It will be refused for that reason.
         return Target("submitter", (ANYWHERE,))
     return Target("submitter", (state.runs.plan_of(run).workcell,), run.user, f"The run {run.id}")
 
@@ -141,7 +141,7 @@ def cell_of(item: Labware) -> str:
 
 
 def owner_of(state: LabState, item: Labware) -> str:
-    """The user whose labware it is; empty for what is shared or nobody's."""
+    """The user who owns labware; empty if it is shared or has no owner."""
     kind, _, name = item.owner.partition(":")
     if kind == "user":
         return name
@@ -152,7 +152,7 @@ def owner_of(state: LabState, item: Labware) -> str:
 
 
 def find_label_target(state: LabState, command: labware.NameBarcode) -> Iterable[Target]:
-    """What is shared is everybody's to use, but not to call by another name."""
+    """Everybody may use shared labware, but not everybody may rename it."""
     target = target_labware(state, command.labware)
     yield target if target.owner else msgspec.structs.replace(target, needs="operator")
 
@@ -187,7 +187,7 @@ def find_file_target(state: LabState, command: lab.ApplyWorkcell) -> Iterable[Ta
 
 
 def find_named_target(state: LabState, command: Any) -> Iterable[Target]:
-    """A module, a workcell or the whole lab; or an experiment."""
+    """A module, a workcell, the whole lab, or an experiment."""
     if ExperimentId(command.target) in state.experiments.open:
         yield target_experiment(state, command.target)
     else:
@@ -224,7 +224,7 @@ def find_proposal_target(
 
 
 def cells_of(state: LabState, subject: str) -> tuple[str, ...]:
-    """Where a run, a campaign or an experiment is."""
+    """The workcells of a run, a campaign or an experiment."""
     campaign = state.campaigns.open.get(CampaignId(subject))
     if campaign is not None:
         return (campaign.workcell,)
@@ -244,8 +244,8 @@ def list_changed_booking_targets(state: LabState, command: bookings.ChangeBookin
 
 
 def _find_role_to_book(state: LabState, command: bookings.MakeBooking | bookings.ChangeBooking) -> Role:
-    """For others, for maintenance, and again and again only an operator books; an admin also where others
-    have booked."""
+    """Bookings for others, for maintenance, and repeated bookings need an operator. Overriding bookings of
+    others needs an admin."""
     terms, who = command.terms, find_person(command.by)
     group = state.shares.group_of.get(who, "")
     own = (terms.user == who) if terms.user else bool(terms.group) and terms.group == group

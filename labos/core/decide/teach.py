@@ -1,4 +1,4 @@
-"""A manipulator learns where a station is."""
+"""Teaching a manipulator the pose for a station."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from labos.core.words import Words
 
 
 class TeachLocation(Command, frozen=True):
-    """Say where a manipulator finds a station; with a ``labware_type``, with labware of that type only."""
+    """Record the pose with which a manipulator reaches a station. With a ``labware_type``, it is valid only
+    for labware of that type."""
 
     module: ModuleName
     station: StationName

@@ -1,4 +1,4 @@
-"""Several runs begin the same action on one device, which carries it out in one go."""
+"""Actions of several runs that one device carries out at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from labos.core.together import find_together
 
 
 class StartTogether(Command, frozen=True):
-    """Request the actions of one step each of several runs, which their device carries out in one go. All of
+    """Request the actions of one step of each of several runs. Their device carries them out at once. All of
     them start, or none."""
 
     starts: tuple[StartStep, ...]
@@ -50,7 +50,7 @@ def start_together(state: LabState, command: StartTogether) -> Decision:
 
 
 def _find_difference(state: LabState, command: StartTogether) -> str:
-    """Why steps cannot be carried out in one go; empty if they can."""
+    """Why steps cannot be carried out at once; empty if they can."""
     wishes: set[bytes | None] = set()
     for start in command.starts:
         run = state.runs.active.get(start.run)
@@ -66,8 +66,8 @@ def _find_difference(state: LabState, command: StartTogether) -> str:
 
 
 def find_wish(state: LabState, run: RunState, index: int) -> bytes | None:
-    """What a step of a run asks of its device, with all that earlier steps have worked out: steps with the
-    same wish can be carried out together. None if it cannot be told."""
+    """The request of a run's step to its device, with the results of earlier steps. Steps with the same
+    request can be carried out together. None if it cannot be computed."""
     plan = state.runs.plan_of(run)
     step = plan.steps[index]
     args = fill_inputs(plan, find_results(plan, run), step.args)
@@ -76,7 +76,7 @@ def find_wish(state: LabState, run: RunState, index: int) -> bytes | None:
 
 
 def find_planned_wish(plan: Plan, step: PlanStep) -> bytes | None:
-    """The same by the plan alone; None if it depends on results of earlier steps."""
+    """The same request from the plan alone; None if it depends on results of earlier steps."""
     if any(isinstance(value, Mapping) and "$result" in value for value in step.args.values()):
         return None
     return encode_canonical([step.module, step.action, step.args, _list_files(plan, step.args)])

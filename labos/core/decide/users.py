@@ -1,4 +1,4 @@
-"""Users, groups and roles: who may use the lab, and for what."""
+"""Users, groups and roles: who may use the lab, and with which permissions."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from labos.core.users import (
 )
 
 TAKEN = frozenset({"labos", "somebody", "application", "nobody", "shared", "person", "lab"})
-"""Ids that would read as LabOS itself, or as nobody in particular."""
+"""Ids that could be confused with LabOS itself, or with nobody in particular."""
 
 _ID = re.compile(r"[^\W_][\w.-]{0,63}")
 
 
 class AddUser(Command, frozen=True):
-    """Let a person, or a program or agent (``service``), use the lab, with a ``role`` if one is named. The
-    first user becomes its admin, whatever is named."""
+    """Let a person, or a program or agent (``service``), use the lab. ``role`` is optional. The first user
+    becomes an admin in any case."""
 
     user: str
     kind: Kind = "person"
@@ -54,7 +54,7 @@ class EnableUser(Command, frozen=True):
 
 
 class EraseUser(Command, frozen=True):
-    """Note that the lab has forgotten who a user is. ``by`` is the user, or an admin."""
+    """Record that the lab has erased the personal data of a user. ``by`` is the user, or an admin."""
 
     user: str
     by: str
@@ -65,7 +65,7 @@ class AddGroup(Command, frozen=True):
 
 
 class RemoveGroup(Command, frozen=True):
-    """Its roles go with it."""
+    """Remove a group; its roles are removed too."""
 
     group: str
 
@@ -196,7 +196,7 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
     if state.users.roles.get(command.subject, {}).get(command.scope) == command.role:
         return []
     kind, _, name = command.subject.partition(":")
-    if kind == "user" and command.scope == WHOLE_LAB:  # it takes the place of the role held there
+    if kind == "user" and command.scope == WHOLE_LAB:  # It replaces the role in the whole lab.
         wrong = _check_last_admin(state, name)
     return wrong or [RoleGranted(command.subject, command.role, command.scope)]
 
@@ -252,7 +252,7 @@ def _check_scope(state: LabState, scope: str) -> Rejection | None:
 
 
 def _check_last_admin(state: LabState, user: str) -> Rejection | None:
-    """Why a user must stay admin of the lab; None if there is another one."""
+    """Why a user must stay an admin of the lab; None if there is another admin."""
     if state.users.list_admins() != [user]:
         return None
     return Rejection(

@@ -1,8 +1,8 @@
-"""A device says that it did it: what an observer saw decides whether that is believed.
+"""A device reports success, and an observer confirms or contradicts it.
 
-Where the observers agree, the action has succeeded. Where labware stands as before, nothing was done;
-where it is not at its target, it is lost: an *operational* failure, reported by nobody but the observer.
-Where they cannot tell, nobody knows how the action ended.
+If all observers confirm, the action has succeeded. If labware stands where it stood before, nothing was done.
+If labware is not at its target, it is lost: an *operational* failure that only the observer reports. If the
+observers cannot decide, the outcome of the action is unknown.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ Verdict = Literal["done", "not_done", "lost", "unclear"]
 
 
 class Seen(msgspec.Struct, frozen=True):
-    """What ``by`` sees at a station: so many pieces (null: at least one), or labware that it recognises."""
+    """An observation of ``by`` at a station: a number of pieces (null: at least one), or recognised
+    labware."""
 
     station: StationName
     by: str
@@ -42,8 +43,8 @@ class Seen(msgspec.Struct, frozen=True):
 
 
 class VerifyAction(Report, frozen=True):
-    """Say what was seen where an action should have had its effect; ``unseen`` is why some station
-    could not be looked at."""
+    """Report the observations at the stations where an action should have had its effect. ``unseen`` says why
+    some station could not be observed."""
 
     action: ActionId
     seen: tuple[Seen, ...] = ()
@@ -78,8 +79,8 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
 
 
 def is_disturbed(state: LabState, action: Action) -> bool:
-    """Whether another action is changing what stands where this one is looked at: what is seen there
-    now says nothing."""
+    """Whether another action is changing the stations where this one is observed. Then an observation has no
+    meaning."""
     return any(
         other.id != action.id
         and other.status in (ActionStatus.REQUESTED, ActionStatus.ACCEPTED)
@@ -91,7 +92,7 @@ def is_disturbed(state: LabState, action: Action) -> bool:
 def _judge_motion(
     state: LabState, action: Action, effect: Carrying, sights: dict[StationName, Seen]
 ) -> Verdict:
-    """What was seen of one motion. What was not to be looked at does not speak against it."""
+    """The verdict on one motion. A station that did not have to be observed does not count against it."""
     source, target = effect.emptied, effect.filled
     there = _was_seen_at(state, action, effect, target, sights)
     here = _was_seen_at(state, action, effect, source, sights)
@@ -108,7 +109,7 @@ def _judge_motion(
 def _was_seen_at(
     state: LabState, action: Action, effect: Carrying, place: StationName, sights: dict[StationName, Seen]
 ) -> bool | None:
-    """Whether the labware of a motion was seen at a place; None if that cannot be told."""
+    """Whether the labware of a motion was seen at a place; None if that cannot be decided."""
     seen, station = sights.get(place), state.bench.stations.get(place)
     if seen is None or station is None:
         return None
@@ -125,8 +126,8 @@ def _was_seen_at(
 
 
 def _count_others(state: LabState, action: Action, effect: Carrying, station: Station) -> tuple[int, int]:
-    """How many pieces beside the one in question stand at a station, at least and at most: labware
-    that may be there, and what other modules say that they have brought or taken, counts as a maybe."""
+    """The number of other pieces at a station, at least and at most. Labware that may be there, and pieces
+    that other modules report to have brought or taken, count only for the maximum or the minimum."""
     place, bench = station.spec.name, state.bench
     known = len(station.labware) + len(station.stock)
     known -= effect.labware in station.labware
@@ -136,7 +137,7 @@ def _count_others(state: LabState, action: Action, effect: Carrying, station: St
     most += bench.haunted.get(place, 0) - bool(item is not None and place in item.maybe)
     for other in state.actions.list_in_cell(workcell_of(action.module)):
         for motion in list_carried(other.effects) if other.id != action.id else ():
-            # Labware of a move whose end nobody knows is uncertain already; what came off a stack is not.
+            # The labware of a move with an unknown outcome is uncertain already; an item from a stack is not.
             if motion.stock or other.status == ActionStatus.REPORTED:
                 least -= motion.emptied == place
                 most += motion.filled == place
@@ -146,7 +147,7 @@ def _count_others(state: LabState, action: Action, effect: Carrying, station: St
 def _refute(
     state: LabState, action: Action, done: EffectsDone, why: str, sights: dict[StationName, Seen]
 ) -> Iterator[Event]:
-    """What follows when an observer saw that it was not done, or not as it should have been."""
+    """The events that follow when an observer saw that the action was not done, or not done correctly."""
     run = state.runs.active.get(action.run)
     maybe = _find_whereabouts(state, action, why, sights)
     if run is not None and done != "none" and run.status != RunStatus.CANCELLING:
@@ -164,8 +165,8 @@ def _refute(
 def _find_whereabouts(
     state: LabState, action: Action, why: str, sights: dict[StationName, Seen]
 ) -> list[LabwareUncertain]:
-    """Where labware may be that did not arrive as its module says: a place seen without it is none, and
-    it may have fallen down."""
+    """The possible places of labware that did not arrive as its module reports. These are the places where it
+    was seen. If there are none, it may be off the bench, or at any place that was not observed without it."""
     found: list[LabwareUncertain] = []
     for effect in list_moved(action.effects):
         event = mark_uncertain(action, effect, why)
@@ -177,7 +178,7 @@ def _find_whereabouts(
 
 
 def _describe_sights(sights: Iterable[Seen]) -> str:
-    """What was seen, for people."""
+    """The observations, as text for people."""
     told = []
     for seen in sights:
         what = seen.labware or ("something" if seen.count is None else f"{seen.count or 'nothing'}")

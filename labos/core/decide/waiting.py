@@ -1,7 +1,8 @@
-"""A device that waits for somebody in the midst of an action: paused by hand, its door open, no tips left.
+"""A device that waits for a person during an action: it was paused by hand, its door is open, or it has no
+tips left.
 
-Its node says so as an error of the module, and the action goes on when somebody has seen to it. A person is
-asked once that has lasted ``WAITS_S``; nothing is done by the answer.
+Its node reports this as an error of the module. The action continues when a person has dealt with it. A
+person is asked when it has lasted ``WAITS_S``; the answer itself has no effect.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from labos.core.topics import DeviceWaits, PlannedWork, UnknownAction
 
 
 def ask_about_waiting_device(state: LabState, action: Action) -> InterventionRequested:
-    """The question about the module that stands still with this action."""
+    """The question about the module that stands still during this action."""
     name = local(action.module)
     said = state.modules.by_name[action.module].error.rstrip(".") or "it does not say why"
     return state.interventions.ask(

@@ -1,4 +1,4 @@
-"""Windows: which run starts the clock, and the events when a step starts too late."""
+"""Windows: the run whose step starts the clock, and the events when a step starts too late."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, Seco
 
 
 def list_outer_windows(plan: Plan) -> list[Window]:
-    """The windows whose clock another run starts."""
+    """The windows whose clock a step of another run starts."""
     return [window for step in plan.steps for window in step.windows if window.of]
 
 
 def find_anchors(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple[Anchor, ...] | Rejection:
-    """The steps' ends that the plan's windows mean: of the last completed run of a workflow, or of
-    the run with that id, in the same experiment."""
+    """The ends of steps to which the plan's windows refer: those of the last completed run of a workflow, or
+    of the run with that id, in the same experiment."""
     found: dict[tuple[str, str], Anchor] = {}
     for window in list_outer_windows(plan):
         named = (window.of, window.of_step)
@@ -63,7 +63,7 @@ def _choose_run(past: dict[RunId, EndTimes], of: str) -> RunId | None:
 
 
 def find_clock(run: RunState, plan: Plan, window: Window) -> tuple[str, str]:
-    """The run (empty: its own) and the step that started a window's clock."""
+    """The run (empty: the same run) and the step that started a window's clock."""
     if window.anchor is not None:
         return "", plan.steps[window.anchor].key
     meant = (window.of, window.of_step)
@@ -72,7 +72,7 @@ def find_clock(run: RunState, plan: Plan, window: Window) -> tuple[str, str]:
 
 
 def describe_lateness(run: RunState, plan: Plan, step: int, window: Window) -> str:
-    """Which step is too late after what, without a full stop."""
+    """Which step is too late, and after which other step; without a full stop."""
     other, anchor = find_clock(run, plan, window)
     whose = f" of run {other}" if other else ""
     within = window.within_s or 0.0
@@ -80,7 +80,7 @@ def describe_lateness(run: RunState, plan: Plan, step: int, window: Window) -> s
 
 
 def ask_about_breach(state: LabState, run: RunState, step: int, what: str) -> list[Event]:
-    """The run stands still until a person has said what becomes of it."""
+    """The run stands still until a person has decided about it."""
     events: list[Event] = [] if run.paused else [RunPaused(run.id)]
     return [
         *events,

@@ -1,7 +1,7 @@
-"""The words of a command, put beside the log before it is decided.
+"""The words of a command, stored beside the log before the command is decided.
 
-What is decided sees references only, so whatever it says in an event, a longer sentence or a question bears
-the reference too. Words that a command has by itself (``ended``) are LabOS's own and stay.
+The decision uses only references. So an event, a longer sentence or a question that contains the text
+contains the reference too. Words that LabOS writes itself (``ended``) are stored as they are.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 
 def list_words(command: msgspec.Struct) -> Iterator[tuple[str, str]]:
-    """The texts that a person may have written into a command, each with its field."""
+    """The texts that a person may have written in a command, each with its field."""
     for name, _ in _find_own_words(type(command)):
         if text := getattr(command, name):
             yield text, name
@@ -30,7 +30,7 @@ def list_words(command: msgspec.Struct) -> Iterator[tuple[str, str]]:
 
 
 def refer_to_words(command: S, keep: Keep) -> S:
-    """The command with a reference in the place of each text that a person wrote."""
+    """The command with a reference instead of each text that a person wrote."""
     changed: dict[str, Any] = {}
     for name, own in _find_own_words(type(command)):
         text = getattr(command, name)
@@ -54,7 +54,7 @@ def _find_own_words(kind: type[msgspec.Struct]) -> tuple[tuple[str, Any], ...]:
 
 @cache
 def _find_holders(kind: type[msgspec.Struct]) -> tuple[str, ...]:
-    """The fields in which something with words stands."""
+    """The fields that hold structures with words."""
     hints = typing.get_type_hints(kind)
     return tuple(
         name for name in kind.__struct_fields__ if any(map(_holds_words, _list_structs(hints[name])))

@@ -1,8 +1,8 @@
 """Planned work: a step that a person does and confirms.
 
-Its action is requested like any other, but the node only knows that it is under way: it ends when
-a named person says so, in one batch with what it did to the bench. A node or kernel that dies
-meanwhile changes nothing.
+Its action is requested like any other, but the node only knows that it is under way. It ends when a named
+person confirms it, in one batch with its effects on the bench. A failure of the node or the kernel before
+that has no effect.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from labos.core.topics import PlannedWork
 
 
 class NoteOverdue(Command, frozen=True):
-    """The time for planned work has passed without its confirmation."""
+    """The due time of planned work has passed, and nobody has confirmed it."""
 
     intervention: InterventionId
     now: int
@@ -41,8 +41,8 @@ def ask_for_work(
     effects: tuple[AnyEffect, ...],
     now: int,
 ) -> InterventionRequested:
-    """The entry of the inbox for a step. It is due after its argument ``within`` (lab seconds), or
-    after the step's nominal duration."""
+    """The entry of the inbox for a step. It is due after the lab seconds in its argument ``within``, or after
+    the step's nominal duration."""
     within = args.get("within")
     within_s = float(within) if isinstance(within, int | float) and within > 0 else step.duration_s
     what = "; ".join(
@@ -87,7 +87,7 @@ def _describe_labware(state: LabState, name: LabwareId) -> str:
 
 
 def _describe_arguments(args: dict[str, Any]) -> str:
-    """What the arguments say beyond places and times."""
+    """The arguments as text, without places and times."""
     told = {name: value for name, value in args.items() if name not in ("within", "source", "target")}
     if "instruction" in told:
         return str(told["instruction"])

@@ -1,7 +1,7 @@
 """Reasons why a step does not start: a type for each, with its fields, its sentence and its remedy.
 
-A reason of a new kind stands in one of the files beside this one, and in the union at its end; the type check
-then names the matches that have to know it.
+A new reason is added to one of the files in this folder, and to the union below. The type check then finds
+all ``match`` statements that need a case for it.
 """
 
 from __future__ import annotations

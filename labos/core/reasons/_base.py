@@ -1,7 +1,7 @@
 """Reasons why a step does not start: a type for each, with its fields, its sentence and its remedy.
 
-``WAKES`` are the kinds of keys whose change may end the wait (``labos.core.waits``); ``URGENCY`` says who
-ends it. A reason's ``code`` is its name in tables, metrics and answers.
+``WAKES`` are the kinds of keys whose change may end the wait (``labos.core.waits``). ``URGENCY`` says whether
+a person has to end it. A reason's ``code`` is its name in tables, metrics and answers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from labos.core.ids import local
 
 
 class Urgency(StrEnum):
-    """Who ends a wait."""
+    """Whether a wait ends by itself, or a person or device has to act."""
 
     PASSES = "it passes by itself"
     PERSON = "somebody has to do something"
@@ -34,7 +34,7 @@ def make_code(name: str) -> str:
 
 
 class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
-    """Why a step does not start. In ``SENTENCE`` and ``REMEDY`` stand names of fields."""
+    """Why a step does not start. ``SENTENCE`` and ``REMEDY`` contain names of fields."""
 
     SENTENCE: ClassVar[str]
     REMEDY: ClassVar[str] = ""
@@ -47,7 +47,7 @@ class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What it names, in order."""
+        """The names in its fields, in order."""
         found: list[str] = []
         for value in msgspec.structs.astuple(self):
             found += value if isinstance(value, tuple) else [value]
@@ -55,12 +55,12 @@ class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
 
     @property
     def sentence(self) -> str:
-        """What the step waits for, in words a scientist uses."""
+        """The sentence about what the step waits for, for scientists."""
         return self.SENTENCE.format(**self._in_words()).replace(" ()", "")
 
     @property
     def remedy(self) -> str:
-        """What a person can do about it; empty if there is nothing to do but wait."""
+        """The remedy for a person; empty if nobody can do anything but wait."""
         return self.REMEDY.format(**self._in_words())
 
     def _in_words(self) -> dict[str, Any]:
@@ -69,6 +69,6 @@ class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
 
 
 def in_words(name: str) -> str:
-    """A module, station or labware without its workcell; an owner in words."""
+    """A module, station or labware without its workcell; an owner as text."""
     kind, colon, which = name.partition(":")
     return f"{kind} {which}" if colon and kind in ("run", "experiment", "user") else local(name)

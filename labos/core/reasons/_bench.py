@@ -1,4 +1,4 @@
-"""Reasons that lie with stations, labware and supplies."""
+"""Reasons that concern stations, labware and supplies."""
 
 from __future__ import annotations
 

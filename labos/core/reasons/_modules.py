@@ -1,4 +1,4 @@
-"""Reasons that lie with modules."""
+"""Reasons that concern modules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reasons that lie with others who are to come through, or to come first."""
+"""Reasons that concern other runs, which pass or go first."""
 
 from __future__ import annotations
 

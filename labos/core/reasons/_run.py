@@ -1,4 +1,4 @@
-"""Reasons that lie with the run itself."""
+"""Reasons that concern the run itself."""
 
 from __future__ import annotations
 
