@@ -156,7 +156,7 @@ def check_carrying(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
 
 
 def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
-    """Why an effect may not happen; None if it may. Effects of the other kinds only need room, if anything."""
+    """Why an effect may not happen; None if it may. Other kinds of effects need room at most."""
     why: Reason | None = None
     match effect:
         case Carrying():

@@ -116,8 +116,8 @@ MUTANTS = (
         (
             Change(
                 "core/decide/actions.py",
-                '    yield from effect_events(state, action, "all", "", command.result)\n',
-                '    took_place = [*effect_events(state, action, "all", "", command.result)]\n'
+                '    yield from list_effect_events(state, action, "all", "", command.result)\n',
+                '    took_place = [*list_effect_events(state, action, "all", "", command.result)]\n'
                 "    yield from [*took_place, *took_place]\n",
             ),
         ),
