@@ -136,7 +136,7 @@ def test_a_file_is_kept_for_an_open_experiment_only(client: LabClient) -> None:
 
 def test_digests_do_not_depend_on_the_process() -> None:
     words = (
-        "from labos.services.compute import code_digest as c; print(c(eval('lambda x: {x, (lambda: 2)()}')))"
+        "from labos.services.compute import digest_code as c; print(c(eval('lambda x: {x, (lambda: 2)()}')))"
     )
     told = {
         subprocess.run(
