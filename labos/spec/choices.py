@@ -206,7 +206,7 @@ def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str
     modules = {
         e.name: chosen.get(e.name, e.module) for p, e in _iterate_entries(file) if _is_step(p) and e.module
     }
-    for _ in modules:  # A step may refer to one that itself refers to a third.
+    for _ in modules:  # a step may refer to one that itself refers to a third
         for name, module in modules.items():
             if module.startswith(SAME_AS) and module not in known:
                 modules[name] = modules.get(module.removeprefix(SAME_AS).strip(), module)

@@ -96,7 +96,7 @@ class _StationCompiler:
             try:
                 hotel = known.find(place)
             except SpecError:
-                continue  # Reported before, or its module is not active.
+                continue  # reported before, or its module is not active
             for number in range(1, (entry.shelves or 0) + 1):
                 name = StationName(f"{hotel}.{number}")
                 if local(name) in self.file.stations:
@@ -167,7 +167,7 @@ class _StationCompiler:
             try:
                 name = known.find(place)
             except SpecError:
-                continue  # Reported before, or its module is not active.
+                continue  # reported before, or its module is not active
             self._put(self._override(place, self.stations[name], entry))
 
     def fit(self, held: Mapping[str, tuple[str, ...]]) -> None:
@@ -231,7 +231,7 @@ class _StationCompiler:
         except SpecError as error:
             module = place.partition(".")[0]
             if module in self.modules and module not in self.drivers:
-                return None  # The module is not active, or has no driver.
+                return None  # the module is not active, or has no driver
             if module not in ("wc", self.file.name):
                 path = ("locations", owner, place)
                 if not self.foreign:

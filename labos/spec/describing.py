@@ -76,7 +76,7 @@ def locate_parts(file: DescriptionFile, joints: Mapping[str, float] | None = Non
                 here = found[part.on].then(frame(part.at_mm, part.turn_deg))
                 found[name] = here.then(_move(file, name, joints))
         if len(found) == before:
-            raise ValueError("parts that stand on nothing")  # ``load_description`` refuses such files.
+            raise ValueError("parts that stand on nothing")  # ``load_description`` refuses such files
     return found
 
 

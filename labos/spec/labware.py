@@ -113,7 +113,7 @@ class _Reader:
             self.remarks.error(f"There is no labware file {entry!r}: {why}.", path, remedy)
         for name, text in found.items():
             file = str(Path(self.beside.file).parent / name)
-            if file not in self.digests:  # It may be named twice: itself, and by its folder.
+            if file not in self.digests:  # it may be named twice: itself, and by its folder
                 self._take(file, text)
 
     def _take(self, file: str, text: bytes) -> None:
@@ -162,6 +162,6 @@ def _read_contents(entry: str, folder: Path | None) -> dict[str, bytes]:
         for name, file in found.items():
             with file.open("rb") as stream:
                 contents[name] = stream.read(MAX_BYTES + 1)
-    except (OSError, ValueError):  # For example a name with a NUL character.
+    except (OSError, ValueError):  # for example a name with a NUL character
         return {}
     return contents

@@ -128,7 +128,7 @@ class Layout:
             and not found.entry.for_each
             and found.rounds
         ):
-            last = found.rounds[-1]  # Several rounds are parts of one transfer.
+            last = found.rounds[-1]  # several rounds are parts of one transfer
             return last if isinstance(last, Leaf) else None
         return found
 
@@ -200,7 +200,7 @@ class Layout:
         if found is not None:
             return found
         if node.key in self._open:
-            return frozenset()  # A cycle, which is reported as a fault.
+            return frozenset()  # a cycle, which is reported as a fault
         self._open.add(node.key)
         if not node.rounds:
             found = self._find_before_node(node, remarks)

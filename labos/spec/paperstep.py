@@ -44,7 +44,7 @@ class StepOnPaper:
         """Report the faults of the step, and carry out its effects on the model."""
         needs = [effect for effect in self.step.effects if isinstance(effect, Needs)]
         others = [effect for effect in self.step.effects if not isinstance(effect, Needs | Carrying)]
-        for asked in (*needs, *others):  # The other effects may be about the labware that it needs.
+        for asked in (*needs, *others):  # the other effects may be about the labware that it needs
             check_effect(self, asked)
         for carried in list_carried(self.step.effects):
             check_effect(self, carried)

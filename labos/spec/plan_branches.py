@@ -78,7 +78,7 @@ class PlanBranches:
 
     def _try_skip(self, index: int, policy: OnError) -> None:
         if self.conditional and index in self.explicit:
-            return  # All ways are checked below.
+            return  # all ways are checked below
         steps = tuple(step for step in self.main if step != index)
         way = Way(steps, without=frozenset((index,)))
         faults = self._list_faults(way)[0]
@@ -103,7 +103,7 @@ class PlanBranches:
             what = "It changes something, so recovery steps cannot find all as it was if its result is wrong."
             self.errors.append((index, what, "Expect the result of a step of its own that only measures."))
         if self.conditional:
-            return  # All ways are checked below.
+            return  # all ways are checked below
         at = self.main.index(index)
         rest = self.main[at + 1 :] if policy.then == "go_on" else ()
         recovery = sort_steps(self.plan, list_rescue_steps(self.plan, index))
@@ -146,7 +146,7 @@ class PlanBranches:
                     spare.remove(place)
                     continue
                 if way.plain and place not in self._find_filled():
-                    self.inputs.append(place)  # It must be there for that way.
+                    self.inputs.append(place)  # it must be there for that way
                     continue
                 where = local(place)
                 faults.append(

@@ -421,7 +421,7 @@ class StepPlanner:
             if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                 used |= later & list_arguments(effect.amount)
             if isinstance(effect, Consumes) and effect.resource in module.units.keys() - module.levels.keys():
-                continue  # The volume of the liquid is not known.
+                continue  # the volume of the liquid is not known
             if used and not isinstance(effect, Transfers | Draws):
                 names = ", ".join(sorted(used))
                 self.remarks.error(
@@ -506,7 +506,7 @@ class StepPlanner:
             if turns and module.regrip and not filled.via:
                 return msgspec.structs.replace(filled, via=module.regrip)
             if filled.via and not turns and isinstance(effect, Move) and effect.source_grip:
-                return msgspec.structs.replace(filled, via=StationName(""))  # The grip is not changed.
+                return msgspec.structs.replace(filled, via=StationName(""))  # the grip is not changed
         return filled
 
     def _replace(self, effect: Replaces) -> Replaces:

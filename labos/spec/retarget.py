@@ -178,7 +178,7 @@ def rename(text: str, mapping: Mapping[str, str], workcells: tuple[str, str]) ->
     in_steps = re.compile(rf"(?<![\w./-])(?:{some})(?=\.\w)|(?<=module: )(?:{some})(?![\w.-])")
     in_lists = re.compile(rf"(?<![\w./-])(?:{some})(?![\w-])")
     whole = rf"(?<![\w-]){re.escape(old)}(?![\w-])"
-    last_name = re.compile(rf"{whole}(?!.*{whole})")  # Folders may have the same name.
+    last_name = re.compile(rf"{whole}(?!.*{whole})")  # folders may have the same name
     lines, top = [], ""
     for line in text.split("\n"):
         if key := re.match(r"([\w-]+):", line):

@@ -119,6 +119,6 @@ class SignalMapping(Part):
         for protocol in PROTOCOLS:
             if name.startswith(f"{protocol}://"):
                 return protocol, self.prefix + name.removeprefix(f"{protocol}://")
-        if self.protocol == "ua" and "=" in name:  # A node id is used unchanged.
+        if self.protocol == "ua" and "=" in name:  # a node id is used unchanged
             return "ua", name
         return self.protocol, self.prefix + name

@@ -100,7 +100,7 @@ class Source:
             elif isinstance(here, SourceList) and isinstance(part, int) and part < len(here):
                 at = here.values_at[part] if part < len(here.values_at) else at
             elif isinstance(here, SourceMapping) and part == 0:
-                continue  # A single value instead of a list of them.
+                continue  # a single value instead of a list of them
             else:
                 break
             here = here[part]

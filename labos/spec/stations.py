@@ -32,7 +32,7 @@ class Stations:
         owned: dict[str, list[StationName]] = {}
         for station in self.by_name.values():
             if station.hotel:
-                continue  # A shelf has only its full name.
+                continue  # a shelf has only its full name
             written = local(station.name)
             owner, _, last = written.rpartition(".")
             if owner:

@@ -253,7 +253,7 @@ class Unroller:
                 self._add_error(frame, what, at, "Name values of the payload: `payload.count > 0`.")
                 return False
             if "steps" in roots:
-                return True  # It is decided during the run.
+                return True  # it is decided during the run
             decided = evaluate(expression, {"payload": scope})
         except ExpressionError as error:
             self._add_error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
@@ -287,7 +287,7 @@ class Unroller:
             change: dict[str, Any] = {"module": hop.module, "action": hop.action, "args": dict(hop.args)}
             if len(way) > 1:
                 change["name"] = name
-            if number > 1:  # The other parts have waited for everything that the first one waits for.
+            if number > 1:  # the other parts have waited for everything that the first one waits for
                 node.onward.add(len(node.rounds))
                 change |= {"wait": [], "within": []}
             if number < len(way):

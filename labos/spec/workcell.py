@@ -449,7 +449,7 @@ class _Modules:
                 poses[station] = written
                 continue
             if isinstance(written, ShelfPoses):
-                continue  # Its shelves are listed separately, or it has none, which was reported.
+                continue  # its shelves are listed separately, or it has none, which was reported
             self._check_types(name, place, written, description)
             poses[station] = written.get(ANY, [])
             for kind, joints in written.items():

@@ -44,7 +44,7 @@ def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
     """As ``detect_kind``, but None for a file of no known kind. Raises SpecError for unfinished drafts."""
     data = source.data
     own = "labos" in data
-    if "labware" in data and "modules" not in data:  # A workcell also names its labware files.
+    if "labware" in data and "modules" not in data:  # a workcell also names its labware files
         return "labware", "labos"
     if opentrons.is_labware(source):
         return "labware", "opentrons"
