@@ -1,1 +1,1 @@
-"""The command line. Commands are modules of this package, imported when they are used."""
+"""The command line. Commands are modules of this package, which are imported when they are used."""

@@ -1,4 +1,4 @@
-"""The tables beside the log, as commands need them: brought up to date before anything is asked."""
+"""The audit tables for commands: they are brought up to date before a query."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from labos.settings import Settings
 from labos.store import SqlEventStore, find_sqlite_path, open_blobs
 
 SHOWN_FROM = 20_000
-"""So many events take long enough to say how far they are."""
+"""With at least so many new events, the progress is shown."""
 
 
 @contextmanager
 def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase, Projector]]:
-    """The log, its tables, and what carries it over."""
+    """The log, its audit tables, and the projector that updates them."""
     with open_database(where) as store:
         database = open_audit(where.url)
         try:
@@ -36,7 +36,8 @@ def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase,
 def open_log_and_views(
     where: Where, limit_s: float = TIME_LIMIT_S
 ) -> Iterator[tuple[SqlEventStore, ReadConnection]]:
-    """The log and the views on it, which know all that is in it now. Raises BadInput, StoreUnavailable."""
+    """The log and the views, which include all events of the log up to now. Raises BadInput,
+    StoreUnavailable."""
     with open_projector(where) as (store, _, projector):
         projector.catch_up(tell_progress)
         with open_asker(where.url, limit_s) as asker:
@@ -45,18 +46,18 @@ def open_log_and_views(
 
 @contextmanager
 def open_views(where: Where, limit_s: float) -> Iterator[ReadConnection]:
-    """The same, for who needs the views only."""
+    """The same, for commands that need only the views."""
     with open_log_and_views(where, limit_s) as (_, asker):
         yield asker
 
 
 def open_views_as_is(where: Where, limit_s: float) -> AbstractContextManager[ReadConnection]:
-    """The views, with what they know already."""
+    """The views, without an update."""
     return open_asker(where.url, limit_s)
 
 
 def forget_erased(where: Where) -> bool:
-    """Let the tables beside the log lose words that were erased; False if there are none. Raises
+    """Delete erased words from the audit tables too; False if there are no tables. Raises
     StoreUnavailable."""
     url = make_audit_url(where.url)
     if url.get_backend_name() == "sqlite" and not find_sqlite_path(url).exists():
@@ -69,7 +70,7 @@ def forget_erased(where: Where) -> bool:
 
 
 def tell_progress(position: int, head: int) -> None:
-    """One line that changes, for people at a terminal."""
+    """Show the progress on one line that changes, on a terminal."""
     if head < SHOWN_FROM or not sys.stderr.isatty():
         return
     end = "\n" if position >= head else ""

@@ -1,4 +1,4 @@
-"""What a person sees on the bench, and whose labware is."""
+"""Observations on the bench, and the owners of labware."""
 
 from __future__ import annotations
 

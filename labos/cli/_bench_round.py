@@ -1,4 +1,4 @@
-"""A person goes round the bench of a log that has lost its end: what is asked, and how it is said."""
+"""The round of a person after the log has lost its end: the questions, and the forms of the answers."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 AS_RECORDED, EMPTY, REST = "as recorded", "empty", "rest"
 
 NAMED = 6
-"""So many stations are named with a reason."""
+"""At most so many stations are named with one reason."""
 
 Words = dict[str, list[str] | None]
-"""What stands at stations, bottom to top; None: as recorded."""
+"""The content of stations, bottom to top; None: as recorded."""
 
 
 def read_words(text: str, station: str) -> list[str] | None:
@@ -54,7 +54,7 @@ def parse_options(told: Sequence[str]) -> Words:
 
 
 def read_file(path: str) -> Words:
-    """A YAML or JSON file: a station and what stands there in each line."""
+    """A YAML or JSON file: each line has a station and its content."""
     from labos.spec.source import read
 
     if not Path(path).is_file():
@@ -75,9 +75,9 @@ def read_file(path: str) -> Words:
 def say(
     client: LabClient, view: Mapping[str, Any], words: Words, by: str, *, finish: bool = False
 ) -> dict[str, Any]:
-    """Say it all to the lab. ``rest`` as a station's name stands for all that need not be said one by one and
-    was not; ``finish`` answers the question if nothing is left. Raises BadInput for a name that is not on the
-    round."""
+    """Send the whole report to the lab. ``rest`` as the name of a station stands for all stations that are
+    not reported and need not be reported one by one; ``finish`` answers the question if nothing is left.
+    Raises BadInput for a name that is not on the round."""
     stations = {_find_station(view, name)["station"]: told for name, told in words.items() if name != REST}
     if REST in words and words[REST] is not None:
         raise BadInput(f"`{REST}` can only be `{AS_RECORDED}`.", remedy="Give other stations one by one.")
@@ -92,7 +92,8 @@ def say(
             contents[full] = station["recorded"]
         elif name in stations or (REST in words and not station["must_be_said"] and not station["said"]):
             as_recorded.append(full)
-    # What was taken away makes room for what stands there now, and is found where it is said last.
+    # Labware that was removed makes room for the present content, and is found at the station that is
+    # reported last.
     ordered = dict(sorted(contents.items(), key=lambda item: bool(item[1])))
     return client.say(by, ordered, as_recorded, finish=finish)
 
@@ -106,7 +107,7 @@ def _find_station(view: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def show(view: Mapping[str, Any]) -> None:
-    """Why the round is asked for, and what has still to be said."""
+    """The reason for the round, and the stations that are left."""
     click.echo(f"This log ends at position {view['ended']}. Nodes or files know later events:")
     for evidence in view["evidence"]:
         click.echo(f"- {evidence['by']} {evidence['knows']}")
@@ -121,7 +122,7 @@ def show(view: Mapping[str, Any]) -> None:
 
 
 def show_refused(refused: Sequence[Mapping[str, str]]) -> None:
-    """What could not be taken, each reason once."""
+    """The refused stations, each reason once."""
     reasons: dict[str, list[str]] = {}
     for one in refused:
         reasons.setdefault(f"{one['why']} {one['remedy']}", []).append(one["station"].partition("/")[2])
@@ -131,7 +132,7 @@ def show_refused(refused: Sequence[Mapping[str, str]]) -> None:
 
 
 def show_not_known(view: Mapping[str, Any]) -> None:
-    """Doors and lids that an action of their module has to bring to where they belong."""
+    """Doors and lids that an action of their module has to bring to their rest position."""
     for module, variables in view["not_known"].items():
         click.echo(
             f"Not known of {module}: {', '.join(variables)}. Check the module, and move it to its "
@@ -146,7 +147,7 @@ def _line(station: Mapping[str, Any]) -> str:
 
 
 def describe_recorded(station: Mapping[str, Any]) -> str:
-    """What the log believes of a station, in words."""
+    """The content of a station according to the log, in words."""
     if station["kind"] == "waste":
         return f"{len(station['recorded'])} thrown away"
     if not station["known"] and not station["recorded"]:
@@ -160,7 +161,7 @@ def describe_recorded(station: Mapping[str, Any]) -> str:
 
 
 def ask(client: LabClient, by: str) -> None:
-    """Ask station by station, on a terminal. What was said is kept, should it be broken off."""
+    """Ask about station after station, on a terminal. If the user stops, the earlier answers are kept."""
     click.echo(
         f"What stands there? `{EMPTY}`, `{AS_RECORDED}` (or `=`), labware by its id (P7), or by its type "
         "where it has none (plate96, 20xplate96), with its lid (P7+P8), bottom to top; of a waste the number."

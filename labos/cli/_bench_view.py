@@ -1,4 +1,4 @@
-"""What is to be seen on a simulated bench, beside what the log says of it."""
+"""The visible state of a simulated bench, beside the state according to the log."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HAND, LID = "hand:", lid_of("")
 
 class BenchView(msgspec.Struct, frozen=True):
     """The simulated bench of a workcell. ``places`` maps places to what is there, bottom to top; ``fallen``
-    lies on the floor; ``differs`` says in words where the log at ``position`` says otherwise; ``asked`` are
+    lies on the floor; ``differs`` are the differences from the log at ``position``, in words; ``asked`` are
     the questions that wait for a person."""
 
     workcell: str
@@ -40,8 +40,8 @@ class BenchView(msgspec.Struct, frozen=True):
 
 
 def read_bench(store: SqlEventStore, path: Path) -> BenchView:
-    """Look at a bench that has a file. Bench and log are not read at the same moment: they differ only if
-    they still do when nothing has moved, and nothing was written, for a moment."""
+    """Read a bench that has a file. Bench and log cannot be read at the same moment: a difference counts only
+    if it is still there after a moment without motion and without new events."""
     world = World(str(path))
     try:
         for _ in range(TRIES):
@@ -69,7 +69,7 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
 
     there = world.places()
     expected = [f"{place}: " for place in (FLOOR, *_list_possible(state, plates, there))]
-    # What a device has just finished is not told yet.
+    # An action that the device has just finished is not in the log yet.
     expected += [f"{local(action.module)} did {action.name} " for action in state.actions.open.values()]
     differs = list_differences(world, state, records, workcell)
     return BenchView(
@@ -83,7 +83,7 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
 
 
 def _list_possible(state: LabState, plates: dict[str, str], there: dict[str, list[str]]) -> list[str]:
-    """The stations where labware stands of which the log only says that it may stand there."""
+    """The stations where labware stands that the log lists only as possible there."""
     places = {plate: place for place, standing in there.items() for plate in standing}
     stations = state.bench.stations
     return [
@@ -95,7 +95,7 @@ def _list_possible(state: LabState, plates: dict[str, str], there: dict[str, lis
 
 
 def show(sight: BenchView) -> None:
-    """The bench as a table, and whether the log says the same."""
+    """The bench as a table, and whether the log agrees."""
     rows = [(_place(place), _count_kinds(plates)) for place, plates in sight.places.items()]
     rows += [("on the floor", _count_kinds(sight.fallen))] if sight.fallen else []
     show_table(("place", "what is there"), rows, title=f"The simulated bench of {sight.workcell}")

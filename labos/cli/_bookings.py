@@ -12,14 +12,14 @@ from labos.core.recurrence import SECOND_NS, find_zone, in_zone
 
 WIDTH = 80
 BAR = 24
-"""Columns of a day: one an hour."""
+"""Columns of a day: one for each hour."""
 NAME = 17
 DAY = 11
 HOURS = "0     6     12    18    "
 
 
 def describe_owner(booking: Mapping[str, Any]) -> str:
-    """For whom it is."""
+    """For whom the booking is."""
     if booking["maintenance"]:
         return "maintenance"
     return f"group {booking['group']}" if booking["group"] else str(booking["user"])
@@ -34,7 +34,7 @@ def describe_booking(booking: Mapping[str, Any]) -> str:
 
 
 def show_bookings(bookings: Sequence[Mapping[str, Any]]) -> None:
-    """A table: what comes next of each."""
+    """A table with the next time of each booking."""
     rows = [
         (
             str(booking["id"]),
@@ -54,7 +54,7 @@ def show_bookings(bookings: Sequence[Mapping[str, Any]]) -> None:
 
 def list_week(times: Sequence[Mapping[str, Any]], first_day: datetime, days: int, zone: str) -> Iterator[str]:
     """Each day, and each time that is booked on it: a bar of its hours (``#``, ``m`` for maintenance), then
-    its clock and for whom it is. No line is wider than 80 columns."""
+    its times and for whom it is. No line is wider than 80 columns."""
     yield f"{f'{first_day:%G week %V}, {zone}'[: DAY + NAME - 1]:<{DAY + NAME}}{HOURS}".rstrip()
     for number in range(days):
         day = first_day + timedelta(days=number)

@@ -1,6 +1,6 @@
-"""What the shell offers when somebody presses Tab: names that this lab, or this installation, knows.
+"""Completion in the shell with Tab: names that this lab, or this installation, knows.
 
-A lab that cannot be asked offers nothing, and says nothing: whoever types is not to be disturbed.
+If the lab cannot be asked, nothing is offered and no error is shown, so that the user can continue to type.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from labos.cli._query import Where
 
 RUNS_OFFERED = 200
-"""The newest runs are offered; an older one is typed."""
+"""Only so many of the newest runs are offered."""
 
 PATIENCE_S = 0.5
-"""So long a running lab may take to answer before its log is read."""
+"""How long a running lab may take to answer before its log is read instead."""
 
 Completer = Callable[[click.Context, click.Parameter, str], "list[CompletionItem]"]
 
 
 def make_completer(*kinds: str) -> Completer:
     """Offers names of these kinds: ``run``, ``experiment``, ``module``, ``station``, ``labware``,
-    ``intervention``, ``workcell``, ``driver``, ``lab`` (the word); ``workflow`` and ``workcell file``, which
-    LabOS brings along or which are files."""
+    ``intervention``, ``workcell``, ``driver``, ``lab`` (the word); ``workflow`` and ``workcell file``:
+    packaged ones and files."""
 
     def complete(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
         from click.shell_completion import CompletionItem
@@ -69,7 +69,7 @@ def _iterate_names(kinds: Iterable[str], context: click.Context) -> Iterator[str
 
 
 class _Lab:
-    """The lab that the line typed so far names, asked at most once."""
+    """The lab that the typed command line names; it is asked at most once."""
 
     def __init__(self, context: click.Context) -> None:
         self._context = context
@@ -104,7 +104,7 @@ class _Lab:
         return self._known[kind]
 
     def _ask_kernel(self) -> dict[str, list[str]] | None:
-        """From the kernel that runs the lab."""
+        """From the kernel of the running lab."""
         from labos.settings import find_kernel
 
         if not self.where.lab and find_kernel(self.where.home) is None:
@@ -126,7 +126,7 @@ class _Lab:
         return {**found, "workcell": list(state["lab"]["workcells"])}
 
     def _read(self) -> dict[str, list[str]]:
-        """From the log of a lab that no kernel runs."""
+        """From the log of a lab without a kernel."""
         from labos.cli._query import open_log
         from labos.services.history import fold_state_at
 
@@ -142,7 +142,7 @@ class _Lab:
 
 
 def _shorten_names(names: list[str]) -> list[str]:
-    """Without their workcells, where that leaves no doubt."""
+    """Names without their workcells, where they stay unique."""
     from labos.core.ids import local
 
     many = Counter(map(local, names))

@@ -1,4 +1,4 @@
-"""``labos driver describe``: an instrument as a thing in space, for people and for simulators."""
+"""``labos driver describe``: the geometry of an instrument, for people and for simulators."""
 
 from __future__ import annotations
 

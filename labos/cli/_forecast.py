@@ -1,4 +1,4 @@
-"""How forecasts are told to people."""
+"""Forecasts in the form that people read."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ TOUCHES_SHOWN = 5
 
 
 def show_expected(times: Mapping[str, int] | None, now_ns: int) -> str:
-    """``about 14:20 (14:05–14:50)``, with the day if it is not today; empty if it is not in sight."""
+    """``about 14:20 (14:05–14:50)``, with the day if it is not today; empty if there is no forecast."""
     if times is None:
         return ""
     early, expected, late = (times[name] for name in ("earliest_at", "expected_at", "latest_at"))
     if late <= now_ns:
-        return _show_clock(expected, now_ns)  # it has happened
+        return _show_clock(expected, now_ns)  # it has already happened
     return f"about {_show_clock(expected, now_ns)} ({_show_clock(early, now_ns)}–{_show_clock(late, now_ns)})"
 
 
 def show_range(times: Mapping[str, int] | None, now_ns: int) -> str:
-    """``14:05–14:30``; empty if it is not in sight."""
+    """``14:05–14:30``; empty if there is no forecast."""
     if times is None:
         return ""
     return f"{_show_clock(times['earliest_at'], now_ns)}–{_show_clock(times['latest_at'], now_ns)}"
 
 
 def describe_learning(count: int) -> str:
-    """From what the ranges are."""
+    """The origin of the ranges."""
     from labos.planning.hindsight import ENOUGH
 
     if count < ENOUGH:
@@ -83,7 +83,7 @@ def show_runs(found: Mapping[str, Any]) -> None:
 
 
 def show_due(run: Mapping[str, Any], now_ns: int) -> str:
-    """When a run of a forecast is due, and whether that will be kept; empty if it is not due at any time."""
+    """The due date of a run in a forecast, and whether the run will keep it; empty without a due date."""
     from labos.planning.hindsight import TimeRange
     from labos.services.due import tell_whether_kept
 
@@ -100,8 +100,8 @@ def _describe_workflow(run: Mapping[str, Any]) -> str:
 
 
 def show_change(found: Mapping[str, Any]) -> None:
-    """What something that is not submitted would bring: when a person is needed, whom it delays, what stands
-    in its way."""
+    """The effects of a planned submission: when a person is needed, which runs it delays, and the
+    obstacles."""
     show_touches(found)
     delays = found["delays"]
     for delay in delays[:DELAYS_SHOWN]:
@@ -127,7 +127,7 @@ def show_touches(found: Mapping[str, Any]) -> None:
 
 
 def show_ways(found: Mapping[str, Any]) -> None:
-    """When the run starts and ends that is not submitted."""
+    """When the run that is not submitted would start and end."""
     now = found["now_at"]
     for run in found["runs"]:
         if run["run"] in found["new"]:

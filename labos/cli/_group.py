@@ -1,4 +1,4 @@
-"""Groups of commands that know what somebody may have meant."""
+"""Groups of commands that suggest a command for an unknown name."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ MEANT = {
     "maintenance": "book",
     "convert": "import",
 }
-"""Words of other programs, and the command of ours that does it."""
+"""Names in other programs, and the LabOS command for the same purpose."""
 
 
 class Suggesting(click.Group):
-    """Says which command may be meant where there is none of a name."""
+    """Suggests a command if there is none of the given name."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -1,4 +1,4 @@
-"""Finding a workcell, and a lab to talk to: the one that runs, or one of our own."""
+"""Finds a workcell file, and a lab to use: the running one, or a lab for this command only."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def find_workcell_file(name: str) -> Path:
 
 
 def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> CompiledWorkcell:
-    """Compile a workcell, showing the warnings of its file. What the file of another lab does not say is
-    drafted from the ``workflows`` that use it. Raises SpecErrors, NotFound."""
+    """Compile a workcell, and show the warnings of its file. If the file of another lab lacks information, it
+    is drafted from the ``workflows`` that use it. Raises SpecErrors, NotFound."""
     from labos.bootstrap import descriptions
     from labos.spec import load_workcell
     from labos.spec.uses import read_uses
@@ -54,7 +54,7 @@ def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> Compi
 def check_first(
     text: Mapping[str, Any], payload: Mapping[str, Any], cell: CompiledWorkcell, *, simulate: bool
 ) -> Compiled:
-    """Refuse what a new lab would refuse, before there is one. Raises SpecErrors."""
+    """Raise the errors that a new lab would raise, before it is started. Raises SpecErrors."""
     from labos.bootstrap import descriptions
     from labos.planning.certified import check_windows
     from labos.spec import compile_workflow, parse_workflow
@@ -74,7 +74,7 @@ def check_first(
 
 @contextlib.contextmanager
 def end_in_order() -> Iterator[None]:
-    """Be ended by SIGTERM as by Ctrl-C."""
+    """SIGTERM ends the block in the same way as Ctrl-C."""
     if sys.platform == "win32":
         yield
         return
@@ -91,8 +91,8 @@ def end_in_order() -> Iterator[None]:
 
 @contextlib.contextmanager
 def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], url: str = "") -> Iterator[LabClient]:
-    """The lab at an address, or the one that runs in the home folder, else one of our own for as long as the
-    block lasts, with these workcells."""
+    """The lab at an address, or the lab that runs in the home folder; else a lab with these workcells, for as
+    long as the block lasts."""
     if url:
         with LabClient(url) as client:
             yield client
@@ -110,8 +110,8 @@ def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], url: str
 
 
 def need_lab(home: str | None, token: str = "") -> LabClient:
-    """The lab that LABOS_URL names, else the one that runs in the home folder; it is shown this ``token``, if
-    not that which somebody has kept. Raises NotFound if none runs."""
+    """The lab that LABOS_URL names, else the one that runs in the home folder. It gets this ``token``, by
+    default the stored one. Raises NotFound if no lab runs."""
     if url := lab_of(home):
         return LabClient(url, token=token)
     settings = Settings.make(home)
@@ -128,6 +128,6 @@ def need_lab_of(where: Where) -> LabClient:
 
 
 def find_stations(client: LabClient, names: Sequence[str]) -> dict[str, str]:
-    """Where labware stands that was just put there: a person who named a hotel learns the shelf."""
+    """The stations of labware that was just placed: for a hotel, the shelf."""
     standing = client.state()["labware"] if any(names) else []
     return {item["id"]: item["station"] for item in standing if item["id"] in names and item["station"]}

@@ -1,4 +1,4 @@
-"""The lab at a glance, for a terminal: runs, why they wait, and where every plate is."""
+"""An overview of the lab for a terminal: runs, why they wait, and where every plate is."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _runs(state: dict[str, Any], ended: dict[str, str]) -> Table:
 
 
 def _show_due(run: dict[str, Any]) -> str:
-    """When a run is due, in red if that cannot be kept any more."""
+    """A run's due date, in red if the run can no longer keep it."""
     if not run["due_at"]:
         return ""
     late_s = run["late_by_s"]

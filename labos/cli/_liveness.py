@@ -1,4 +1,4 @@
-"""What is known of a lab, and what time it is there, by whether a kernel lives there."""
+"""The last known state of a lab, and its present time: they depend on whether a kernel runs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from labos.store import find_lease_holder
 
 
 def find_lab_now(url: str, head: Head) -> int:
-    """The present (UTC ns) where a kernel lives; else the last event, for nothing went on since."""
+    """The present time (UTC ns) if a kernel runs; else the time of the last event, because nothing has
+    happened since."""
     return max(now_ns(), head.recorded_at) if has_kernel(url) else head.recorded_at
 
 
 def has_kernel(url: str) -> bool:
-    """Whether a kernel runs the lab of a database; one that answers over HTTP does."""
+    """Whether a kernel runs the lab of a database; a lab that answers over HTTP has one."""
     return url.startswith(("http://", "https://")) or bool(find_lease_holder(url))
 
 
 def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
-    """Say on stderr, where no kernel runs the lab, how old what is shown is. ``last_known``: it is the
-    state, not the story."""
+    """If no kernel runs the lab, report on stderr how old the shown data is. ``last_known``: the data is a
+    state, not a history."""
     if head.position and not has_kernel(url):
         when = show_time(head.recorded_at)
         ends = "; last known:" if last_known else "."
@@ -40,8 +41,8 @@ def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
 
 
 def open_questions(home: str | None) -> list[dict[str, Any]]:
-    """The questions that the running lab asks; where none runs, those that its log last knew. Raises NotFound
-    where there is no log either."""
+    """The open questions of the running lab; if none runs, those in its log. Raises NotFound if there is no
+    log either."""
     settings = Settings.make(home)
     if lab_of(home) or find_kernel(settings.home) is not None:
         from labos.cli._lab import need_lab
@@ -57,8 +58,8 @@ def open_questions(home: str | None) -> list[dict[str, Any]]:
 
 
 def read_last_state(settings: Settings) -> LabState:
-    """The state that the log of a lab without a kernel ends with, said to be that. Raises NotFound where
-    there is no log."""
+    """The state at the end of the log of a lab without a kernel; it is announced as the last known state.
+    Raises NotFound if there is no log."""
     try:
         with open_log(Where(settings.home, settings.database)) as store:
             say_if_dead(settings.database, store.head())

@@ -1,4 +1,4 @@
-"""Tells what happens, line by line, as it is committed."""
+"""Shows events line by line, as they are committed."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from labos.services.describe import describe
 from labos.services.times import show_span, show_time
 
 QUIET = ("action.accepted", "plan.", "labware.handed_over", "labware.changed", "resource.consumed")
-"""Events that say little to somebody who watches."""
+"""Events that are of little interest to a person who watches."""
 
 LOOK_S = 0.2
 
 SILENCE_S = 5.0
-"""After so long without an event it is told what a run does or waits for."""
+"""After so many seconds without an event, the present action or wait of a run is shown."""
 
 _END = (RunCompleted, RunFailed, RunCancelled)
 
@@ -42,8 +42,8 @@ class Narrator:
         self.names = Catalogue()
 
     def events(self, *, wait_s: float = 0.0) -> Iterator[tuple[Event, Envelope]]:
-        """Committed events up to now; if there is none yet, those that come within ``wait_s``. Raises
-        LabUnreachable when the lab is gone."""
+        """Committed events up to now; if there are none, those that come within ``wait_s``. Raises
+        LabUnreachable if the lab has gone."""
         for data in self.client.events(self.after, wait_s=wait_s):
             head = _decode_envelope(data)
             self.after = head.position
@@ -52,7 +52,7 @@ class Narrator:
             yield event, head
 
     def say(self, event: Event, head: Envelope) -> None:
-        """One line, unless it is of no interest."""
+        """Show one line, unless the event is of no interest."""
         if event.TYPE.startswith(QUIET):
             return
         run = str(getattr(event, "run", ""))
@@ -67,7 +67,7 @@ class Narrator:
                 click.echo(f"            {answer}   {choice.consequence}")
 
     def follow_run(self, run: str, *, quiet: bool = False) -> RunResult:
-        """Tell the story of one run up to its end, and in a silence what it does or waits for."""
+        """Show the events of one run up to its end, and its present action or wait when there are none."""
         told: list[str] = []
         while True:
             is_silent = True
@@ -84,7 +84,7 @@ class Narrator:
                 told = self._say_how_it_is(run, told)
 
     def _say_how_it_is(self, run: str, told: list[str]) -> list[str]:
-        """What a run does or waits for, unless that was ``told`` last; returns it."""
+        """Show the present action or wait of a run, unless it is the same as ``told``; returns it."""
         shown = next((shown for shown in self.client.state()["runs"] if shown["id"] == run), None)
         if shown is None:
             return told
@@ -99,7 +99,8 @@ class Narrator:
         return lines
 
     def follow(self, over: threading.Event) -> None:
-        """Tell everything, up to what is committed when it is over; in a silence, what is under way, once."""
+        """Show all events, up to the last one that is committed when it is ``over``; when there are none, the
+        steps in progress, once."""
         last, quiet_s = False, 0.0
         told: set[tuple[str, int]] = set()
         while not last:
@@ -113,7 +114,7 @@ class Narrator:
                 told = self._say_what_lasts(told)
 
     def _say_what_lasts(self, told: set[tuple[str, int]]) -> set[tuple[str, int]]:
-        """The steps that are under way, but those ``told`` already; returns all of them."""
+        """Show the steps in progress that are not in ``told``; returns all steps in progress."""
         runs = self.client.state(waits=False)["runs"]
         steps = {(run["id"], step["step"]): describe_step(step) for run in runs for step in run["doing"]}
         for (run, step), words in steps.items():
@@ -122,7 +123,7 @@ class Narrator:
         return set(steps)
 
     def _learn(self, run: str) -> None:
-        """The names of a run's steps, if its plan was recorded before we looked."""
+        """The names of a run's steps, if its plan was recorded before we began to follow."""
         if self.names.plan_of(run) is not None:
             return
         try:
@@ -136,7 +137,7 @@ class Narrator:
 
 
 def describe_step(step: dict[str, Any]) -> str:
-    """A step that a module is at, and how long that still takes; or that nobody knows how it ended."""
+    """A step in progress, and how long it will still take; or that its outcome is unknown."""
     if step.get("state") == "unknown":
         return f"{step['key']!r}: it is unknown how {step['action']} on {step['module']} ended"
     left = step.get("left_s")

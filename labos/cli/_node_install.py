@@ -94,7 +94,7 @@ def install(
 
 
 def _certificate(settings: Settings, module: str, connect: str) -> Path | None:
-    """The folder of the node's own certificate, which is issued if there is none; None for a bus that is not
+    """The folder of the node's own certificate, which is issued if there is none; None if the bus is not
     secure."""
     from labos.pki import Authority, PartyIdentity
 

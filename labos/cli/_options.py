@@ -1,4 +1,4 @@
-"""Options that several commands share, and what they mean."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ SPEED_HELP = "Speed-up factor: simulated time divided by real time."
 
 
 def refuse_password(context: click.Context, option: click.Parameter, url: str | None) -> str | None:
-    """Everybody on this computer can read what a command was started with. Raises BadInput."""
+    """All users of this computer can read the arguments of a command, so they must not contain a password.
+    Raises BadInput."""
     from urllib.parse import parse_qs, urlsplit
 
     given = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
@@ -51,7 +52,7 @@ database_option = click.option(
     callback=refuse_password,
 )
 ENDED_SHOWN = 20
-"""So many that have ended are listed, unless all are asked for."""
+"""The number of ended entries in a list, unless all are requested."""
 all_option = click.option(
     "--all", "everything", is_flag=True, help=f"Show all that have ended, not only the last {ENDED_SHOWN}."
 )
@@ -76,18 +77,18 @@ cert_option = click.option(
 
 
 def why_option(about: str = "The reason, for the log.", *, required: bool = False) -> Callable[[F], F]:
-    """``--why TEXT``: what somebody says about what they do, kept in the log."""
+    """``--why TEXT``: the user's reason for the command, stored in the log."""
     default = None if required else ""
     return click.option("--why", metavar="TEXT", required=required, default=default, help=about)
 
 
 def wait_option(about: str, *, default: bool) -> Callable[[F], F]:
-    """``--wait/--no-wait``: whether the command comes back only when what it began has ended."""
+    """``--wait/--no-wait``: whether the command waits for the end of what it began."""
     return click.option("--wait/--no-wait", default=default, show_default=True, help=about)
 
 
 def json_option_saying(about: str) -> Callable[[F], F]:
-    """``--json`` with words of its own. Errors are told in JSON then, too."""
+    """``--json`` with a help text of its own. Errors are also written as JSON then."""
     return click.option("--json", "as_json", is_flag=True, help=about)
 
 
@@ -106,8 +107,8 @@ user_option = click.option(
 
 
 class Asker(msgspec.Struct, frozen=True):
-    """Who asks which lab, and whether the answer is to be JSON: the options ``--user``, ``--home`` and
-    ``--json``, as they were given."""
+    """The lab, the user and the form of the answer: the given options ``--user``, ``--home`` and
+    ``--json``."""
 
     name: str | None
     home: str | None
@@ -119,13 +120,13 @@ class Asker(msgspec.Struct, frozen=True):
         return find_user(self.name)
 
     def lab(self) -> LabClient:
-        """The lab that is asked. Raises NotFound if none runs."""
+        """The lab to use. Raises NotFound if none runs."""
         from labos.cli._lab import need_lab
 
         return need_lab(self.home)
 
     def tell(self, sentence: str, facts: Any) -> None:
-        """What a command has done."""
+        """Report what a command has done."""
         from labos.cli._out import tell
 
         tell(sentence, facts, as_json=self.as_json)
@@ -142,7 +143,7 @@ def asker_options(command: F) -> F:
 
 
 def lab_and_json(command: F) -> F:
-    """``--home`` and ``--json``; the command gets ``asker: Asker``, of whom it is not said who it is."""
+    """``--home`` and ``--json``; the command gets ``asker: Asker`` without a given user."""
 
     @wraps(command)
     def wrap(*args: Any, home: str | None, as_json: bool, **options: Any) -> Any:
@@ -167,8 +168,8 @@ def lab_options(command: F) -> F:
 
 
 def web_options(about: str) -> Callable[[F], F]:
-    """Options of commands that serve HTTP: TLS, a proxy, and names of what they serve (``about``). They are
-    called as the settings are."""
+    """Options of commands that serve HTTP: TLS, a proxy, and the names of the server (``about``). The
+    parameters have the names of the settings."""
 
     def add(command: F) -> F:
         for option in reversed(
@@ -209,20 +210,20 @@ def web_options(about: str) -> Callable[[F], F]:
 
 
 def find_user(user: str | None) -> str:
-    """The user's name: as given, else the login."""
+    """The user's name: the given one, else the login name."""
     if user:
         return user
     import getpass
 
     try:
         login = getpass.getuser()
-        return "labos-login" if login == "labos" else login  # the name itself is LabOS' own
+        return "labos-login" if login == "labos" else login  # that name is reserved for LabOS
     except (OSError, KeyError, ImportError):
         return "somebody"
 
 
 def read_result(text: str | None) -> Any:
-    """What stands behind ``--result``. Raises BadParameter."""
+    """The value of ``--result``. Raises BadParameter."""
     if text is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Tables (rich in a terminal, plain and never cut when piped) and JSON."""
+"""Output of commands: tables (formatted in a terminal, plain and never cut in a pipe) and JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TIME = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+\-Z]*")
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
-    """Print a table; nothing but a dash for no rows."""
+    """Print a table; only a dash if there are no rows."""
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.markup import escape
@@ -42,30 +42,30 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
 
 
 def show_parts(parts: Sequence[str]) -> None:
-    """Parts of a sentence on one line, or each on its own where a terminal is too narrow for them."""
+    """Parts of a sentence on one line, or each on a line of its own if the terminal is too narrow."""
     told = "; ".join(parts)
     fits = not sys.stdout.isatty() or len(told) <= terminal_width()
     click.echo(told if fits else "\n".join(parts))
 
 
 def terminal_width(most: int = 0) -> int:
-    """How wide the terminal is, or ``most`` if that is less; ``most`` where there is none."""
+    """The width of the terminal, but at most ``most``; ``most`` if there is no terminal."""
     wide = shutil.get_terminal_size().columns if sys.stdout.isatty() or not most else most
     return min(wide, most) if most else wide
 
 
 def _is_one_word(cell: str) -> bool:
-    """Whether a cell makes no sense if it is broken: an id, a number, a time."""
+    """Whether a cell must not be broken into two lines: an id, a number, a time."""
     return len(cell) <= LONGEST_WORD and (" " not in cell or _TIME.fullmatch(cell) is not None)
 
 
 def show_json(value: Any) -> None:
-    """One JSON document, indented; moments in it as ISO 8601 in UTC."""
+    """One JSON document, indented; times in it as ISO 8601 in UTC."""
     click.echo(msgspec.json.format(_encode(value), indent=2))
 
 
 def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
-    """What a command has done: a sentence, or the facts of it as JSON."""
+    """Report what a command has done: a sentence, or its facts as JSON."""
     if as_json:
         show_json(facts)
     else:

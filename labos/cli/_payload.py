@@ -21,7 +21,7 @@ payload_option = click.option(
 
 
 def read_payload(given: Sequence[str]) -> dict[str, Any]:
-    """All the payloads laid over one another. Raises BadInput, SpecError."""
+    """The merged payloads: a later value replaces an earlier one. Raises BadInput, SpecError."""
     values: dict[str, Any] = {}
     for text in given:
         _lay_over(values, _one(text))

@@ -1,4 +1,4 @@
-"""What the commands about users, groups and roles share."""
+"""Code that the commands about users, groups and roles share."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ role_choice = click.Choice(ROLES)
 
 @contextmanager
 def lab_or_its_folder(home: str | None) -> Iterator[LabClient]:
-    """The running lab; one that does not run is opened for as long as the block lasts, without nodes, so that
-    its first user can be added before it is reached from elsewhere. Raises NotFound for a lab that never
+    """The running lab. If it does not run, it is opened for as long as the block lasts, without nodes, so
+    that its first user can be added before other computers reach it. Raises NotFound for a lab that never
     ran."""
     from labos.cli._lab import need_lab
     from labos.cli._remote import lab_of
@@ -47,10 +47,10 @@ def scope_of(workcell: str | None) -> str:
 
 
 def subject_of(said: str) -> str:
-    """``group:NAME`` is a group; a name alone is a user's."""
+    """``group:NAME`` is a group; a name without it is a user."""
     return said if said.startswith((user_subject(""), group_subject(""))) else user_subject(said)
 
 
 def describe_roles(roles: Mapping[str, str]) -> str:
-    """``operator in rpl, submitter``: a role without a workcell is one of the whole lab."""
+    """``operator in rpl, submitter``: a role without a workcell is valid in the whole lab."""
     return ", ".join(role if scope == WHOLE_LAB else f"{role} in {scope}" for scope, role in roles.items())

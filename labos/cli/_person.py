@@ -1,4 +1,4 @@
-"""The small commands by which a person steps in."""
+"""Short commands with which a person controls runs, questions and modules."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
 
 
 def _describe_end(result: RunResult, *, stay: bool) -> str:
-    """How far a run is that was cancelled."""
+    """The present status of a cancelled run."""
     from labos.core.ids import local
 
     if result.over:
@@ -77,7 +77,7 @@ def _has_way_out(result: RunResult) -> bool:
 
 
 def _target_name(done: dict[str, Any]) -> str:
-    """What was meant, in words: ``R3``, ``the lab``, ``the module rpl/pf400``."""
+    """The target in words: ``R3``, ``the lab``, ``the module rpl/pf400``."""
     kind, target = done["kind"], done["target"]
     if kind in ("run", "experiment"):
         return str(target)
@@ -127,7 +127,7 @@ def _capitalise_first(text: str) -> str:
 
 
 def _describe_reason(done: dict[str, Any]) -> str:
-    """What became of the reason for something that was so already."""
+    """The outcome for the given reason, if the target was already in this state."""
     return " Your reason is in the log." if done["noted"] else ""
 
 

@@ -1,5 +1,5 @@
-"""Signing in with the identity provider of a lab, in a browser that comes back to this command (RFC 8252), or
-by a code that is typed in elsewhere."""
+"""Signing in with the identity provider of a lab, in a browser that returns to this command (RFC 8252), or
+with a code that the user types in elsewhere."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Way = Literal["browser", "device", "code"]
 OWN = "127.0.0.1"
-"""Nobody on another computer reaches what listens there."""
+"""A server at this address is not reached from other computers."""
 PATIENCE_S = 600.0
 LONGEST_WAIT_S = 60.0
 SENT = ("code", "iss", "error")
@@ -39,8 +39,8 @@ HEADERS = {
 
 
 def sign_in(client: LabClient, way: Way, port: int, **token: Any) -> dict[str, Any]:
-    """Who has signed in, with a ``token`` such as was asked for. Raises NotFound for a lab that nobody can
-    sign in to so, NotSignedIn."""
+    """The user who has signed in, with the requested ``token``. Raises NotFound for a lab without this way to
+    sign in, NotSignedIn."""
     if way == "device":
         return _with_device(client, **token)
     if way == "code":
@@ -61,7 +61,7 @@ def sign_in(client: LabClient, way: Way, port: int, **token: Any) -> dict[str, A
 
 
 def _open(address: str) -> None:
-    """Some browsers are there until they are closed."""
+    """Open a browser; some browsers run in the foreground until they are closed."""
     if not webbrowser.open(address):
         click.echo("No browser opens here; `labos login --device` needs none.", err=True)
 
@@ -93,8 +93,8 @@ def _with_device(client: LabClient, **token: Any) -> dict[str, Any]:
 
 
 def _find_way_back(client: LabClient, begun: Mapping[str, Any]) -> str:
-    """Where the browser comes back to, as the provider was told. Raises NotSignedIn if that is not where
-    somebody comes back who signs in to this lab: another one would get the answer."""
+    """The address to which the browser returns, as the provider knows it. Raises NotSignedIn if it does not
+    belong to this lab's sign-in: another program would get the answer."""
     _expect_page(begun["address"])
     asked = parse_qs(urlsplit(begun["address"]).query)
     found = str(asked.get("redirect_uri", [""])[0])
@@ -115,7 +115,7 @@ def _find_way_back(client: LabClient, begun: Mapping[str, Any]) -> str:
 
 
 def _expect_page(address: str) -> None:
-    """Raises NotSignedIn for an address that is no page of a provider."""
+    """Raises NotSignedIn for an address that cannot be a page of a provider."""
     parts = urlsplit(address)
     if parts.scheme == "https" and parts.hostname:
         return
@@ -134,7 +134,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _read_pasted(begun: Mapping[str, Any], expected: str) -> dict[str, str]:
-    """What stands in the address that somebody pastes. Raises NotSignedIn."""
+    """The parameters in the address that the user pastes. Raises NotSignedIn."""
     if sys.stdin.isatty():
         text = str(click.prompt("Address", err=True)).strip()
     else:
@@ -159,7 +159,7 @@ def _give_up() -> NotSignedIn:
 
 
 class _Listener(HTTPServer):
-    """Waits for one browser, on an address that only this computer reaches."""
+    """Waits for one browser, at an address that only this computer reaches."""
 
     allow_reuse_address = False
     daemon_threads = True
@@ -173,7 +173,8 @@ class _Listener(HTTPServer):
         self._path, self._state = urlsplit(way_back).path, state
 
     def wait(self, within_s: float) -> dict[str, str]:
-        """What the provider has sent with the browser. Raises NotSignedIn when the time is over."""
+        """The parameters that the provider has sent with the browser. Raises NotSignedIn when the time is
+        over."""
         deadline = time.monotonic() + within_s
         while self.answer is None:
             self.timeout = deadline - time.monotonic()
@@ -183,8 +184,8 @@ class _Listener(HTTPServer):
         return self.answer
 
     def take(self, target: str) -> bool:
-        """Whether a request is the one that is waited for. Any program here can send others: they end
-        nothing."""
+        """Whether a request is the expected one. Any program here can send other requests: they do not end
+        the wait."""
         path, _, query = target.partition("?")
         sent = _parse_answer(query)
         if path != self._path or not self._state or sent.pop("state", "") != self._state:
@@ -195,13 +196,13 @@ class _Listener(HTTPServer):
         return True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Who breaks off is no concern of the person who waits."""
+        """A client that closes its connection early is not reported to the user."""
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Listener
     timeout = 5.0
-    """Whoever connects and says nothing does not keep the browser out for longer."""
+    """A client that connects and sends nothing blocks the browser for at most so long."""
 
     def do_GET(self) -> None:
         is_it = self.server.take(self.path)
@@ -218,4 +219,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """The code stands in the request's first line, which belongs nowhere."""
+        """Write no log: the first line of the request contains the code."""

@@ -1,4 +1,4 @@
-"""What the commands that only read have in common: which log, opened for reading."""
+"""Code that all reading commands share: finds the log and opens it for reading."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from labos.store import SqlEventStore, open_blobs, open_store
 F = TypeVar("F", bound=Callable[..., Any])
 
 KERNEL_FILE = "kernel.json"
-"""What a kernel leaves in its home; only its ``database`` matters here, also after its death."""
+"""A file that a kernel writes into its home; only its ``database`` is used here, also after the kernel's
+end."""
 
 
 class Where(msgspec.Struct, frozen=True):
@@ -39,8 +40,8 @@ class Where(msgspec.Struct, frozen=True):
 
     @property
     def url(self) -> str:
-        """The database's URL: as given, else the last kernel's, else the home's own file; of a lab on another
-        computer its address."""
+        """The database's URL: the given one, else the last kernel's, else the file in the home folder; for a
+        lab on another computer, its address."""
         return (
             self.lab
             or self.database
@@ -54,7 +55,7 @@ def name_own_database(home: Path) -> str:
 
 
 def read_kernel_file(home: Path) -> dict[str, Any]:
-    """What the present or last kernel of this home left behind; empty if it cannot be read."""
+    """The file of the present or last kernel of this home; empty if it cannot be read."""
     try:
         found = msgspec.json.decode((home / KERNEL_FILE).read_bytes())
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
@@ -77,7 +78,7 @@ def log_options(command: F) -> F:
         metavar="URL",
         help="The lab's database [default: that of the lab's kernel, else labos.db in its home].",
         callback=refuse_password,
-        is_eager=True,  # before --home, which may be left out then
+        is_eager=True,  # before --home, which may then be left out
     )(wrap)
     return click.option(  # type: ignore[return-value]
         "--home",
@@ -92,9 +93,9 @@ def log_options(command: F) -> F:
 
 @contextmanager
 def open_log(where: Where, *, stored: bool = False) -> Iterator[Log]:
-    """The log, for reading only; works with and without a running kernel, and over HTTP. It is shown with
-    the words that stand beside it, or as it is ``stored``. Raises StoreUnavailable, LogTooNew, BadInput,
-    LabUnreachable."""
+    """The log, for reading only; works with and without a running kernel, and over HTTP. It is shown with the
+    words beside it in place of references, or as it is ``stored``. Raises StoreUnavailable, LogTooNew,
+    BadInput, LabUnreachable."""
     if where.lab:
         with LabClient(where.lab) as client:
             yield LabLog(client, stored=stored)
@@ -105,7 +106,7 @@ def open_log(where: Where, *, stored: bool = False) -> Iterator[Log]:
 
 @contextmanager
 def open_contents(where: Where) -> Iterator[BlobReader]:
-    """The files that results name, from where the lab keeps them."""
+    """The files that results name, from the place where the lab stores them."""
     if where.lab:
         with LabClient(where.lab) as client:
             yield LabFiles(client)

@@ -1,4 +1,5 @@
-"""A restore that is only tried: whether a backup comes back, how long that takes, and what it would lose."""
+"""Rehearses a restore: whether a backup can be restored, how long that takes, and how many events it would
+lose."""
 
 from __future__ import annotations
 
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 
 
 class RestoreRehearsal(msgspec.Struct, frozen=True):
-    """What was found: ``took_s`` seconds for all of it; ``behind`` events of the lab's log are not in the
-    backup (None: there is no log to compare with, ``compared`` says why)."""
+    """The result: ``took_s`` seconds for everything; ``behind`` events of the lab's log are not in the backup
+    (None: there is no log to compare with, ``compared`` says why)."""
 
     lab: LabId
     folder: str
@@ -48,8 +49,8 @@ def rehearse(
     *,
     as_json: bool,
 ) -> None:
-    """Put a backup into a folder that goes away, compare it with the lab's log, and note in the lab's folder
-    that it was done. Raises what ``put_back`` raises, LogDamaged for the backup of another log."""
+    """Restore a backup into a temporary folder, compare it with the lab's log, and note the rehearsal in the
+    lab's folder. Raises what ``put_back`` raises, LogDamaged for the backup of another log."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="labos-rehearsal-", dir=scratch) as there:
         home = Path(there) / "lab"
@@ -79,7 +80,7 @@ def rehearse(
 
 
 def _compare(where: Where, done: Restored) -> tuple[int | None, str]:
-    """How much of the lab's log the backup does not hold."""
+    """How many events of the lab's log are not in the backup."""
     try:
         with open_database(where) as store:
             head = store.head()

@@ -68,13 +68,13 @@ def needs_folder() -> bool:
 
 
 def is_given(name: str) -> bool:
-    """Whether an option of the present command stands in the command line."""
+    """Whether an option of the present command was given in the command line."""
     return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 def folder_if_needed(context: click.Context, option: click.Parameter, home: P) -> P:
-    """Callback of ``--home``. Raises BadInput for a command that needs the folder of a lab of which only the
-    address is known."""
+    """Callback of ``--home``. Raises BadInput for a command that needs the lab's folder if only the address
+    of the lab is known."""
     named = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
     if context.command_path in FOLDER and not named and not os.environ.get(HOME) and lab_url():
         raise BadInput(
@@ -85,12 +85,13 @@ def folder_if_needed(context: click.Context, option: click.Parameter, home: P) -
 
 
 def folder_or_database(context: click.Context, option: click.Parameter, home: P) -> P:
-    """As ``folder_if_needed``, for commands to which a ``--database`` says enough."""
+    """As ``folder_if_needed``, for commands that also work with only a ``--database``."""
     named = context.get_parameter_source("database") is ParameterSource.COMMANDLINE
     return home if named else folder_if_needed(context, option, home)
 
 
 def lab_of(home: str | None) -> str:
-    """The address of the lab on another computer that is meant; empty if it is one with a folder here. A
-    --home goes before LABOS_URL, and that before LABOS_HOME."""
+    """The address of a lab on another computer; empty if the lab has a folder here. A
+    --home goes before LABOS_URL, and that before LABOS_HOME.
+    """
     return "" if home else lab_url()

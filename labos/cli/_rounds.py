@@ -1,4 +1,4 @@
-"""Asks a person who comes out of a workcell what stands there now, station by station."""
+"""Asks a person who has left a workcell what stands there now, station by station."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import click
 
 KEPT, EMPTY = "kept", "empty"
 COUNTED = ("stack", "waste")
-"""Kinds of stations of which the content is counted, not named."""
+"""Kinds of stations whose pieces are counted, not named."""
 
 Changes = list[tuple[str, str]]
 
 
 def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence[str]]) -> Changes:
-    """What was changed, as ``LabClient.leave`` takes it; confirmed. ``standing`` is what the lab believes of
-    each station that holds something. Raises click.Abort for an end of input and for a no."""
+    """The changes for ``LabClient.leave``; the user confirms them. ``standing`` is the content of each
+    station that is not empty according to the log. Raises click.Abort for an end of input and for a no."""
     hotels = Counter(station["hotel"].partition("/")[2] for station in state["stations"])
     stations = {
         name.partition("/")[2]: station
@@ -42,7 +42,7 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
 
 
 def _ask_station(name: str, station: Mapping[str, Any], text: str) -> list[str] | None:
-    """What stands at a station now; None if it is as before."""
+    """The present content of a station; None if it is unchanged."""
     while True:
         told = _split_words(click.prompt(text, default=KEPT))
         if told in ([KEPT], ["k"], list(station["labware"])):
@@ -58,8 +58,8 @@ def _ask_station(name: str, station: Mapping[str, Any], text: str) -> list[str] 
 def _find_other(
     stations: Mapping[str, Mapping[str, Any]], hotels: Mapping[str, int]
 ) -> tuple[str, list[str]] | None:
-    """Another station where something stands now, and what; None if there is none. ``hotels`` are those
-    that have shelves, by how many."""
+    """Another station with changed content, and the content; None if there is none. ``hotels`` are the
+    numbers of shelves of the hotels."""
     while True:
         text = click.prompt("Other changes? STATION=WHAT; Enter: none", default="", show_default=False)
         if not text.strip():
@@ -79,7 +79,7 @@ def _find_other(
 
 
 def _find_problem(name: str, station: Mapping[str, Any], told: Sequence[str]) -> str:
-    """Why that cannot stand there, as far as it can be told here."""
+    """Why a station cannot have that content, as far as it can be checked here."""
     if told and (station["kind"] in COUNTED or station["stock"]):
         return (
             f"Labware in {name} has no ids: answer kept or empty here, and at the end run: "
@@ -93,7 +93,7 @@ def _find_problem(name: str, station: Mapping[str, Any], told: Sequence[str]) ->
 
 
 def _list_changes(stations: Mapping[str, Mapping[str, Any]], now: Mapping[str, Sequence[str]]) -> Changes:
-    """A station whose labware only went elsewhere needs no word of its own."""
+    """The changes; a station whose labware was only moved to another one needs no entry."""
     named = {labware for told in now.values() for labware in told}
     changes: Changes = []
     for name, told in now.items():

@@ -1,4 +1,4 @@
-"""What ``labos verify`` does with signed checkpoints and bundles."""
+"""The checks of ``labos verify`` for signed checkpoints and bundles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labos.services.trust.proof import Trust, prove_bundle
 def trust_of(
     home: Path, public_keys: Sequence[str], witnesses: Sequence[str] = (), tsa: Path | None = None
 ) -> Trust:
-    """The keys that were given, else the lab's own. Raises BadInput if there are none."""
+    """The given keys, else the lab's own. Raises BadInput if there are none."""
     keys = read_given_keys(public_keys) or SigningKeys(home).list_public_keys()
     if not keys:
         raise BadInput(
@@ -29,14 +29,14 @@ def trust_of(
 
 
 def compare_signed(log: Log, path: Path, home: Path, public_keys: Sequence[str]) -> CheckpointComparison:
-    """How the log stands to the signed checkpoints in a file or folder. Raises BadInput, LogDamaged."""
+    """Compare the log with the signed checkpoints in a file or folder. Raises BadInput, LogDamaged."""
     trust = trust_of(home, public_keys)
     trusted = TrustedKeys(trust.keys, SigningKeys(home).read_rotations())
     return compare(log, read_tree_heads(path, trusted))
 
 
 def verify_bundle(file: Path, trust: Trust, as_json: bool) -> None:
-    """Check a bundle and say what was found; exit code 1 if anything is wrong."""
+    """Check a bundle and report the result; exit code 1 if anything is wrong."""
     found = prove_bundle(file, trust)
     if as_json:
         show_json({"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found})

@@ -9,7 +9,7 @@ from labos.spec import find_spec, list_specs
 
 
 def find_spec_path(kind: str, name: str) -> Path:
-    """A file if there is one of that path, else the packaged spec of that name. Raises NotFound."""
+    """The file at this path if there is one, else the packaged spec of that name. Raises NotFound."""
     path = Path(name)
     if path.is_file():
         return path

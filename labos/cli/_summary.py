@@ -1,4 +1,4 @@
-"""A lab's account of itself, for people."""
+"""The statistics of a lab, for people."""
 
 from __future__ import annotations
 

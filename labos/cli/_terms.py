@@ -1,4 +1,4 @@
-"""Options that say the terms of a campaign."""
+"""Options for the terms of a campaign."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _OPTIONS = (
 
 
 def terms_options(command: F) -> F:
-    """The command gets ``terms_wanted``: what was given, as the client takes it."""
+    """The command gets ``terms_wanted``: the given terms, in the form that the client accepts."""
 
     @wraps(command)
     def wrap(

@@ -1,4 +1,4 @@
-"""Times as people say them when they book: ``tomorrow 09:00``, ``mon 9:00``, ``+2h``."""
+"""Times in the forms that people use for bookings: ``tomorrow 09:00``, ``mon 9:00``, ``+2h``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _EVERY_SO_MANY = re.compile(r"(\d{1,3}) (day|week|month|year)s?")
 
 
 def find_local_zone() -> str:
-    """The name of this computer's time zone, as far as it can be found; else UTC."""
+    """The name of this computer's time zone; UTC if it cannot be found."""
     named = os.environ.get("TZ", "").lstrip(":")
     if not named:
         try:
@@ -43,7 +43,7 @@ def find_local_zone() -> str:
 
 
 def expect_zone(name: str | None) -> str:
-    """The time zone of that name; this computer's if none is named. Raises BadInput."""
+    """The time zone of that name; this computer's if no name is given. Raises BadInput."""
     if name is None:
         return find_local_zone()
     try:
@@ -56,8 +56,8 @@ def expect_zone(name: str | None) -> str:
 
 
 def parse_when(text: str, now: int, zone: str, *, after: int = 0) -> int:
-    """A time (UTC ns) by the clock of a zone. A length (``+2h``) counts from ``after``, else from now; a
-    clock without a day is the next one after that. Raises BadInput."""
+    """A time (UTC ns) in a time zone. A duration (``+2h``) counts from ``after``, else from now; a time
+    without a day is the next one after that. Raises BadInput."""
     said = text.strip().lower()
     length = _LENGTH.fullmatch(said)
     if length:
@@ -99,7 +99,7 @@ def _to_ns(day: date, clock: time, zone: str) -> int:
 
 
 def rule_of(every: str | None, rule: str | None) -> str:
-    """The rule that ``--every`` or ``--rule`` means; empty for neither. Raises BadInput."""
+    """The rule that follows from ``--every`` or ``--rule``; empty if neither is given. Raises BadInput."""
     if rule is not None:
         if every is not None:
             raise BadInput("--every and --rule cannot be combined.", remedy="Leave one of them out.")

@@ -1,4 +1,4 @@
-"""What ``labos twh --losses`` shows: the accounts of lost time, and the next touches."""
+"""The output of ``labos twh --losses``: the accounts of lost time, and the next tasks for a person."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TOUCHES_SHOWN = 8
 
 
 def show_why(found: Losses, shown: list[Twh]) -> None:
-    """The account of each scope on a line, then the causes of the first of them, then what comes next."""
+    """The account of each scope on a line, then the causes of the first scope, then the next tasks."""
     accounts = [account_of(found, twh) for twh in shown]
     columns = ("scope", "had work", "at work", "lost", "of it for a person", "most of it to")
     show_table(columns, [_list_cells(each) for each in accounts])

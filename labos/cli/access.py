@@ -1,4 +1,4 @@
-"""``labos access``: a person reaches into a workcell."""
+"""``labos access``: a person works in a workcell by hand."""
 
 from __future__ import annotations
 
@@ -123,15 +123,15 @@ def _describe_going_on(workcell: str, told: list[tuple[str, str]]) -> str:
 
 
 def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
-    """Ask what was changed, then leave. What the lab refuses is asked again; who breaks off has told
-    nothing."""
+    """Ask for the changes, then end the access. If the lab refuses an answer, it is asked again; if the user
+    stops, nothing is sent."""
     from labos.cli._rounds import ask
 
     while True:
         state = client.state(waits=False)
         access = state["lab"]["access"].get(workcell)
         told: list[tuple[str, str]] = []
-        if access is not None and access["granted"]:  # else nobody was inside
+        if access is not None and access["granted"]:  # else no access was granted
             try:
                 told = ask(state, workcell, _list_recorded(state, workcell))
             except (click.Abort, KeyboardInterrupt):
@@ -151,7 +151,7 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
 
 
 def _wait_until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
-    """Raises NotFound when the time is over; the workcell stays held."""
+    """Raises NotFound when the time is over; the workcell stays reserved for the person."""
     give_up = time.monotonic() + timeout_s
     said: list[str] = []
     while True:
@@ -173,7 +173,7 @@ def _wait_until_granted(client: LabClient, workcell: str, timeout_s: float) -> N
 
 
 def _list_recorded(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
-    """What the log believes of each station that holds something."""
+    """The content of each station that is not empty according to the log."""
     types = {item["id"]: item["type"] for item in state["labware"]}
     found: dict[str, list[str]] = {}
     hotels = {station["hotel"].partition("/")[2] for station in state["stations"]}

@@ -1,4 +1,4 @@
-"""``labos actions``: what a module can do."""
+"""``labos actions``: the actions of a module."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDTH = 100
 
 
 class Offer(msgspec.Struct, frozen=True):
-    """What one module, or one driver without a module, can do."""
+    """The actions of one module, or of one driver without a module."""
 
     name: str
     driver: str
@@ -68,7 +68,7 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
         show_table(("module" if any(o.name != o.driver for o in offers) else "", "driver", "actions"), rows)
 
 
-# -- whose ---------------------------------------------------------------------------------------
+# -- modules and drivers -------------------------------------------------------------------------
 
 
 def _list_offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]:
@@ -87,7 +87,7 @@ def _list_offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[O
 
 
 def _list_modules(where: Where, file: str | None) -> list[ModuleSpec]:
-    """Those of the file, or those of the lab; none where there is no lab yet."""
+    """The modules of the file, or those of the lab; none if there is no lab yet."""
     if file is not None:
         from labos.cli._lab import read_workcell
 
@@ -120,7 +120,7 @@ def _load_descriptions() -> Any:
 
 
 def _sort_actions(found: Description) -> tuple[ActionSpec, ...]:
-    """What runs use first, then what only looks."""
+    """The actions that runs use first, then those that only observe."""
     return tuple(sorted(found.actions, key=lambda spec: (not spec.exclusive, spec.recovers)))
 
 
@@ -156,7 +156,7 @@ def _keep_only(offer: Offer, action: str) -> Offer:
     return msgspec.structs.replace(offer, actions=found)
 
 
-# -- how it is shown -----------------------------------------------------------------------------
+# -- output -------------------------------------------------------------------------------------
 
 
 def _make_plain(offer: Offer) -> dict[str, Any]:
@@ -215,7 +215,7 @@ def _describe_argument(arg: Arg) -> str:
 
 
 def _show_value(value: Any) -> str:
-    """As a workflow file has it."""
+    """A value in the form of a workflow file."""
     from labos.core.arguments import shorten
 
     return str(value).lower() if isinstance(value, bool) else shorten(value)

@@ -1,4 +1,4 @@
-"""``labos api``: the HTTP interface in a process of its own."""
+"""``labos api``: the HTTP interface in a separate process."""
 
 from __future__ import annotations
 

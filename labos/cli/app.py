@@ -1,4 +1,4 @@
-"""``labos``: the group of all commands, and the one place where errors become words."""
+"""``labos``: the group of all commands, and the one place where errors are shown."""
 
 from __future__ import annotations
 
@@ -152,12 +152,12 @@ _ONE_FILE = {
 """Commands too small for a module of their own."""
 
 _FILES = {**_ONE_FILE, "import": "import_", "handover-report": "handover_report", "take-over": "take_over"}
-"""Modules that are not called as their command is."""
+"""Modules whose names differ from the names of their commands."""
 
 
 class Lazy(Suggesting):
-    """Loads a command's module when it is called, so that each starts fast and a broken one
-    spoils no other."""
+    """Loads a command's module when the command is called, so that each starts fast and a faulty module
+    affects no other command."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [name for name in COMMANDS if find_spec(_name_module(name)) is not None]
@@ -199,8 +199,8 @@ def group() -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code, one of ``labos.cli._exit.CODES``. With ``--json``, what
-    went wrong is JSON on standard output too."""
+    """Run the command line; returns the exit code, one of ``labos.cli._exit.CODES``. With ``--json``, an
+    error is also JSON on standard output."""
     from labos.telemetry.logs import configure_logs
 
     configure_logs()
@@ -218,7 +218,7 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         code = INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our lines has enough, as `head` does.
+        # The reader of our output has ended, as `head` does.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
         code = DONE
     except (OSError, LabosError) as error:
@@ -248,7 +248,7 @@ def _show_misuse(error: click.ClickException) -> None:
 
 
 def _describe_system_error(error: OSError) -> SystemFailed:
-    """What a file, a folder or the network refuses, in the shape of our own errors."""
+    """An error of a file, a folder or the network, as one of our own errors."""
     what = f"{error.filename}: " if error.filename else ""
     reason = error.strerror or str(error) or type(error).__name__
     remedy = {

@@ -1,4 +1,5 @@
-"""``labos approvals``, ``labos approve`` and ``labos refuse``: what waits for an operator's approval."""
+"""``labos approvals``, ``labos approve`` and ``labos refuse``: submissions that wait for an operator's
+approval."""
 
 from __future__ import annotations
 
@@ -66,7 +67,7 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
 
 
 def _forecast(client: LabClient, subject: str, told: dict[str, Any]) -> dict[str, Any] | None:
-    """What it would bring; None if that cannot be said, which is said to whoever looks."""
+    """The forecast for the submission; None if there is none: then the reason is shown."""
     if told["proposal"]["kind"] == "experiment":
         return None
     try:
@@ -137,7 +138,7 @@ def _describe_terms(terms: dict[str, Any]) -> dict[str, str]:
 
 
 def _strip_control(text: str) -> str:
-    """What somebody else has written, without what a terminal would obey."""
+    """A text of another user without control characters, which a terminal would obey."""
     return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
 
 
@@ -222,7 +223,7 @@ def refuse(subject: str, why: str, asker: Asker) -> None:
 
 
 def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What a policy says, in words."""
+    """A policy in words."""
     above = policy["above"]
     budget = [
         f"{above['runs']} runs" if above["runs"] else "",

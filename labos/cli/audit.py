@@ -1,4 +1,4 @@
-"""``labos audit``: the tables beside the log that SQL is asked of."""
+"""``labos audit``: the audit tables for queries in SQL."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from labos.errors import BadInput
 from labos.services.times import iso_time, show_time
 
 CALM = 10
-"""How much the follower stands back behind other processes (``nice``)."""
+"""The priority of the follower below other processes (``nice``)."""
 
 
 @click.group("audit", cls=Suggesting, short_help="Manage the tables that SQL queries read.")

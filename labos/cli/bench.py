@@ -1,4 +1,5 @@
-"""``labos bench``: declare what stands on the bench, report it after a lost log, show a simulated one."""
+"""``labos bench``: declares the content of the bench, reports it after a lost log, and shows a simulated
+bench."""
 
 from __future__ import annotations
 
@@ -159,7 +160,7 @@ def round_(
         if words or finish:
             found = say(client, view, words, find_user(user), finish=finish)
         answered = found["answered"]
-        if answered:  # nothing is asked any more
+        if answered:  # no question is open any more
             view = {**view, "stations": [{**station, "said": True} for station in view["stations"]]}
         else:
             view = client.round()
@@ -180,7 +181,7 @@ def round_(
 
 
 def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:
-    """What the simulated benches of this lab really hold."""
+    """The true content of the simulated benches of this lab."""
     from labos.node.world import World
     from labos.services.log import fold_to
     from labos.services.truth import list_bench_contents

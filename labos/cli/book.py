@@ -1,4 +1,4 @@
-"""``labos book``: a module or a workcell for somebody alone, for a while."""
+"""``labos book``: reserves a module or a workcell for a user or a group, for a period."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _why = click.option("--why", metavar="TEXT", help="The reason.")
 
 
 def _booking_options(function: F) -> F:
-    """For whom and when, as ``add`` and ``change`` take it."""
+    """For whom and when: the options of ``add`` and ``change``."""
     times = (_from, _to, _for, _maintenance, _every, _rule, _last, _zone, _why, _force)
     for option in reversed((*times, asker_options)):
         function = option(function)
@@ -42,7 +42,7 @@ def _booking_options(function: F) -> F:
 
 
 class _Booking(Suggesting):
-    """What is no command is what is to be booked: ``labos book ot2``."""
+    """An argument that is not a command is the target of a booking: ``labos book ot2``."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

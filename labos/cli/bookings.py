@@ -1,4 +1,4 @@
-"""``labos bookings``: which bookings there are."""
+"""``labos bookings``: lists the bookings."""
 
 from __future__ import annotations
 

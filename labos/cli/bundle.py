@@ -1,4 +1,4 @@
-"""``labos bundle``: a run, an experiment or a campaign as a file that proves itself."""
+"""``labos bundle``: a run, an experiment or a campaign as a file that contains its own proof."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def command(
 def make_bundle_of(
     where: Where, subject: str, checkpoint: Path | None = None, *, words: bool = True
 ) -> tuple[bytes, AboutBundle]:
-    """The bundle of a run, an experiment or a campaign, on a checkpoint or the newest one of the lab, with
-    what people wrote or without. Raises NotFound, Refused, LogDamaged."""
+    """The bundle of a run, an experiment or a campaign, for the given checkpoint or the lab's newest one;
+    with or without people's words. Raises NotFound, Refused, LogDamaged."""
     path = checkpoint or find_newest(where.home / FOLDER)
     if path is None:
         raise NotFound("This lab has no signed checkpoint yet.", remedy="Make one: labos checkpoint")

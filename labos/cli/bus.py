@@ -1,4 +1,4 @@
-"""``labos bus``: the bus by itself, so that it outlives the kernels."""
+"""``labos bus``: the bus in a separate process, so that it continues without a kernel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos calendar``: what is booked when, as a week or for calendar programs."""
+"""``labos calendar``: the booked times, as a week or for calendar programs."""
 
 from __future__ import annotations
 

@@ -303,7 +303,7 @@ def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: An
 
 
 def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
-    """When a campaign that goes on starts and ends, if a lab runs that can say so."""
+    """When a campaign in progress is expected to start and end, if a running lab has a forecast."""
     from labos.cli._forecast import show_campaign
     from labos.cli._lab import need_lab_of
     from labos.errors import LabosError
@@ -320,7 +320,7 @@ def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
 
 
 def _make_plain(story: CampaignHistory) -> dict[str, Any]:
-    """For programs: without what only the fold needs."""
+    """For programs: without fields that only the fold needs."""
     found: dict[str, Any] = msgspec.to_builtins(story.campaign)
     for key in ("reads", "results", "met_by", "spent_ns", "first_started_at"):
         del found[key]

@@ -1,4 +1,4 @@
-"""``labos checkpoint``: the log's end, signed and kept elsewhere."""
+"""``labos checkpoint``: signs the log's end, and stores it elsewhere."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def command(
 
 
 def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json: bool) -> None:
-    """Until Ctrl-C. A database that is away is waited for; a log that was rewritten ends it."""
+    """Until Ctrl-C. If the database is away, it waits; if the log was rewritten, it ends."""
     from labos.cli._lab import end_in_order
 
     pause = threading.Event()

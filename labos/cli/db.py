@@ -1,4 +1,4 @@
-"""``labos db``: the database under the log."""
+"""``labos db``: the database that holds the log."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def _cut_first_sentence(text: str) -> str:
 
 
 def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult], int]:
-    """Submit everything and watch it to its end."""
+    """Submit everything and follow it to its end."""
     from labos.client import LabClient
 
     with LabClient(lab.url) as client, _show_progress(lab.url):
@@ -131,7 +131,7 @@ def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]
 
 @contextlib.contextmanager
 def _show_progress(url: str) -> Iterator[None]:
-    """Show what happens as long as the block lasts: a picture in a terminal, else lines."""
+    """Show the progress as long as the block lasts: an overview in a terminal, else lines."""
     over = threading.Event()
     watch = _show_live if sys.stdout.isatty() else _tell
     watcher = threading.Thread(target=watch, args=(url, over), name="watcher", daemon=True)
@@ -170,7 +170,7 @@ def _show_live(url: str, over: threading.Event) -> None:
 
 
 def _show_account(settings: Settings, results: list[RunResult]) -> None:
-    """What the lab has done, from its log alone; and what to ask it next."""
+    """The statistics of the lab, computed from its log alone; and commands to try next."""
     from labos.cli._summary import show_summary
     from labos.services.summary import summarise
     from labos.store import open_store
@@ -197,7 +197,7 @@ def _show_account(settings: Settings, results: list[RunResult]) -> None:
 
 
 def _cut_path(folder: Path) -> str:
-    """The folder as one would type it here."""
+    """The folder as a user would type it here."""
     here = Path.cwd()
     return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
 
@@ -213,7 +213,7 @@ def _find_fresh_folder() -> Path:
 
 
 def _expect_new(settings: Settings, *, given: bool) -> None:
-    """Raises BadInput where a lab is already."""
+    """Raises BadInput if there is already a lab."""
     if (settings.home / "kernel.json").exists() or (settings.home / "labos.db").exists():
         raise BadInput(
             f"{settings.home} already holds a lab.",

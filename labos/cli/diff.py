@@ -1,4 +1,4 @@
-"""``labos diff``: what is different between two moments."""
+"""``labos diff``: the differences between two moments."""
 
 from __future__ import annotations
 

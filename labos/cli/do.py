@@ -1,4 +1,4 @@
-"""``labos do``, ``reset`` and ``home``: one action on one module, as a run of its own."""
+"""``labos do``, ``reset`` and ``home``: one action of one module, as a run of its own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _options(command: F) -> F:
-    """What the three commands take beside the module."""
+    """The options of the three commands."""
     for option in reversed(
         (
             click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),

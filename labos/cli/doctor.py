@@ -1,4 +1,4 @@
-"""``labos doctor``: is everything that a lab stands on as it should be?"""
+"""``labos doctor``: checks everything that a lab needs."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _examine(where: Where) -> Iterator[DoctorFinding]:
 
 
 def _examine_safely(name: str, look: Callable[[], DoctorFinding]) -> Iterator[DoctorFinding]:
-    """What cannot be looked at is a fault too."""
+    """If a check cannot be made, that is a fault too."""
     try:
         yield look()
     except OSError as error:
@@ -132,15 +132,14 @@ def _check_database(where: Where) -> DoctorFinding:
 
 
 def _check_state(where: Where) -> Iterator[DoctorFinding]:
-    """Whether actions take as long as planned and calibrations are valid, where there is a log that can be
-    read."""
+    """Whether actions take as long as planned and calibrations are valid, if there is a readable log."""
     try:
         if read_database_status(where.url).state != "current":
             return
         with open_log(where) as store:
             state = fold_state_at(store)
     except LabosError:
-        return  # what is wrong with the log is told elsewhere
+        return  # another check reports the fault of the log
     yield check_durations(find_drifts(state.lengths, state.lab.pace))
     yield from check_calibrations(state, now_ns())
 
@@ -207,7 +206,7 @@ def _check_kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
     from labos.client import LabClient
 
     try:
-        with LabClient(home=home, patience_s=5.0) as client:  # the folder's owner may look
+        with LabClient(home=home, patience_s=5.0) as client:  # the folder's owner may read
             health = client.health()
             heard = client.check_nodes()
     except LabosError as error:

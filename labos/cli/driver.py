@@ -1,4 +1,4 @@
-"""``labos driver``: for who writes drivers."""
+"""``labos driver``: tools for authors of drivers."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def new_command(name: str, as_json: bool) -> None:
 
 
 def _refuse_if_taken(name: str) -> None:
-    """Two drivers of one name: neither could be used any more. Raises BadInput."""
+    """Two drivers with the same name could not be used. Raises BadInput."""
     from labos.bootstrap import list_installed, source_of
 
     if entries := list_installed().get(name):
@@ -146,7 +146,7 @@ def _refuse_if_taken(name: str) -> None:
 
 
 def _make_skeleton(folder: Path, name: str) -> dict[Path, str]:
-    """What to write. The package does not bear the bare name, which may be taken."""
+    """The files to write. The package does not have the plain name, which may be taken."""
     words = {
         "PACKAGE": f"labos_{name}",
         "DASHED": name.replace("_", "-"),

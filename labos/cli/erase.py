@@ -1,4 +1,4 @@
-"""``labos erase``: delete what people wrote, and keep the log whole."""
+"""``labos erase``: deletes words of people; the log stays intact."""
 
 from __future__ import annotations
 

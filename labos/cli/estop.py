@@ -1,4 +1,4 @@
-"""``labos estop``: stop at once, in an emergency."""
+"""``labos estop``: stops modules at once, in an emergency."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, cert_option
 
 PATIENCE_S = 2.0
-"""How long a kernel may take to be found before the nodes are told without it."""
+"""How long the search for a kernel may take before the nodes are stopped without it."""
 
 
 @click.command("estop")
@@ -68,7 +68,7 @@ def command(
 def _stop(
     target: str, connect: Sequence[str], cert: Path | None, by: str, home: str | None
 ) -> dict[str, Any]:
-    """Through the kernel, else past it. Raises NotFound, BusError."""
+    """Stop through the kernel, else directly at the nodes. Raises NotFound, BusError."""
     from labos.cli._remote import lab_of
     from labos.client import LabClient, LabUnreachable
     from labos.errors import NotFound

@@ -1,4 +1,4 @@
-"""``labos explain``: why a run does not go on."""
+"""``labos explain``: why a run does not continue."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _describe_now(state: LabState, story: RunHistory, now: int, lives: bool) -> 
 
 
 def list_sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
-    """What a run does and waits for."""
+    """The present actions and waits of a run."""
     if story.over:
         when = (
             f"It ended at {show_time(story.ended_at)}, after {show_duration(story, now)}."
@@ -114,7 +114,7 @@ def list_sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
 
 
 def _describe_usual(state: LabState, story: RunHistory, index: int) -> str:
-    """How long a step takes as a rule, where that is not what was planned."""
+    """How long a step usually takes, if that differs from the plan."""
     run = state.runs.get(RunId(story.id))
     steps = state.runs.plan_of(run).steps if run is not None else ()
     known = state.lengths.estimate(steps[index], state.lab.pace) if index < len(steps) else None
@@ -127,7 +127,7 @@ def _describe_usual(state: LabState, story: RunHistory, index: int) -> str:
 
 
 def _describe_setup(state: LabState, story: RunHistory, index: int) -> str:
-    """How long the module of a step under way is set up for it first."""
+    """How long the set-up takes of the module for a step in progress."""
     for action in state.actions.open.values():
         if (action.run, action.step) == (story.id, index):
             flight = state.modules.by_name[action.module].in_flight.get(action.id)
@@ -137,7 +137,7 @@ def _describe_setup(state: LabState, story: RunHistory, index: int) -> str:
 
 
 def _companions(state: LabState, story: RunHistory, index: int) -> str:
-    """For which other runs the module carries out a step under way in one go."""
+    """The other runs for which the module carries out a step in progress at the same time."""
     for action in state.actions.open.values():
         if (action.run, action.step) == (story.id, index) and action.together:
             open_ = [state.actions.open[name].run for name in action.together if name in state.actions.open]
@@ -147,7 +147,7 @@ def _companions(state: LabState, story: RunHistory, index: int) -> str:
 
 
 def list_questions(state: LabState, run: str) -> list[str]:
-    """What the lab asks a person because of a run, and how it is answered."""
+    """The lab's questions about a run, and the commands that answer them."""
     return [
         f"a person has to answer {question.id}: {question.text} " + _explain_how(question)
         for question in state.interventions.open.values()
@@ -166,7 +166,7 @@ def _describe_action(state: str) -> str:
 
 
 def describe_progress(story: RunHistory) -> str:
-    """How far the run has come, in a sentence."""
+    """The progress of a run, in a sentence."""
     text = f"So far {story.done} of {story.in_play} steps are done"
     last = max((step for step in story.steps if step.ended_at), key=lambda s: s.ended_at, default=None)
     if last is not None:

@@ -1,4 +1,4 @@
-"""``labos export``: what the log tells, in the formats of others."""
+"""``labos export``: the content of the log, in formats of other programs."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from labos.services.times import Moment
 
 POLL_S = 0.25
 BATCH = 1000
-"""Events that are synced at once."""
+"""Events that are synced to disk together."""
 CALM = 10
-"""How much it stands back behind other processes (``nice``)."""
+"""The priority below other processes (``nice``)."""
 BROKER_S = 60.0
-"""How long a broker may be away if nobody said to go on for ever."""
+"""How long a broker may be away, unless the export follows the log."""
 
 
 @click.group("export", cls=Suggesting, short_help="Export records in formats of other programs.")
@@ -122,7 +122,7 @@ def _read_program(path: Path) -> Program:
 
 
 def _check(target: Path) -> None:
-    """Raises BadInput for a place where something is already."""
+    """Raises BadInput if the target exists already."""
     taken = any(target.iterdir()) if target.is_dir() else target.exists()
     if taken:
         raise BadInput(f"{target} already exists.", remedy="Name a new folder or file after --to.")
@@ -145,7 +145,7 @@ def _write(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
 
 
 def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
-    """The zip file is whole or absent. Raises OSError."""
+    """The zip file is complete or does not exist. Raises OSError."""
     number = 0
     beside = target.with_name(f".{target.name}.part")
     try:
@@ -256,7 +256,8 @@ def _carry(
     *,
     stored: bool,
 ) -> None:
-    """Bring a file of JSON lines or a topic up to date with the log, and go on if asked to."""
+    """Bring a file of JSON lines or a topic up to date with the log, and continue if the export follows the
+    log."""
     if follow and hasattr(os, "nice"):
         os.nice(CALM)
     with (
@@ -303,7 +304,7 @@ def _open_sink(
 
 
 def _start(log: Log, moment: Moment) -> int:
-    """The position after which to begin. Raises BadInput for one that the log does not have."""
+    """The position after which the export begins. Raises BadInput for one that the log does not have."""
     if moment == Moment() or moment.position == 0:
         return 0
     return find_position_at(log, moment)

@@ -1,4 +1,4 @@
-"""``labos files``: pictures, traces and raw data that steps have returned."""
+"""``labos files``: images, traces and raw data that steps have returned."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 COLUMNS = ("run", "step", "file", "bytes", "time", "sha256")
 SHORT = 12
-"""So many digits of a SHA-256 are enough to name a file here."""
+"""The number of digits of a SHA-256 that identify a file here."""
 
 
 @click.command("files", short_help="List or fetch files that steps have returned.")
@@ -120,7 +120,7 @@ def command(
 
 
 def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> None:
-    """Name what nothing in the log names; with ``keep_days``, remove what is older than that."""
+    """List the files that no event names; with ``keep_days``, remove those that are older."""
     if where.lab:
         raise BadInput(
             "Unused files can be listed only on the lab's computer, in the lab's folder.",
@@ -155,7 +155,7 @@ def _row(told: ResultFile) -> tuple[str, ...]:
 
 
 def _find_files(found: list[ResultFile], run: str, file: str) -> list[ResultFile]:
-    """Those of that name, with or without their folder, or the one of that SHA-256. Raises NotFound."""
+    """The files of that name, with or without their folder, or the one of that SHA-256. Raises NotFound."""
     wanted = [told for told in found if told.file == file]
     wanted = wanted or [told for told in found if PurePath(told.file).name == file]
     if not wanted and len(file) >= 4:
@@ -166,14 +166,14 @@ def _find_files(found: list[ResultFile], run: str, file: str) -> list[ResultFile
 
 
 def _name_of(told: ResultFile) -> str:
-    """What a file is called here: nodes name files, and a name may not lead out of the folder."""
+    """The name of a file here: nodes choose names, and a name must not lead out of the folder."""
     name = PureWindowsPath(Path(told.file).name).name
     fits = name not in ("", ".", "..") and not CONTROL.search(name)
     return name if fits else f"file-{told.sha256[:SHORT]}"
 
 
 def _fetch(blobs: BlobReader, found: list[ResultFile], to: str, *, one: bool) -> list[str]:
-    """Write files; returns where. Raises BadInput if one is there already, NotFound, LogDamaged."""
+    """Write files; returns where. Raises BadInput if a file exists already, NotFound, LogDamaged."""
     if to == "-":
         for told in found[-1:]:
             click.echo(blobs.get(told.sha256), nl=False)

@@ -1,4 +1,4 @@
-"""``labos find``: experiments, runs, samples, images, results and publications, by words."""
+"""``labos find``: finds experiments, runs, samples, images, results and publications by words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos handover-report``: what the next shift has to know."""
+"""``labos handover-report``: a report for the next shift."""
 
 from __future__ import annotations
 

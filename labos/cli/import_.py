@@ -1,4 +1,4 @@
-"""``labos import``: files of other labs in LabOS' own form."""
+"""``labos import``: converts files of other labs to the form of LabOS."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 LONGEST_PATH = 255
 
 MOST_TOLD = 20
-"""Things that were assumed which are listed at the end."""
+"""At most so many assumptions are listed at the end."""
 
 
 class WrittenFile(msgspec.Struct):
-    """A file that was taken over. ``kind`` is workcell, workflow or labware; ``assumed`` is what
-    the file did not say or LabOS does not use."""
+    """A file that was converted. ``kind`` is workcell, workflow or labware; ``assumed`` are the missing facts
+    that were assumed, and the parts that LabOS does not use."""
 
     source: str
     target: str
@@ -44,7 +44,7 @@ class WrittenFile(msgspec.Struct):
 
 
 class LeftFile(msgspec.Struct):
-    """A file that was not taken over, and why."""
+    """A file that was not converted, and why."""
 
     source: str
     why: list[Finding]
@@ -58,7 +58,7 @@ class CopiedFile(msgspec.Struct):
 
 
 class ImportOutcome(msgspec.Struct):
-    """``skipped`` files are none of ours; ``refused`` ones cannot be used as they are."""
+    """``skipped`` files are of another kind; ``refused`` files cannot be converted as they are."""
 
     written: list[WrittenFile] = []
     copied: list[CopiedFile] = []
@@ -116,7 +116,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
     sources: list[tuple[Path, Path, Source]] = []
     for file, under in _iterate_files(path):
         if inside and file.resolve().is_relative_to(output.resolve()):
-            continue  # written the last time
+            continue  # written by an earlier import
         try:
             source = read(file, last_wins=True)
             if find_kind(source) is None and path.is_dir():
@@ -189,7 +189,7 @@ def _iterate_files(path: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def _choose_free_name(target: Path, taken: set[Path]) -> Path:
-    """A name of its own for each file, also where two differ only in ``.yaml`` and ``.yml``."""
+    """A unique name for each file, also if two differ only in ``.yaml`` and ``.yml``."""
     number, found = 1, target.with_suffix(".yaml")
     while found in taken:
         number += 1
@@ -199,7 +199,7 @@ def _choose_free_name(target: Path, taken: set[Path]) -> Path:
 
 
 def _write(outcome: ImportOutcome, *, force: bool) -> None:
-    """Raises BadInput, before anything is written, for files that are there already."""
+    """Raises BadInput, before anything is written, for files that exist already."""
     targets = [file.target for file in outcome.written] + [file.target for file in outcome.copied]
     there = [target for target in targets if Path(target).exists()]
     if there and not force:
@@ -246,7 +246,7 @@ def _tell(outcome: ImportOutcome) -> None:
 
 
 def _tell_assumed(outcome: ImportOutcome) -> None:
-    """What was assumed, the most consequential first; the rest stands in the files."""
+    """The assumptions, the most important first; the others are comments in the files."""
     told = sorted(
         (finding for file in outcome.written for finding in file.assumed if finding.assumed),
         key=lambda finding: ASSUMED.index(finding.assumed),

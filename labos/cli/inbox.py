@@ -1,4 +1,4 @@
-"""``labos inbox`` and ``labos confirm``: the work that workflows plan for people."""
+"""``labos inbox`` and ``labos confirm``: planned work for people."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
 
 
 def _tell_asked(asked: list[str]) -> None:
-    """What is no work and waits for a person all the same."""
+    """Questions that wait for a person and are not planned work."""
     if asked:
         click.echo(f"Other open questions: {', '.join(asked)}. See: labos interventions")
 

@@ -1,4 +1,4 @@
-"""``labos interventions``: what the lab asks people, and what they answered."""
+"""``labos interventions``: the lab's questions to people, and the answers."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
 
 
 def _find_places(state: LabState) -> dict[str, str]:
-    """Where the labware of each question is now, as far as the lab knows."""
+    """The present place of the labware of each question, as far as the lab knows."""
     return {
         name: describe_whereabouts(state, question) for name, question in state.interventions.open.items()
     }

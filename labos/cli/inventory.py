@@ -1,4 +1,4 @@
-"""``labos inventory``: what is left, and what runs out when."""
+"""``labos inventory``: the amounts that are left, and when they will be used up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos labware``: the story of every plate."""
+"""``labos labware``: the history of every plate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos log``: what happened."""
+"""``labos log``: shows the events."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos login``, ``logout`` and ``whoami``: who asks, from now on."""
+"""``labos login``, ``logout`` and ``whoami``: the user of all later commands."""
 
 from __future__ import annotations
 
@@ -137,14 +137,15 @@ def logout(url: str, home: str | None, as_json: bool) -> None:
                 f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
             )
             return
-    with suppress(NotSignedIn), _find_lab(url, home, kept) as client:  # whatever LABOS_TOKEN says
-        client.sign_out()  # else it was good no more
+    with suppress(NotSignedIn), _find_lab(url, home, kept) as client:  # also if LABOS_TOKEN is set
+        client.sign_out()  # else the token was not valid any more
     keep_token(place, "")
     tell(f"You are signed out of {place}.", {"place": place, "signed_out": True}, as_json=as_json)
 
 
 def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
-    """The lab at an address, or the one that other commands would ask. Raises BadInput for what is none."""
+    """The lab at an address, or the one that other commands would use. Raises BadInput for an invalid
+    address."""
     from labos.cli._lab import need_lab
     from labos.client import LabClient
     from labos.settings import check_url

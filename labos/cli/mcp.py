@@ -1,4 +1,4 @@
-"""``labos mcp``: a server through which an agent looks, plans and proposes."""
+"""``labos mcp``: a server with which an agent reads, plans and proposes."""
 
 from __future__ import annotations
 

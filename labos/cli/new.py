@@ -1,4 +1,4 @@
-"""``labos new``: files to begin with, that work as they are."""
+"""``labos new``: templates that work without changes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labos.errors import BadInput
 
 SKELETONS = Path(__file__).with_name("skeletons")
 SCHEMAS = Path(".labos")
-"""Beside the new file; its first line leads there."""
+"""The folder of the schemas, beside the new file; the file's first line names it."""
 
 NEXT = {
     "workcell": "labos validate {file}\nlabos up {file} --simulate",
@@ -76,7 +76,7 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
 
 
 def _make_files(kind: str, folder: Path, name: str) -> dict[Path, str]:
-    """What to write, the most important first."""
+    """The files to write, the most important first."""
     if kind == "app":
         return {
             folder / f"{name}.py": _skeleton("app.py", name),

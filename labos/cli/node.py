@@ -1,4 +1,4 @@
-"""``labos node``: one module's node, LabOS' own or a foreign one."""
+"""``labos node``: the node of one module, LabOS' own or a foreign one."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def start(
 
 
 def _expect_home(settings: Settings, named: str | None) -> None:
-    """Raises BadInput where a new folder would be made only because of where the command was typed: the
+    """Raises BadInput if a new folder would be made only because the command was typed in another place: the
     journal of the module's last node would stay elsewhere, unread."""
     if not named and not os.environ.get(HOME) and not settings.home.is_dir():
         raise BadInput(
@@ -212,7 +212,7 @@ command.add_command(install)
 
 
 class JournalFacts(NamedTuple):
-    """What a journal believes of its lab."""
+    """The lab's facts in a journal."""
 
     epoch: int
     position: int
@@ -224,8 +224,8 @@ class JournalFacts(NamedTuple):
 async def _correct(
     path: Path, epoch: int | None, position: int | None, by: str, why: str
 ) -> tuple[JournalFacts, JournalFacts]:
-    """Write into a journal what a person knows better; what it believed, and believes now. Raises
-    JournalError (its node is running), JournalDamaged, BadInput."""
+    """Correct a journal with a person's facts; returns its facts before and after. Raises JournalError (its
+    node is running), JournalDamaged, BadInput."""
     from labos.clock import SystemClock, Uuid7Ids
     from labos.node.journal import Journal
     from labos.node.journal_file import FileJournalFile

@@ -1,4 +1,4 @@
-"""``labos nodes``: which nodes live."""
+"""``labos nodes``: lists modules and their nodes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REMEDIES = {
     "frozen": "End its process. LabOS starts it again.",
     "out": "When it works again: labos in-service {module}",
 }
-"""What to do about a module that does not work, by what its node answers."""
+"""The remedies for a module that does not work, by the answer of its node."""
 
 
 @click.command("nodes")
@@ -65,7 +65,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
         show_json(known)
         return
     columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
-    if any(map(_find_valid_until, known)):  # most labs record none
+    if any(map(_find_valid_until, known)):  # most labs have none
         columns.append("calibrated until")
         rows = [(*row, _find_valid_until(module)) for row, module in zip(rows, known, strict=True)]
     show_table(columns, rows)
@@ -93,7 +93,7 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
 
 
 def _drop_old_name(one: dict[str, Any]) -> dict[str, Any]:
-    """What the API tells of a module, without the field that was replaced by `module`."""
+    """A module in the API's answer, without the field that `module` has replaced."""
     return {key: value for key, value in one.items() if key != "name"}
 
 
@@ -109,14 +109,14 @@ def _list_columns(one: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _flatten_seen(seen: dict[str, Any]) -> list[tuple[str, Any]]:
-    """What is seen, by place or variable."""
+    """The observations, by place or variable."""
     labware = seen.get("labware") or {}
     places = [(place, {True: "full", False: "empty"}.get(what, what)) for place, what in labware.items()]
     return [*places, *((name, value) for name, value in seen.items() if name != "labware")]
 
 
 def _list_last_known(where: Where) -> list[dict[str, Any]]:
-    """The modules as the log knows them. Raises NotFound if there is none."""
+    """The modules according to the log. Raises NotFound if there is none."""
     from labos.cli._liveness import say_if_dead
     from labos.http.views import list_calibrations
     from labos.services.history import fold_state_at

@@ -1,4 +1,4 @@
-"""``labos notifications``: who was told of what."""
+"""``labos notifications``: the notifications of contacts."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def watch(where: Where) -> None:
 
 
 def _look(where: Where, notifier: Notifier) -> None:
-    """One look at the lab and its kernel."""
+    """Check the lab and its kernel once."""
     try:
         notifier.read()
         owner = find_silent_holder(where.url)
@@ -170,7 +170,7 @@ def _find_lab_id(where: Where) -> str:
         with open_log(where) as store:
             return store.head().lab
     except LabosError:
-        return ""  # a contact can be tried before there is a lab
+        return ""  # a contact can be tested before there is a lab
 
 
 def _list_facts(delivery: Delivery) -> dict[str, Any]:

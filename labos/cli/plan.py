@@ -1,4 +1,4 @@
-"""``labos plan``: what a workflow would do, step by step, and how long it would take."""
+"""``labos plan``: the steps of a workflow, and how long it would take."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 
 class OutlineStep(msgspec.Struct):
-    """A step with its times, in lab seconds from the start of the run. ``duration_s`` is how long it usually
-    takes in the lab that was asked, where that knows (``learned``), else ``nominal_s``. ``rescues`` is the
-    step for whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled
-    run. Neither has times. ``looks`` says who looks where afterwards, and when. ``choices`` are the modules
-    of which one does the step, if there are several: all else is told for ``module``. ``setup_s`` is the part
-    of ``duration_s`` in which the module is set up for it."""
+    """A step with its times, in lab seconds from the start of the run. ``duration_s`` is its usual duration
+    in the lab that was asked, if that lab has one (``learned``), else ``nominal_s``. ``rescues`` is the step
+    after whose failure it runs, if there is one; ``on_cancel``: it runs after the run was cancelled. Neither
+    kind has times. ``looks`` says which module observes which station afterwards, and when. ``choices`` are
+    the modules that may do the step, if there are several: the other fields are for ``module``. ``setup_s``
+    is the part of ``duration_s`` in which the module is set up for the step."""
 
     key: str
     module: str
@@ -63,7 +63,7 @@ class OutlineStep(msgspec.Struct):
 
 
 class Resource(msgspec.Struct):
-    """What is used up of a module's resource, of how much it holds when full."""
+    """The amount of a module's resource that is used up, and its capacity."""
 
     module: str
     resource: str
@@ -72,7 +72,7 @@ class Resource(msgspec.Struct):
 
 
 class ReservedModule(msgspec.Struct):
-    """A module that the run has to itself, from the start of one step to the end of another."""
+    """A module that the run holds from the start of one step to the end of another."""
 
     module: str
     first: str
@@ -80,7 +80,7 @@ class ReservedModule(msgspec.Struct):
 
 
 class SetpointUse(msgspec.Struct):
-    """A value that a step sets a module to; who wants another waits until the run has ended."""
+    """A value to which a step sets a module; runs that want another value wait until this run has ended."""
 
     module: str
     setpoint: str
@@ -89,9 +89,9 @@ class SetpointUse(msgspec.Struct):
 
 
 class Outline(msgspec.Struct):
-    """A workflow as it would run alone. ``lab`` is the folder or address of the lab that was asked how long
-    steps take, empty if none was. ``certificate`` says which of its windows it can keep for all durations of
-    its steps, a tenth around the nominal ones."""
+    """A workflow as it would run alone. ``lab`` is the folder or address of the lab that knows the usual
+    durations, empty if there is none. ``certificate`` says which of its windows it can keep for all durations
+    of its steps up to a tenth above or below the nominal ones."""
 
     workflow: str
     workcell: str
@@ -168,8 +168,8 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
 
 
 def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
-    """The lab that was asked, how long actions have taken there, and its pace; no name if there is no lab.
-    One that was not named in the command line need not answer. Raises LabosError."""
+    """The lab that was asked, the durations that it has learned, and its pace; no name if there is no lab. A
+    lab that the command line does not name need not answer. Raises LabosError."""
     from labos.cli._remote import is_given
     from labos.services.history import fold_state_at
 
@@ -190,7 +190,7 @@ def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
 def outline_of(
     compiled: Compiled, workcell: Workcell, lengths: Lengths | None = None, pace: float = 1.0, lab: str = ""
 ) -> Outline:
-    """A compiled workflow with its times, by what a lab has learned of them."""
+    """A compiled workflow with its times, with the durations that a lab has learned."""
     from labos.planning.certificate import find_order
     from labos.planning.certified import certify_all
     from labos.planning.timetable import (
@@ -267,7 +267,7 @@ def outline_of(
 
 
 def _on_error(step: PlanStep) -> str:
-    """What follows when a step has failed for good."""
+    """What happens when a step has failed finally."""
     policy = step.on_error
     if policy is None:
         return "fail"
@@ -275,7 +275,7 @@ def _on_error(step: PlanStep) -> str:
 
 
 def _list_looks(step: PlanStep, workcell: Workcell) -> list[str]:
-    """Who looks where after a step, before it is believed."""
+    """The modules that observe stations after a step, before its result is accepted."""
     if step.by_person:
         return []
     places = list_end_stations(step.effects)
@@ -288,7 +288,7 @@ def _list_looks(step: PlanStep, workcell: Workcell) -> list[str]:
 
 
 def _list_stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -> list[list[str]]:
-    """The stations of each step: where labware goes, in order; else where it is worked on."""
+    """The stations of each step: those of the labware's path, in order; else the station of the work."""
     steps = compiled.plan.steps
     found: list[list[StationName]] = [[] for _ in steps]
     here = list(compiled.inputs)
@@ -363,7 +363,7 @@ def _tell(outline: Outline) -> None:
 
 
 def _tell_origin(outline: Outline) -> str:
-    """From where the times are."""
+    """The origin of the times."""
     from labos.services.times import show_span
 
     shown = [step for step in outline.steps if not step.rescues and not step.on_cancel]
@@ -385,7 +385,7 @@ def _describe_place(step: OutlineStep) -> str:
 
 
 def _list_terms(outline: Outline, step: OutlineStep) -> Iterator[str]:
-    """What holds for a step beside its times, in sentences."""
+    """The terms of a step besides its times, in sentences."""
     from labos.services.times import show_span
 
     if step.setup_s:

@@ -1,4 +1,4 @@
-"""``labos planner``: suggests to a running lab in which order to start what is to be done."""
+"""``labos planner``: suggests to a running lab the order of the next steps."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from labos.ports import EventStore
 
 LOOK_S = 0.5
-"""How often it is looked for what is new in the log."""
+"""How often the log is checked for new events."""
 
 LOST_PAUSE_S = 5.0
-"""Between two tries to reach a lab that is away."""
+"""The pause between two attempts to reach a lab that is away."""
 
 
 @click.command("planner", short_help="Search for a better order of steps, and suggest it to the lab.")
@@ -89,7 +89,7 @@ def command(
     asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), CellWatch()
     next_look: dict[str, float] = {}
     with end_in_order(), need_lab_of(where) as client, open_log(where, stored=True) as log:
-        follower = Follower(cast("EventStore", log))  # which it only reads
+        follower = Follower(cast("EventStore", log))  # it only reads
         try:
             while True:
                 try:
@@ -114,7 +114,7 @@ def command(
 def _suggest(
     state: LabState, cell: str, planner: Planner, watch: CellWatch, client: LabClient, asker: str
 ) -> bool:
-    """Look for an order for a workcell if that is worth it; whether it was."""
+    """Search for a better order for a workcell if that is worthwhile; returns whether it was."""
     from labos.planner.watch import list_waiting
 
     waiting = list_waiting(state, cell)

@@ -1,4 +1,4 @@
-"""``labos provenance``: where something comes from, and what came of it."""
+"""``labos provenance``: the origin of something, and everything that was derived from it."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _tell(graph: Graph) -> None:
 
 
 def _list(graph: Graph, kind: str, direction: str) -> None:
-    """The entities of one kind, each once, with the event that says so."""
+    """The entities of one kind, each once, with the event that names it."""
     found: dict[str, int] = {}
     for link in graph.links:
         entity = link.cause if direction == "up" else link.effect

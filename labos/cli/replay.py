@@ -88,7 +88,7 @@ def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
     elif only_hash:
         show_json({"position": state.position, "state": hash_state(state)})
     else:
-        # As it is folded: nothing is turned into another form.
+        # As it is folded, without a conversion.
         click.echo(msgspec.json.format(msgspec.json.encode(make_plain_state(state)), indent=2))
 
 
@@ -126,7 +126,7 @@ def _shorten_value(value: Any) -> str:
 
 
 def _walk(found: Iterator[LogStep], state: LabState, beside: WordsBeside) -> None:
-    """Step by step, as somebody at a terminal asks."""
+    """Step by step, under the control of a user at a terminal."""
     click.echo(HELP)
     names, upto = Catalogue(), 0
     for step in found:
@@ -170,7 +170,7 @@ def _learn_names(records: Iterator[Record], names: Catalogue) -> Iterator[Record
 
 
 class _Words:
-    """Words that are not in a database."""
+    """Words outside a database."""
 
     def __init__(self, words: Iterable[StoredWords] = ()) -> None:
         self._known = {each.words.reference: each.words for each in words}
@@ -181,7 +181,7 @@ class _Words:
 
 @contextmanager
 def _open_records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
-    """The records of whatever kind of log this is, and the words beside it. Raises BadInput."""
+    """The records of a log of any kind, and its words. Raises BadInput."""
     path = Path(log)
     if "://" in log:
         url = log

@@ -1,4 +1,4 @@
-"""``labos restore``: a backup put into an empty database, or tried out."""
+"""``labos restore``: restores a backup into an empty database, or rehearses this."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ from labos.store import (
 
 
 class Restored(msgspec.Struct, frozen=True):
-    """A backup that was put into a database, and checked there: up to which ``position``, the chain's
-    ``hash`` and the hash of the ``state`` there; of so many ``users`` the accounts. The next kernel's
-    ``epoch`` is above this one."""
+    """A backup that was restored into a database and checked there: its last ``position``, the chain's
+    ``hash`` and the hash of the ``state`` there, and the number of ``users`` whose accounts were restored.
+    The next kernel's ``epoch`` is above this one."""
 
     lab: LabId
     position: int
@@ -119,12 +119,12 @@ def command(
         known = _with_own(lists, where)
 
         def try_it(place: Where) -> Restored:
-            own = FolderBlobs(place.home / "blobs")  # wherever the lab keeps its own
+            own = FolderBlobs(place.home / "blobs")  # the folder where the lab stores its own
             return put_back(place, folder, key, own, known, archive)
 
         rehearse(where, folder, try_it, scratch, as_json=as_json)
         return
-    # What is noted in the home must hold from every working directory.
+    # The note in the home folder must be valid from every working directory.
     done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists, archive=archive)
     if as_json:
         show_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
@@ -147,10 +147,10 @@ def put_back(
     lists: Sequence[Path] = (),
     archive: Path | None = None,
 ) -> Restored:
-    """Put a backup into a database without a log, its blobs where the lab keeps them (or into ``blobs``), and
-    check what was written. Words that were erased by ``lists``, and by that in the lab's folder, are left
-    out. Segments that are not in the folder are read from the ``archive``. Raises Refused, LogDamaged,
-    BadInput, StoreUnavailable."""
+    """Restore a backup into a database without a log, its blobs to the place where the lab stores them (or to
+    ``blobs``), and check the result. Words that are erased according to ``lists``, or to the list in the
+    lab's folder, are left out. Segments that are not in the folder are read from the ``archive``. Raises
+    Refused, LogDamaged, BadInput, StoreUnavailable."""
     refuse_to_overwrite(where.url)
     found, state = verify_backup(folder, key=key, archive=archive)
     people = read_accounts_copy(folder, found.lab, key)
@@ -164,7 +164,7 @@ def put_back(
     gone = _read_erased(found.lab, _with_own(lists, where))
     words = _drop_erased(read_words_copy(folder), gone)
     head = restore_log(where.url, records_of(folder, found, archive), found.lab, epoch, words)
-    forget_end(where.home)  # it was put back on purpose
+    forget_end(where.home)  # it was restored on purpose
     wanted = hash_state(state)
     with open_database(where) as store:
         store.note_erasures()
@@ -206,7 +206,7 @@ def put_back(
 
 
 def _with_own(lists: Sequence[Path], where: Where) -> Sequence[Path]:
-    """Lists of erasures, and that in the lab's folder if there is one."""
+    """Lists of erasures, and the one in the lab's folder if there is one."""
     own = where.home / ERASURES
     return (*lists, own) if own.exists() else lists
 

@@ -1,4 +1,4 @@
-"""``labos results``: what a run measured, well by well."""
+"""``labos results``: the values that a run measured, well by well."""
 
 from __future__ import annotations
 

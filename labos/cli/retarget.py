@@ -1,4 +1,4 @@
-"""``labos retarget``: a workflow of one workcell for another."""
+"""``labos retarget``: rewrites a workflow of one workcell for another."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def command(
 
 
 def _parse_pairs(maps: tuple[str, ...]) -> dict[str, str]:
-    """Raises BadInput for what is no pair of names."""
+    """Raises BadInput for a text that is not a pair of names."""
     found = {}
     for pair in maps:
         old, equals, new = pair.partition("=")

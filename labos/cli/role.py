@@ -1,4 +1,4 @@
-"""``labos role``: what users and groups may do."""
+"""``labos role``: the rights of users and groups."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos run``: a workflow from start to end."""
+"""``labos run``: runs a workflow from start to end."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def command(
 
 
 def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
-    """Say what a job would bring in the running lab. Raises Exit(1) if it would be refused."""
+    """Show the forecast for a job in the running lab. Raises Exit(1) if it would be refused."""
     from labos.cli._forecast import show_change, show_ways
     from labos.cli._lab import need_lab
     from labos.cli._out import show_json
@@ -120,11 +120,11 @@ def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
 
 
 Put = tuple[str, str, dict[str, bool]]
-"""A station, the type of labware that is put there, and what it is: ``{"sealed": True}``."""
+"""A station, the type of labware that is placed there, and its variables: ``{"sealed": True}``."""
 
 
 class RunRequest(msgspec.Struct, frozen=True):
-    """What is to be run: a workflow's text with its files, where it was read, and how."""
+    """A run to carry out: the text of a workflow with its files, its path, and the options."""
 
     text: dict[str, Any]
     values: dict[str, Any] = {}
@@ -147,7 +147,7 @@ def carry_out(
     from labos.settings import was_simulated
     from labos.spec import parse_workflow
 
-    # What is wrong with the file itself is said before a lab is started for it.
+    # Errors of the file itself are reported before a lab is started for it.
     source = parse_workflow(job.text["text"], job.text["name"])
     placed = parse_places(job.placed)
     cells, cell = [], job.workcell
@@ -181,8 +181,8 @@ def carry_out(
 
 
 def _is_simulated(settings: Settings, url: str) -> bool | None:
-    """Whether the bench of the lab is simulated that runs at ``url``, or in the home folder; None if none
-    runs. Raises LabUnreachable."""
+    """Whether the lab at ``url``, or in the home folder, has a simulated bench; None if no lab runs. Raises
+    LabUnreachable."""
     from labos.client import LabClient
     from labos.settings import find_kernel
 
@@ -194,8 +194,8 @@ def _is_simulated(settings: Settings, url: str) -> bool | None:
 
 
 def _find_workcell_beside(workflow: str) -> str:
-    """The workcell file of the folder where a workflow's file is, or of one around it; empty if there is
-    none. Raises BadInput if there are several."""
+    """The workcell file in the folder of a workflow's file, or in a parent folder; empty if there is none.
+    Raises BadInput if there are several."""
     from labos.errors import BadInput
     from labos.spec.files import find_workcells
 
@@ -214,7 +214,8 @@ def _find_workcell_beside(workflow: str) -> str:
 
 
 def _place_starting_labware(compiled: Compiled, cell: Workcell, placed: Sequence[Put]) -> list[Put]:
-    """What a person would have to bring for a workflow, put on the simulated bench of its own lab."""
+    """The labware that a person would have to bring for a workflow, placed on the simulated bench of its own
+    lab."""
     found: list[Put] = []
     aliases = {alias: local(station.name) for station in cell.stations for alias in station.aliases}
     filled = {aliases.get(place, place) for place, *_ in placed}
@@ -232,7 +233,7 @@ def _place_starting_labware(compiled: Compiled, cell: Workcell, placed: Sequence
 
 
 def submit(client: LabClient, job: RunRequest, workcell: str, placed: Sequence[Put]) -> str:
-    """Queue the job with the labware that was put there for it; returns the run's id."""
+    """Queue the job together with the labware that was placed for it; returns the run's id."""
     run = client.submit(
         job.text,
         job.values,
@@ -246,7 +247,7 @@ def submit(client: LabClient, job: RunRequest, workcell: str, placed: Sequence[P
 
 
 def parse_places(placed: Sequence[str]) -> list[Put]:
-    """Stations, labware types, and what the labware is, as ``--place`` names them. Raises BadParameter."""
+    """Stations, labware types and variables of labware, as given with ``--place``. Raises BadParameter."""
     found: list[Put] = []
     for text in placed:
         station, _, what = text.partition("=")
@@ -259,7 +260,7 @@ def parse_places(placed: Sequence[str]) -> list[Put]:
 
 
 def _say_waits(client: LabClient, run: str) -> None:
-    """Why a run that was just queued does not start, if that may take a person."""
+    """Show why a new run does not start, if it may need a person."""
     for shown in client.state()["runs"]:
         for wait in shown["waits"] if shown["id"] == run else ():
             if wait["blocked"]:
@@ -267,13 +268,13 @@ def _say_waits(client: LabClient, run: str) -> None:
 
 
 def show_warnings(client: LabClient) -> None:
-    """What the lab remarked on the submission, on standard error."""
+    """Show the warnings about the submission on standard error."""
     for warning in client.warnings:
         click.echo(f"labos: {warning} (warning)", err=True)
 
 
 def show_result(result: RunResult, *, as_json: bool) -> None:
-    """How a run ended. Raises Exit(1) if it did not complete."""
+    """Show how a run ended. Raises Exit(1) if it did not complete."""
     from labos.cli._out import show_line
 
     if as_json:

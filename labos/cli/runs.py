@@ -1,4 +1,4 @@
-"""``labos runs``: what was asked for and how far it has come."""
+"""``labos runs``: the runs and their progress."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from labos.services.times import show_span, show_time
 from labos.services.waits import list_reasons
 
 WAITS_TOLD = 50
-"""Of so many runs it is worked out why they wait; to know it of every one takes too long."""
+"""For at most so many runs, the reason for waiting is computed; for all of them it would take too long."""
 
 
 @click.command("runs", short_help="List runs and their progress, or the steps of one run.")
@@ -74,7 +74,7 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
 
 
 def _find_waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, list[str]]:
-    """Why those runs wait that do not go on, in sentences."""
+    """Why runs wait, in sentences."""
     if all(story.over for story in stories.values()):
         return {}
     state = fold_state_at(store)
@@ -91,7 +91,7 @@ def _find_waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[st
 
 
 def _find_due(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, str]:
-    """When runs are due, and whether that will be kept."""
+    """The due dates of runs, and whether the runs will keep them."""
     if not any(story.due_at for story in stories.values()):
         return {}
     return tell_due(fold_state_at(store), stories.values(), now)
@@ -114,7 +114,7 @@ def _row(
 
 
 def show_duration(run: RunHistory, now: int) -> str:
-    """From start to end, or to now with a mark that it goes on."""
+    """The duration up to the end, or up to now with a mark that the run continues."""
     if not run.started_at:
         return ""
     if run.ended_at:

@@ -1,4 +1,4 @@
-"""``labos samples``: which samples are in which wells."""
+"""``labos samples``: the samples in wells."""
 
 from __future__ import annotations
 

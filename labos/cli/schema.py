@@ -1,4 +1,4 @@
-"""``labos schema``: what may stand in a file, for editors."""
+"""``labos schema``: the schemas of files, for editors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def command(kind: str) -> None:
 
 
 def write_schema(kind: str) -> str:
-    """The schema as it is published."""
+    """The schema in its published form."""
     from labos.spec.schema import make_schema
 
     return json.dumps(make_schema(kind), indent=2, ensure_ascii=False) + "\n"

@@ -1,4 +1,4 @@
-"""``labos shares``: who is to have how much of the lab, and who has had it."""
+"""``labos shares``: each user's intended and used share of the lab."""
 
 from __future__ import annotations
 

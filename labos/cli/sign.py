@@ -1,4 +1,4 @@
-"""``labos sign``: an electronic signature under a run, an experiment or a campaign."""
+"""``labos sign``: an electronic signature for a run, an experiment or a campaign."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos sql``: questions in SQL, answered from the tables beside the log."""
+"""``labos sql``: queries in SQL on the audit tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from labos.cli._query import Where, log_options
 from labos.errors import BadInput, LabosError
 
 MOST_SHOWN = 1000
-"""So many rows of an answer are shown as a table; the others are asked for in another form."""
+"""At most so many rows are shown as a table; for more, another form of output is suggested."""
 
 PROMPT, GOES_ON = "labos> ", "   ... "
 
@@ -124,8 +124,8 @@ def _write_cell(value: Any) -> str:
 
 
 def _converse(asker: ReadConnection) -> None:
-    """Questions from a person, each ended by a semicolon, until Ctrl-D."""
-    with suppress(ImportError):  # Windows edits lines by itself
+    """Queries that a user types, each with a semicolon at its end, until Ctrl-D."""
+    with suppress(ImportError):  # Windows has line editing of its own
         import readline
 
         assert readline, "lines can be edited and recalled"

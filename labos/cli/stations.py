@@ -1,4 +1,4 @@
-"""``labos stations``: what stands where."""
+"""``labos stations``: the labware at each station."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from labos.services.times import Moment, iso_time, show_time
 
 
 class StationPlace(msgspec.Struct, frozen=True):
-    """A station as it is shown. ``state``: unknown, empty or occupied; ``stock`` are nameless
-    items, bottom to top; ``maybe`` is labware of which it is not known whether it stands here; ``hotel`` is
-    that of which it is a shelf, ``shelves`` how many it has itself."""
+    """A station as it is shown. ``state``: unknown, empty or occupied; ``stock`` are pieces without ids,
+    bottom to top; ``maybe`` is labware that may stand here; ``hotel`` is the hotel to which a shelf belongs,
+    ``shelves`` the number of a hotel's own shelves."""
 
     station: str
     kind: str
@@ -77,8 +77,8 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
 
 
 def list_places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[StationPlace]:
-    """The stations of a state; of modules or stations with these names only, if there are any.
-    Raises click.UsageError for a name that no station bears."""
+    """The stations of a state; with ``names``, only the modules or stations with these names. Raises
+    click.UsageError for a name that no station has."""
     stories = list_labware_histories(log, state.position) if state.bench.labware else {}
     found = [(name, station) for name, station in list_stations(state) if not names or _is_named(name, names)]
     for wanted in names:
@@ -88,7 +88,7 @@ def list_places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[
 
 
 def _is_bare(place: StationPlace, names: tuple[str, ...]) -> bool:
-    """Whether it is a shelf of which nothing is to be told, and nobody asked for it or its hotel."""
+    """Whether it is an empty shelf, and neither it nor its hotel was requested."""
     bare = bool(place.hotel) and place.state == "empty" and not place.maybe and not place.expected
     own = (place.station, place.hotel)
     return bare and not any(name in (known, local(StationName(known))) for name in names for known in own)
@@ -131,7 +131,7 @@ def _place(
 
 
 def _rows(place: StationPlace) -> list[tuple[str, ...]]:
-    """One line for the station, with what is nameless there; one for each further labware."""
+    """One line for the station with its pieces without ids; one line for each further piece of labware."""
     if place.shelves:
         told = f"{len(place.labware)} on {place.shelves} shelves"
         return [(local(StationName(place.station)), place.kind, told, "", "")]

@@ -1,4 +1,5 @@
-"""What people bring to the bench and take away: ``labos load``, ``unload``, ``replenish``."""
+"""Labware and material that people bring to the bench and take away: ``labos load``, ``unload``,
+``replenish``."""
 
 from __future__ import annotations
 
@@ -102,7 +103,7 @@ def replenish(
 
 
 def _parse_amount(text: str | None) -> tuple[float, str]:
-    """``96`` or ``20mL``; 0 for as much as there is room for. Raises click.BadParameter."""
+    """``96`` or ``20mL``; 0 fills all free room. Raises click.BadParameter."""
     from labos.spec.durations import match_quantity
 
     if text is None:

@@ -1,4 +1,4 @@
-"""``labos take-over``: the lab goes on at a standby, while its runs go on."""
+"""``labos take-over``: a standby takes over the lab; runs continue."""
 
 from __future__ import annotations
 
@@ -89,12 +89,12 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
 
 
 def expect_to_listen(pid: int, number: int) -> None:
-    """A process that does not listen to a signal would end by it, at once. Raises Refused for one of which
-    the system says that."""
+    """Signal only a process that listens: another one would be ended by the signal at once. Raises Refused if
+    the system reports that the process does not listen."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
-        return  # no Linux, or nobody may ask: nothing is known
+        return  # not Linux, or no permission: nothing is known
     caught = next((line for line in status.splitlines() if line.startswith("SigCgt:")), "")
     if caught and not int(caught.split()[1], 16) & (1 << (number - 1)):
         raise Refused(
@@ -106,7 +106,7 @@ def expect_to_listen(pid: int, number: int) -> None:
 
 
 def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:
-    """Wait for a kernel of a later epoch; returns for how long there was none. Raises SystemFailed."""
+    """Wait for a kernel of a later epoch; returns how long there was none. Raises SystemFailed."""
     left_at = 0.0
     give_up = time.monotonic() + patience_s
     while time.monotonic() < give_up:

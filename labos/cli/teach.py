@@ -1,4 +1,4 @@
-"""``labos teach`` and ``labos locations``: where arms find stations."""
+"""``labos teach`` and ``labos locations``: the poses at which arms reach stations."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def locations(module: str, asker: Asker) -> None:
 
 
 def _find_locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
-    """As the running lab says, else as its log last knew. Raises NotFound."""
+    """From the running lab, else from its log. Raises NotFound."""
     from labos.cli._lab import need_lab
     from labos.cli._remote import lab_of
     from labos.settings import Settings, find_kernel

@@ -1,4 +1,4 @@
-"""``labos token``: tokens, by which programs are known to the lab."""
+"""``labos token``: tokens with which programs sign in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos twh``: time without human intervention, and where the rest of the time went."""
+"""``labos twh``: time without human intervention, and the causes of the other time."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ def _show(report: TwhReport, shown: list[Twh]) -> None:
 
 
 def choose_scopes(report: TwhReport, run: str, experiment: str, workcell: str) -> list[Twh]:
-    """The scopes asked for; without a choice the lab, all workcells and experiments, and the
-    last runs. Raises NotFound."""
+    """The requested scopes; by default the lab, all workcells and experiments, and the last runs. Raises
+    NotFound."""
     found: list[Twh] = []
     wanted = (("run", run, report.runs), ("experiment", experiment, report.experiments))
     for kind, name, known in (*wanted, ("workcell", workcell, report.workcells)):

@@ -1,4 +1,4 @@
-"""``labos up``: a lab in the foreground."""
+"""``labos up``: runs a lab in the foreground."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ def _stand_by(settings: Settings) -> None:
 
 
 def _has_other_kernel(settings: Settings) -> bool:
-    """Whether another kernel has the lab, by its database. Raises StoreUnavailable."""
+    """Whether another kernel runs the lab, according to its database. Raises StoreUnavailable."""
     from labos.errors import StoreUnavailable
     from labos.store import find_database_file, open_store
 
@@ -252,7 +252,7 @@ def _has_other_kernel(settings: Settings) -> bool:
 
 
 def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:
-    """A standby changes nothing of the lab, and starts no nodes beside those that live. Raises UsageError."""
+    """A standby must not change the lab, and starts no nodes beside the running ones. Raises UsageError."""
     if workcells:
         raise click.UsageError("A standby runs the existing workcells of the lab: give no WORKCELL.")
     if not no_nodes and not (settings.home / "kernel.json").exists():
@@ -263,7 +263,7 @@ def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: boo
 
 
 def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
-    """Say where the lab is, then what happens, until somebody ends it or it fails."""
+    """Show the lab's addresses, then its events, until a user ends it or it fails."""
     from labos.cli._lab import CLOSING
 
     runtime = lab.runtime
@@ -284,7 +284,7 @@ def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
 
 
 def _listen_for_take_over(lab: LabThread) -> None:
-    """Leave the lab to a standby when `labos take-over` says so."""
+    """Leave the lab to a standby when `labos take-over` requests it."""
     import signal
 
     number = getattr(signal, "SIGUSR1", None)

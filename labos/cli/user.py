@@ -1,4 +1,4 @@
-"""``labos user``: who may use the lab."""
+"""``labos user``: the users of the lab."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labos validate``: what is wrong with a workflow, before anything moves."""
+"""``labos validate``: finds the errors of a workflow before anything moves."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from labos.spec.choices import describe_choices, list_choices
 from labos.spec.findings import make_finding
 
 ONLINE_PATIENCE_S = 2.0
-"""How long to ask a lab that does not answer."""
+"""How long to wait for a lab that does not answer."""
 
 READY = ("IDLE", "BUSY")
 
 
 class Verdict(msgspec.Struct):
-    """All that is to be said of a workflow on a workcell. ``certificate`` says which of its windows a run can
-    keep for all durations of its steps."""
+    """The result of the check of a workflow on a workcell. ``certificate`` says which of its windows a run
+    can keep for all durations of its steps."""
 
     findings: list[Finding]
     inputs: tuple[StationName, ...] = ()
@@ -147,7 +147,7 @@ def _check_alone(name: str, *, as_json: bool) -> None:
 def examine(
     workflow: str, workcell: str, payload: dict[str, Any], simulate: bool
 ) -> tuple[Verdict, Compiled | None]:
-    """Compile, dry-run and try out. Raises NotFound for a file that is not there."""
+    """Compile, dry-run and measure the capacity. Raises NotFound for a missing file."""
     from labos.bootstrap import descriptions, shape_of
     from labos.planning.certified import certify_all, check_windows
     from labos.spec.layout_check import check_layout
@@ -187,7 +187,7 @@ def examine(
 
 def _count_copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None:
     if any(step.when is not None for step in compiled.plan.steps):
-        return None  # how many copies fit depends on results
+        return None  # the number of copies depends on results
     stock = [(item.station, item.labware, item.count) for item in cell.bench.stock]
     try:
         return measure_capacity(cell.workcell, stock, compiled.plan, compiled.inputs, others=compiled.others)
@@ -196,7 +196,7 @@ def _count_copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None
 
 
 def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
-    """What the node of each module that the workflow uses answers now. Raises NoAnswer."""
+    """The present answers of the nodes of all modules that the workflow uses. Raises NoAnswer."""
     from labos.client import LabClient
     from labos.settings import find_kernel
 

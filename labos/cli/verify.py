@@ -1,4 +1,4 @@
-"""``labos verify``: is the log what was written?"""
+"""``labos verify``: checks that the log is unchanged."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def command(
         else:
             _verify_backup(folder, archive, key, as_json)
         return
-    # First the journals: a request is in the log before its node hears of it.
+    # The journals first: a request is in the log before its node receives it.
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
     with open_database(where) as store:
         seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
@@ -234,7 +234,7 @@ def command(
 def _find_first_position(
     damage: Damage | None, compared: CheckpointComparison | None, parts: list[VerifiedPart]
 ) -> int | None:
-    """The first position of the log that something is wrong with."""
+    """The first position of the log with a fault; None if there is none."""
     if damage is not None:
         return damage.position
     if compared is not None and compared.fault:
@@ -243,7 +243,7 @@ def _find_first_position(
 
 
 def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
-    """What there is beside the chain; what cannot be looked at is a fault too."""
+    """The parts beside the chain; if a part cannot be checked, that is a fault too."""
     settings = Settings.make(where.home, where.url)
     looks: tuple[tuple[str, Callable[[], VerifiedPart]], ...] = (
         ("database", lambda: check_database(store)),
@@ -313,8 +313,8 @@ def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool
 
 
 def _accounts_of(folder: Path, lab: str, key: bytes) -> AccountsCopy | None:
-    """The accounts of a backup; None if it has none. Raises LogDamaged for what `labos restore` would
-    refuse."""
+    """The accounts in a backup; None if it has none. Raises LogDamaged for accounts that `labos restore`
+    would refuse."""
     try:
         return read_accounts_copy(folder, lab, key)
     except (BadInput, Refused) as error:
@@ -379,7 +379,7 @@ def _write(file: Path, end: Checkpoint) -> None:
 
 @contextmanager
 def _show_progress(quiet: bool) -> Iterator[Progress | None]:
-    """A bar on standard error while somebody is looking."""
+    """A progress bar on standard error, if it is a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return

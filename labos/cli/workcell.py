@@ -1,4 +1,4 @@
-"""``labos workcell``: changing a workcell while its lab runs."""
+"""``labos workcell``: changes a workcell while its lab runs."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _list_changes(found: dict[str, Any]) -> list[str]:
 
 
 def _describe_details(found: dict[str, Any], what: str, kind: str, name: str) -> str:
-    """Which fields of a module change."""
+    """The changed fields of a module."""
     changed = found["details"].get(name) if (what, kind) == ("modules", "changed") else None
     return f" ({'; '.join(changed)})" if changed else ""
 

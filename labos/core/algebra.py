@@ -20,11 +20,18 @@ from typing import Any, Protocol, TypeVar
 
 import msgspec
 
-from labos.core.effects import Carrying, Claims, Consumes, Lid, Needs, Releases, Requires, Sets
+from labos.core.effects import Carrying, Claims, Consumes, Effect, Lid, Needs, Releases, Requires, Sets
 from labos.core.ids import StationName
 
 
-class Carried(Protocol):
+class NeedsRoom(Protocol):
+    """An effect, or a motion that stands for some."""
+
+    @property
+    def room(self) -> tuple[StationName, ...]: ...
+
+
+class Carried(NeedsRoom, Protocol):
     """Data of something that is carried: an effect, or a motion that stands for one."""
 
     @property
@@ -45,8 +52,6 @@ class Carried(Protocol):
     def emptied(self) -> StationName: ...
     @property
     def filled(self) -> StationName: ...
-    @property
-    def room(self) -> tuple[StationName, ...]: ...
 
 
 Asked = TypeVar("Asked", contravariant=True)
@@ -54,6 +59,12 @@ Asked = TypeVar("Asked", contravariant=True)
 
 Why = TypeVar("Why", covariant=True)
 """How a store says that something is in the way."""
+
+
+class RoomLookup(Protocol[Asked, Why]):
+    """What of a bench is asked of effects that carry nothing."""
+
+    def check_room(self, what: Asked, place: StationName) -> Why | None: ...
 
 
 class BenchLookup(Protocol[Asked, Why]):
@@ -83,10 +94,13 @@ class Store(BenchLookup[Carrying, Why], Protocol[Why]):
         the arm can hold it, the right orientation, with or without a lid. The caller has checked before that
         the labware is there."""
 
+    def check_room(self, what: Effect, place: StationName) -> Why | None:
+        """Whether there is room for one piece more. It is asked of every kind of effect."""
+
     def check_labware(self, needs: Needs) -> Why | None:
         """Whether labware stands where it is worked on."""
 
-    def value(self, requires: Requires) -> Why | None:
+    def check_value(self, requires: Requires) -> Why | None:
         """Whether a variable has the value that it must have."""
 
     def check_setpoint(self, claims: Claims) -> Why | None:
@@ -97,7 +111,17 @@ class Store(BenchLookup[Carrying, Why], Protocol[Why]):
 
 
 Thing = TypeVar("Thing", bound=Carried)
+Put = TypeVar("Put", bound=NeedsRoom)
 Reason = TypeVar("Reason")
+
+
+def check_rooms(bench: RoomLookup[Put, Reason], what: Put) -> Reason | None:
+    """Why there is no room where some is needed; None if there is."""
+    for place in what.room:
+        why = bench.check_room(what, place)
+        if why is not None:
+            return why
+    return None
 
 
 def check_standing(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
@@ -122,11 +146,7 @@ def check_reaching(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
         why = bench.check_entry(what, place)
         if why is not None:
             return why
-    for place in what.room:
-        why = bench.check_room(what, place)
-        if why is not None:
-            return why
-    return None
+    return check_rooms(bench, what)
 
 
 def check_carrying(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
@@ -135,22 +155,23 @@ def check_carrying(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
     return check_reaching(bench, what) if why is None else why
 
 
-def check_effect(store: Store[Reason], effect: object) -> Reason | None:
-    """Why an effect may not happen; None if it may. Effects of the other kinds are always possible."""
+def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
+    """Why an effect may not happen; None if it may. Other kinds of effects need room at most."""
+    why: Reason | None = None
     match effect:
         case Carrying():
             why = check_standing(store, effect)
             why = store.check_fits(effect) if why is None else why
             return check_reaching(store, effect) if why is None else why
         case Needs():
-            return store.check_labware(effect)
+            why = store.check_labware(effect)
         case Requires():
-            return store.value(effect)
+            why = store.check_value(effect)
         case Claims():
-            return store.check_setpoint(effect)
+            why = store.check_setpoint(effect)
         case Consumes():
-            return store.check_amount(effect)
-    return None
+            why = store.check_amount(effect)
+    return check_rooms(store, effect) if why is None else why
 
 
 class PieceCount(Protocol):

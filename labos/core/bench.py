@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, get_args
 
 import msgspec
 
 from labos.core.actions import ActionDiscovered, ActionEnd, ActionRequested
-from labos.core.effects import AnyEffect, Carrying, find_labware_used, list_carried, name_hand, turn
+from labos.core.effects import (
+    AnyEffect,
+    Carrying,
+    find_labware_used,
+    list_arrivals,
+    list_carried,
+    name_hand,
+    turn,
+)
 from labos.core.ids import (
     NOBODY,
     ActionId,
@@ -375,8 +383,8 @@ def fold_action_requested(bench: Bench, event: ActionRequested, at: int) -> None
     if event.action in bench.reserved:
         return  # another attempt at the same action
     bench.reserved[event.action] = event.effects
+    _expect(bench, event.effects, 1)
     for what in list_carried(event.effects):
-        _expect(bench, what, 1)
         if what.stock:
             bench.named = max(bench.named, _parse_number(what.labware))
     for name in find_labware_used(event.effects):
@@ -395,22 +403,22 @@ def fold_action_discovered(bench: Bench, event: ActionDiscovered, at: int) -> No
 def fold_action_ended(bench: Bench, event: ActionEnd, at: int) -> None:
     """The reservations of the action are released; its effects follow as separate events."""
     effects = bench.reserved.pop(event.action, ())
-    for what in list_carried(effects):
-        _expect(bench, what, -1)
+    _expect(bench, effects, -1)
     for name in find_labware_used(effects):
         labware = bench.labware.get(name)
         if labware is not None and labware.moving == event.action:
             labware.moving = ""
 
 
-def _expect(bench: Bench, what: Carrying, change: int) -> None:
-    """Change the number of expected arrivals at the places that a motion needs, and of items that it takes
-    off a stack."""
-    for place in what.room:
+def _expect(bench: Bench, effects: Iterable[AnyEffect], change: int) -> None:
+    """Change the number of expected arrivals at the places where an action needs room, and of items that it
+    takes off a stack."""
+    for place in list_arrivals(effects):
         for station in _list_rooms(bench, place):
             station.expected += change
-    if what.stock:
-        bench.stations[what.stock].taking += change
+    for what in list_carried(effects):
+        if what.stock:
+            bench.stations[what.stock].taking += change
 
 
 def count_taking(bench: Bench, stack: StationName) -> int:

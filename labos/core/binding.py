@@ -17,6 +17,7 @@ from labos.core.effects import (
     Claims,
     Consumes,
     Draws,
+    Effect,
     Move,
     Needs,
     Reads,
@@ -72,7 +73,7 @@ def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait |
             case Needs():
                 start.check_labware(effect)
             case Requires(of="labware"):
-                wait = start.value(effect)
+                wait = start.check_value(effect)
         if wait is not None:
             return _make_final(wait)
         start.look_at(effect)
@@ -146,7 +147,7 @@ class StartCheck:
             return check_entry(self.state, self.run, place)
         return check_reachable(self.state, self.run, place)
 
-    def check_room(self, what: Carrying, place: StationName) -> Wait | None:
+    def check_room(self, what: Effect, place: StationName) -> Wait | None:
         return check_room(self.state, place)
 
     def check_labware(self, needs: Needs) -> Wait | None:
@@ -158,9 +159,9 @@ class StartCheck:
             return None
         return explain_missing(self.state, self.run, places[0] if places else StationName(self.step.module))
 
-    def value(self, requires: Requires) -> Wait | None:
+    def check_value(self, requires: Requires) -> Wait | None:
         if requires.of == "module":
-            value = self.state.modules.by_name[self.step.module].value(requires.variable)
+            value = self.state.modules.by_name[self.step.module].find_value(requires.variable)
             name, key = str(self.step.module), module_key(self.step.module)
         elif self.subject is not None:
             value = find_variable(self.subject, requires.variable)
@@ -415,7 +416,7 @@ def check_door_open(state: LabState, place: StationName) -> Wait | None:
     """Whether the doors and lids in front of a station are out of the way."""
     spec = state.bench.stations[place].spec
     for variable, value in spec.access.items():
-        if not is_same(state.modules.by_name[spec.module].value(variable), value):
+        if not is_same(state.modules.by_name[spec.module].find_value(variable), value):
             return Wait(reasons.NoAccess(place, variable, str(value)), (module_key(spec.module),))
     return None
 

@@ -21,6 +21,16 @@ Lid = Literal["", "off", "on"]
 class Effect(msgspec.Struct, frozen=True, tag_field="effect", forbid_unknown_fields=True, gc=False):
     """One thing that an action does or needs."""
 
+    @property
+    def room(self) -> tuple[StationName, ...]:
+        """Where room is needed for one piece more, for good or while the action lasts."""
+        return ()
+
+    @property
+    def cleared(self) -> tuple[StationName, ...]:
+        """Where one piece less stands after the action than during it; those that are empty mean nowhere."""
+        return self.room
+
 
 NOWHERE = StationName("")
 
@@ -89,6 +99,10 @@ class Carrying(Effect, frozen=True):
     def room(self) -> tuple[StationName, ...]:
         """The places that need room for one more piece, at the end or while the grip is changed."""
         return (self.target, self.via) if self.via else (self.target,)
+
+    @property
+    def cleared(self) -> tuple[StationName, ...]:
+        return (self.emptied, self.via)
 
 
 class Move(Carrying, frozen=True, tag="move"):
@@ -367,10 +381,17 @@ def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str],
     changes: dict[str, Any] = {}
     for field in effect.__struct_fields__:
         value = fill_in(getattr(effect, field))
-        if field in ("source", "target", "via", "stack", "station") and value:
+        if field in _PLACES[type(effect)] and value:
             value = station(str(value))
         changes[field] = value
     return msgspec.structs.replace(effect, **changes)
+
+
+def rename_places(effect: AnyEffect, rename: Callable[[StationName], StationName]) -> AnyEffect:
+    """An effect with other names for the stations that it names."""
+    names = {field: getattr(effect, field) for field in _PLACES[type(effect)]}
+    changed = {field: rename(name) for field, name in names.items() if name}
+    return msgspec.structs.replace(effect, **changed) if changed else effect
 
 
 def name_hand(module: str) -> StationName:
@@ -379,8 +400,9 @@ def name_hand(module: str) -> StationName:
 
 
 def list_arrivals(effects: Iterable[Effect]) -> list[StationName]:
-    """Stations at which an action will put labware down, at the end or to change its grip."""
-    return [place for effect in effects if isinstance(effect, Carrying) for place in effect.room]
+    """Stations at which an action needs room: to put labware down, at the end or to change its grip, or to
+    have it free."""
+    return [place for effect in effects for place in effect.room]
 
 
 def changes_labware(effects: Iterable[AnyEffect]) -> bool:

@@ -266,7 +266,7 @@ class Module(msgspec.Struct):
     asked: bool = False
     set_up_for: Any = None
 
-    def value(self, variable: str) -> Any:
+    def find_value(self, variable: str) -> Any:
         """The value of a variable; None if it is not known."""
         known = self.variables.get(variable)
         return known.value if known is not None else None
@@ -281,7 +281,7 @@ class Module(msgspec.Struct):
         rest = self.spec.rest
         if not rest:
             return {}
-        now = {name: self.value(name) for name in rest}
+        now = {name: self.find_value(name) for name in rest}
         return {name: self.variables.get(name) or Variable(None) for name in list_away_from_rest(now, rest)}
 
     def find_pose(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
@@ -324,7 +324,7 @@ class Module(msgspec.Struct):
     @property
     def at_rest(self) -> bool:
         """Whether doors and lids are in the positions at which others may use the module."""
-        return all(self.value(name) == value for name, value in self.spec.rest.items())
+        return all(self.find_value(name) == value for name, value in self.spec.rest.items())
 
 
 class Modules(msgspec.Struct):

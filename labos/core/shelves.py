@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Bench
-from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid
+from labos.core.effects import NOWHERE, AnyEffect, Move, Needs, Relid, Unlid
 from labos.core.ids import LabwareId, StationName, local
 
 
@@ -47,22 +47,21 @@ def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) ->
         labware = bench.labware[name]
         return bench.labware[labware.on].station if labware.on else labware.station
 
-    def free(hotel: StationName) -> StationName:
-        return find_free_shelf(bench, hotel, but) or hotel
-
     where: dict[str, Callable[[], StationName]] = {}
     match effect:
         case Unlid():
-            where = {"source": lambda: stands(effect.plate), "target": lambda: free(effect.target)}
+            where = {"source": lambda: stands(effect.plate)}
         case Relid():
             where = {"source": lambda: stands(effect.labware), "target": lambda: stands(effect.plate)}
         case Move():
-            where = {"source": lambda: stands(effect.labware), "target": lambda: free(effect.target)}
-        case Take():
-            where = {"target": lambda: free(effect.target)}
+            where = {"source": lambda: stands(effect.labware)}
         case Needs() if effect.labware:
             where = {"station": lambda: stands(effect.labware)}
     told = {field: find() for field, find in where.items() if getattr(effect, field) in bench.shelves}
+    for field in ("target", "station"):
+        place = getattr(effect, field, NOWHERE)
+        if place in effect.room and place in bench.shelves:
+            told[field] = find_free_shelf(bench, place, but) or place
     return msgspec.structs.replace(effect, **told) if told else effect
 
 
@@ -82,11 +81,10 @@ def expand_hotels(
     """Arguments with shelves instead of the hotels that they name."""
     shelves: dict[Any, str] = {}
     for before, after in zip(planned, bound, strict=True):
-        if isinstance(before, Move | Take | Needs):
-            for field in ("source", "target", "station"):
-                hotel, shelf = getattr(before, field, ""), getattr(after, field, "")
-                if hotel != shelf and hotel:
-                    shelves[local(hotel)] = local(shelf)
+        for field in ("source", "target", "station"):
+            hotel, shelf = getattr(before, field, ""), getattr(after, field, "")
+            if hotel != shelf and hotel:
+                shelves[local(hotel)] = local(shelf)
     if not shelves:
         return args
     return {name: shelves.get(v, v) if isinstance(v, str) else v for name, v in args.items()}

@@ -1,1 +1,1 @@
-"""The lab's commands and questions over HTTP, for programs and for the command line."""
+"""The lab's commands and queries over HTTP, for programs and for the command line."""

@@ -1,4 +1,4 @@
-"""A person reaches into a workcell: arms are parked by runs of their own first."""
+"""Access of a person to a workcell: first, runs park the arms."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from labos.http.stock import check
 from labos.spec.about import find_description
 
 PARKED_FIRST = 1_000_000
-"""The priority of parking: somebody stands there and waits."""
+"""The priority of parking runs: a person is waiting at the workcell."""
 
 
 class StationChange(msgspec.Struct, forbid_unknown_fields=True):
-    """``what``: ``empty``, labware that is known, or a type of labware."""
+    """``what``: ``empty``, labware that the log knows, or a labware type."""
 
     station: Name
     what: Name
@@ -54,7 +54,7 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
 async def end_access(
     service: LabService, workcell: str, by: str, note: str, told: Sequence[StationChange]
 ) -> None:
-    """The person is out; what was changed is written down with it. Raises Refused, NotFound."""
+    """The access has ended; the changes are recorded with its end. Raises Refused, NotFound."""
     cell = service.workcell(workcell).name
     changes = [ReportedChange(service.station(change.station), change.what) for change in told]
     for change in changes:
@@ -66,7 +66,7 @@ async def end_access(
 
 
 def _list_parkable(service: LabService, state: LabState, cell: str) -> list[str]:
-    """The manipulators of a workcell that can go home now, by their local names."""
+    """The manipulators of a workcell that can go to their home position now, by their local names."""
     found = []
     for name, module in state.modules.by_name.items():
         about = find_description(module.spec, service.parts.descriptions)

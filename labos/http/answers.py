@@ -1,4 +1,4 @@
-"""What the operations answer, where nothing else in LabOS has the shape of it."""
+"""Answers of the operations, where no other type of LabOS has their form."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class EventPage(msgspec.Struct, frozen=True):
 class RunDetail(msgspec.Struct, frozen=True):
     """A run from the log, with its steps. Times are in UTC nanoseconds, 0 if not yet known. ``status``:
     queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy`` are the periods
-    (from, to) in which one of its actions was under way. ``due_at`` is the time by which it should end."""
+    (from, to) in which one of its actions was in flight. ``due_at`` is the time by which it should end."""
 
     id: str
     workflow: str
@@ -96,8 +96,8 @@ class RunSubmission(msgspec.Struct, frozen=True):
 
 
 class RunsSubmission(msgspec.Struct, frozen=True):
-    """The ids of the runs, in the order of their payloads, and what the workflow's files made the lab remark.
-    ``approvals`` say why runs wait for one, one sentence for each that does."""
+    """The ids of the runs, in the order of their payloads, and the warnings about the workflow's files.
+    ``approvals`` has the reason, one sentence for each run that waits for an approval."""
 
     runs: list[str]
     warnings: tuple[Finding, ...] = ()

@@ -1,6 +1,6 @@
-"""The application: the operations of the API below ``/api/v1``, and what is not part of it.
+"""The HTTP application: the operations of the API below ``/api/v1``, and the routes that are not part of it.
 
-Every answer is given when what it tells is on disk.
+An answer is sent only when everything that it reports is on disk.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ DOCUMENT = f"{PREFIX}/openapi.json"
 
 
 def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> Starlette:
-    """The application over one lab. ``names`` are those under which it is reached, besides this computer's
-    own."""
+    """The application for one lab. ``names`` are the host names under which it is reached, besides those of
+    this computer."""
     api = Api(service, gate)
     app = Starlette(
         routes=[
@@ -54,7 +54,7 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
 
 
 def _list_other_routes(api: Api) -> list[Route]:
-    """What is asked by programs that know nothing of the API: health probes, and collectors of metrics."""
+    """Routes for programs that do not know the API: health probes, and collectors of metrics."""
 
     async def describe(request: Request) -> Response:
         """The description of the API (OpenAPI 3.1)."""
@@ -62,8 +62,8 @@ def _list_other_routes(api: Api) -> list[Route]:
         return wire.answer_encoded(_encode_document())
 
     async def probe(request: Request) -> Response:
-        """Whether this process works: the kernel's, or one that serves the API for it. Probes show nothing,
-        and are told nothing else."""
+        """Whether this process works: the kernel's process, or an API process. Probes receive no other
+        information."""
         failed = api.kernel.failed.done()
         return wire.answer({"status": "failed" if failed else "ok"})
 
@@ -75,7 +75,7 @@ def _list_other_routes(api: Api) -> list[Route]:
 
 
 def _make_route(operation: Operation, api: Api) -> Route:
-    # The name of a module may have a slash: `rpl/sealer`.
+    # The name of a module may contain a slash: `rpl/sealer`.
     path = re.sub(r"\{module\}", "{module:path}", operation.path)
     return Route(PREFIX + path, operation.endpoint(api), methods=[operation.method], name=operation.id)
 

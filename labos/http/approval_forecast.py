@@ -1,4 +1,4 @@
-"""What a proposal would bring if it were approved now."""
+"""The forecast for a proposal that is approved now."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ProposalForecast(msgspec.Struct, frozen=True):
 
 
 async def forecast_proposal(service: LabService, proposal: Proposal) -> ProposalForecast:
-    """Raises BadInput for an experiment, as nobody knows what it will ask for; Refused."""
+    """Raises BadInput for an experiment, as its requests are not known in advance; Refused."""
     if proposal.kind == "experiment":
         raise BadInput(
             f"There is no forecast for the experiment {proposal.subject}, because its application decides "

@@ -1,4 +1,4 @@
-"""Whether modules can work now: each node is asked over the bus, and what it says is told as it is."""
+"""Whether modules can work now: each node is asked over the bus, and its answer is passed on unchanged."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from labos.http.service import LabService
 
 ANSWER_S = 2.0
-"""How long a node may take to answer: it does nothing but say what it knows."""
+"""How long a node may take to answer; it answers from memory."""
 
 LOOK_S = 5.0
-"""How long its device may take to be looked at."""
+"""How long a node may take to look at its device."""
 
 _reply = msgspec.json.Decoder(AdminReply)
 
@@ -32,10 +32,11 @@ PROCESS_LIVES = ("starting", "running")
 
 
 class NodeCheck(msgspec.Struct, frozen=True):
-    """What a node says of itself and its device: its driver with version, its LabOS and its version of the
-    node protocol, the serial number that it is pinned to, the version that its device tells (both may be
-    empty), what the device sees just now, or why that cannot be told, and how far the clock of the node's
-    host is ahead of the kernel's, in seconds (to half the time of the answer; None if it does not tell)."""
+    """The node's description of itself and its device: the driver and its version, its versions of LabOS and
+    of the node protocol, the serial number to which it is pinned, and the version that the device reports
+    (both may be empty). Then the device's present readings, or why there are none. Then how many seconds the
+    clock of the node's host is ahead of the kernel's (uncertain by half the time of the answer; None if it is
+    not reported)."""
 
     driver: str
     version: str
@@ -50,11 +51,11 @@ class NodeCheck(msgspec.Struct, frozen=True):
 
 
 class NodeAnswer(msgspec.Struct, frozen=True):
-    """What a module's node answered just now. ``IDLE``, ``BUSY`` and ``ERROR`` are its own words, ``ERROR``
-    also if its device is off or does not answer, as ``why`` tells; ``silent``: there is no node; ``frozen``:
-    there is one, and it does not answer; ``refused``: the lab does not admit it; ``out``: its node answers,
-    but the module is out of service; ``absent``: this lab has no such module. ``checked`` is there if it was
-    asked for, and answered."""
+    """The present answer of a module's node. ``IDLE``, ``BUSY`` and ``ERROR`` are states that the node
+    reports; ``ERROR`` also if its device is off or does not answer (see ``why``). ``silent``: there is no
+    node; ``frozen``: there is one, but it does not answer; ``refused``: the lab does not admit it; ``out``:
+    its node answers, but the module is out of service; ``absent``: this lab has no such module. ``checked``
+    is present if it was requested and the node answered."""
 
     module: ModuleName
     answer: Literal["IDLE", "BUSY", "ERROR", "silent", "frozen", "refused", "out", "absent"]
@@ -67,8 +68,9 @@ class NodeAnswer(msgspec.Struct, frozen=True):
 
 
 async def ask_nodes(service: LabService, modules: Sequence[str], *, check: bool = False) -> list[NodeAnswer]:
-    """Ask the nodes of these modules, or of all, at once; ``check`` also asks each who it is and what its
-    device sees. Nothing moves. Raises BadInput for a name that several modules bear."""
+    """Ask the nodes of these modules, or of all, at the same time. With ``check``, each also reports its
+    versions and its device's readings. Nothing moves. Raises BadInput for a name that several modules
+    have."""
     names = list(modules) or list(map(str, service.kernel.state.modules.by_name))
     heard = await asyncio.gather(*(_ask(service, name) for name in names))
     if not check:
@@ -111,12 +113,12 @@ async def _check(service: LabService, heard: NodeAnswer) -> NodeAnswer:
 
 
 def _measure_ahead_s(node_ns: int, asked_ns: int, heard_ns: int) -> float | None:
-    """By how much a node's clock is ahead, if it answered half-way between question and answer."""
+    """How far a node's clock is ahead, if the node answered in the middle between question and answer."""
     return (node_ns - (asked_ns + heard_ns) // 2) / 1e9 if node_ns else None
 
 
 async def switch_trace(service: LabService, module: ModuleName, on: bool) -> str:
-    """Start or stop the transcript of a device's links; its file, on the computer of its node. Raises
+    """Start or stop the transcript of a device's links; returns its file on the node's computer. Raises
     Refused, also if no node answers."""
     request = AdminRequest(service.parts.registry.lab, service.kernel.epoch, "trace", {"on": on})
     key = Keys(service.parts.registry.lab).operation(module, "admin")
@@ -154,7 +156,7 @@ async def _ask(service: LabService, asked: str) -> NodeAnswer:
 
 
 def _explain_silence(service: LabService, name: ModuleName) -> NodeAnswer:
-    """A node that is gone, or one that is there and does not answer."""
+    """The answer for a node that is gone, or that is present but does not answer."""
     supervised = service.parts.supervised
     process = supervised.nodes.get(name) if supervised is not None else None
     if process is not None and process.state in PROCESS_LIVES and process.pid:

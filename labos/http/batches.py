@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 async def submit_batch(
     service: LabService, asked: NewRuns, key: str
 ) -> tuple[list[str], tuple[Finding, ...]]:
-    """Queue a run for each payload, in one command; returns their ids, and the warnings. A run whose key the
-    log knows already is not submitted again; Refused if something else was asked for with it. Errors name
-    the payload."""
+    """Queue a run for each payload, in one command; returns their ids, and the warnings. A run whose key is
+    in the log is not submitted again; Refused if its request was a different one. Errors name the payload."""
     _check_lists(asked)
     service.expect_role(asked.user, "submitter")
     service.expect_own(asked.experiment, asked.user)
@@ -84,7 +83,7 @@ def _check_lists(asked: NewRuns) -> None:
 
 
 def _text_of(asked: NewRuns, number: int) -> WorkflowText:
-    """The workflow of one payload, with the files that it has."""
+    """The workflow of one payload, with the files for this payload."""
     if not asked.files:
         return asked.workflow
     files = asked.workflow.files
@@ -94,7 +93,7 @@ def _text_of(asked: NewRuns, number: int) -> WorkflowText:
 
 
 async def _list_digests(service: LabService, asked: NewRuns) -> list[str]:
-    """What is asked for with each run, as a single request for it would say it."""
+    """The digest of each run's request, equal to the digest of a single request for this run."""
     files = await asyncio.to_thread(digest_files, asked.workflow.files)
     return [
         digest_of_run(
@@ -114,7 +113,7 @@ async def _list_digests(service: LabService, asked: NewRuns) -> list[str]:
 
 
 def _find_known(service: LabService, keys: Sequence[str]) -> dict[int, RunId]:
-    """The runs that the log has for keys, by their numbers."""
+    """The runs that are in the log under these keys, by their numbers."""
     requests = service.kernel.state.runs.requests
     return {number: requests[key] for number, key in enumerate(keys) if key and key in requests}
 
@@ -137,7 +136,7 @@ async def _expect_same(
 async def _compile_each(
     service: LabService, asked: NewRuns, workcell: str, loads: Sequence[LoadStation]
 ) -> list[Compiled]:
-    """The plan of each payload; equal payloads have the same one."""
+    """The plan of each payload; equal payloads share one plan."""
     plans: dict[str, Compiled] = {}
     found = []
     for number, payload in enumerate(asked.payloads):
@@ -152,7 +151,7 @@ async def _compile_each(
 
 @contextmanager
 def _payload_named(asked: NewRuns, number: int) -> Iterator[None]:
-    """What is raised about one payload says which one it is, and that nothing was submitted."""
+    """An error that is raised for one payload names this payload, and says that nothing was submitted."""
     name = f"payloads[{asked.first + number}]: "
     try:
         yield

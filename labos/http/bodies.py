@@ -1,4 +1,4 @@
-"""What a request says: the JSON bodies of the routes."""
+"""The JSON bodies of requests."""
 
 from __future__ import annotations
 
@@ -366,7 +366,8 @@ class RunPause(By, forbid_unknown_fields=True):
 
 
 class EmergencyStop(msgspec.Struct, forbid_unknown_fields=True):
-    """Who asks is no reason to refuse an emergency stop: ``named_in_emergency`` makes a name of it."""
+    """An emergency stop is never refused because of the user's name: ``named_in_emergency`` makes a valid
+    name of it."""
 
     target: Annotated[Name, says("a module, a workcell, or `*` for everything")]
     said_by: Annotated[str, WHO_ASKS] = msgspec.field(name="by", default="somebody")

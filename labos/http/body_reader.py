@@ -1,4 +1,4 @@
-"""Reads the bodies of requests: no more than is allowed, no slower, and not too many at once."""
+"""Reads the bodies of requests, with limits on their size, duration and number."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labos.http.limits import LARGEST_BODIES, LARGEST_BODY
 
 
 class TooLarge(BadInput):
-    """The request is larger than it may be."""
+    """The request is too large."""
 
 
 class TooSlow(BadInput):
@@ -21,23 +21,23 @@ class TooSlow(BadInput):
 
 
 class TooMany(BadInput):
-    """Too much is being sent to the lab at once."""
+    """Too many large requests are being sent to the lab at the same time."""
 
 
 FIRST_S = 20.0
-"""How long a body may take, besides what its size needs."""
+"""How long a body may take, in addition to the time that its size needs."""
 SLOWEST = 64 * 1024
-"""Bytes in a second: a slower body is given up."""
+"""Bytes in a second: a slower body is refused."""
 
 
 DRAINED = 8 * 1024 * 1024
 DRAINED_S = 1.0
-"""What is still read of a request that is refused: a connection that is closed while its client sends would
-be reset, and the client might not hear why."""
+"""How long the rest of a refused request is still read. If the connection was closed while the client was
+sending, it would be reset, and the client might not receive the reason."""
 
 
 async def drain(pieces: AsyncIterator[bytes]) -> None:
-    """Read on for a moment, and throw it away."""
+    """Read and discard the rest of a request for a moment."""
     size = 0
     with contextlib.suppress(TimeoutError, ClientDisconnect):
         async with asyncio.timeout(DRAINED_S):
@@ -54,7 +54,7 @@ class BodyReader:
         self._bytes = 0
 
     async def read(self, request: Request, most: int = LARGEST_BODY) -> bytes:
-        """The whole body. Raises TooLarge as soon as more has come, TooSlow, TooMany."""
+        """The whole body. Raises TooLarge as soon as it exceeds ``most``, TooSlow, TooMany."""
         told = request.headers.get("content-length", "")
         body = bytearray()
         loop = asyncio.get_running_loop()

@@ -1,4 +1,4 @@
-"""Bookings and the calendar, as requests and answers say them."""
+"""Bookings and the calendar, as the types of requests and answers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from labos.http.service import LabService
 
 LONGEST_CALENDAR_DAYS = 400
 MOST_TIMES = 5_000
-"""Times that a calendar shows at once."""
+"""The largest number of times in one calendar."""
 
 BEGINS = "when it begins (UTC nanoseconds)"
 ENDS = "when it ends (UTC nanoseconds)"
@@ -243,8 +243,8 @@ def make_terms(state: LabState, body: NewBooking) -> NewTerms:
 
 
 def change_terms(state: LabState, booking: Booking, body: BookingChange) -> NewTerms:
-    """The terms of a booking with what somebody wants to change. Who moves its begin alone moves its end
-    along."""
+    """The terms of a booking after a change. If only its beginning is changed, its end moves by the same
+    time."""
     user, group, maintenance = booking.user, booking.group, booking.maintenance
     if body.maintenance is not None:
         maintenance = body.maintenance
@@ -270,7 +270,7 @@ def change_terms(state: LabState, booking: Booking, body: BookingChange) -> NewT
 
 
 def _find_owner(state: LabState, said: str, by: str) -> tuple[str, str]:
-    """The user or the group that is meant; the user who asks if nobody is named. Raises BadInput."""
+    """The user or the group that the request names; the requesting user if it names none. Raises BadInput."""
     kind, colon, name = said.partition(":")
     if not said:
         return find_person(by), ""

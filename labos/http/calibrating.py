@@ -19,7 +19,7 @@ async def calibrate(service: LabService, name: str, told: NewCalibration, by: st
     module = service.module(name)
     command = make_from(CalibrateModule, told, module=module, by=by)
     if told.report:
-        check(service, command, by)  # a request that is refused leaves no file behind
+        check(service, command, by)  # a refused request must not leave a file behind
         file = await asyncio.to_thread(service.parts.blobs.put, told.report)
         command = msgspec.structs.replace(command, file=file)
     await service.kernel.execute(command, by)

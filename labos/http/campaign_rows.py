@@ -1,4 +1,4 @@
-"""The rows of campaigns: read from their blobs, planned when their turn comes."""
+"""The rows of campaigns: read from their blobs, and planned shortly before their submission."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _definition = msgspec.json.Decoder(WorkflowText)
 
 
 class RowTable:
-    """The rows of a campaign: the blob and where each row begins in it."""
+    """The rows of a campaign: the blob, and the position at which each row begins in it."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -50,7 +50,7 @@ def read_definition(blobs: BlobReader, digest: str) -> WorkflowText:
 
 
 def take_due(row: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
-    """The payload of a row, and when its run is due by the value of a key (empty: at no time)."""
+    """The payload of a row, and the due date of its run from the value of a key (empty: none)."""
     if not key:
         return row, ""
     due, payload = row.get(key), {name: value for name, value in row.items() if name != key}
@@ -58,7 +58,7 @@ def take_due(row: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
 
 
 def explain_no_time(due: str) -> str:
-    """What is wrong with the time at which a row's run is due; empty if nothing is."""
+    """What is wrong with the due date of a row's run; empty if it is valid."""
     try:
         found = parse_time(due, 0) if due else 1
     except BadInput as error:
@@ -67,7 +67,7 @@ def explain_no_time(due: str) -> str:
 
 
 class CampaignRows:
-    """Plans rows of campaigns for the feeder. Keeps the tables of those that go on."""
+    """Plans rows of campaigns for the feeder. Keeps the tables of campaigns that are in progress."""
 
     def __init__(self, service: LabService) -> None:
         self._service = service

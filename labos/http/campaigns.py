@@ -1,4 +1,4 @@
-"""Campaigns over HTTP: checked as a whole, kept as blobs, fed row by row."""
+"""Campaigns over HTTP: each is checked as a whole, stored as blobs, and submitted row by row."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ from labos.spec.findings import Finding, FindingList, make_finding, near
 from labos.spec.rows import TableLine as RowLine
 
 MOST_CHECKED = 2_000
-"""Rows of one campaign that are planned before it is submitted; of longer tables so many, evenly spread."""
+"""The largest number of rows of one campaign that are planned before its submission; of a longer table so
+many, evenly spread."""
 
 CHECKED_AT_ONCE = 10
-"""Rows that are planned without a pause, while the kernel waits for its share."""
+"""The number of rows that are planned without a pause, while the kernel waits for the processor."""
 
 
 class ConsumableEstimate(msgspec.Struct, frozen=True):
@@ -91,8 +92,8 @@ class CampaignView(msgspec.Struct, frozen=True):
 
 
 class CheckedCampaign(msgspec.Struct):
-    """What the check of a campaign's rows has found: a plan of each that was planned, and in ``rows`` all of
-    them between which it chooses."""
+    """The result of the check of a campaign's rows: the plan of each row that was planned, and in ``rows``
+    all plans between which each row chooses."""
 
     report: FindingList
     plans: list[Plan] = []
@@ -101,8 +102,8 @@ class CheckedCampaign(msgspec.Struct):
 
 
 async def submit_campaign(service: LabService, new: NewCampaign, request: str) -> tuple[str, Estimate]:
-    """Check all of it, keep table and workflow, and submit it; with ``dry_run``, only check. Raises
-    SpecError, SpecErrors with what is wrong in which row, NotFound, Refused, KeyReused."""
+    """Check the whole campaign, store its table and workflow, and submit it; with ``dry_run``, only check.
+    Raises SpecError, SpecErrors with each fault and its row, NotFound, Refused, KeyReused."""
     told, deadline, workcell, checked = await _read(service, new)
     return await keep_campaign(service, new, told, workcell, checked, deadline, request)
 
@@ -117,7 +118,7 @@ async def keep_campaign(
     request: str,
     cloned_from: CampaignId = NOBODYS,
 ) -> tuple[str, Estimate]:
-    """Keep table and workflow of what was checked, and submit it. Raises Refused, KeyReused."""
+    """Store the table and workflow of a checked campaign, and submit it. Raises Refused, KeyReused."""
     estimate = _estimate(service, told, workcell, checked)
     if new.dry_run:
         return "", estimate
@@ -146,7 +147,7 @@ async def keep_campaign(
 
 
 async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Estimate, LabForecast]:
-    """Check all of it, and ask what it would bring. Raises as ``submit_campaign``."""
+    """Check the whole campaign, and make its forecast. Raises as ``submit_campaign``."""
     told, deadline, workcell, checked = await _read(service, new)
     estimate = _estimate(service, told, workcell, checked)
     command = _command(new, told, estimate, checked, deadline)
@@ -154,8 +155,8 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
 
 
 async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, CheckedCampaign]:
-    """A campaign file as it is meant, its deadline (UTC ns), its workcell, and what was found in it."""
-    service.expect_role(new.user, "submitter")  # before anything is planned or kept
+    """The content of a campaign file, its deadline (UTC ns), its workcell, and the result of the check."""
+    service.expect_role(new.user, "submitter")  # before anything is planned or stored
     told = await service.run_beside(len(new.text), parse_campaign, new.text, new.name, new.files)
     deadline = _parse_deadline(service, told)
     workcell = service.workcell(told.file.workcell or await _find_workcell(service, new.workflow)).name
@@ -193,8 +194,8 @@ def _command(
 
 
 def _expect_same(service: LabService, name: CampaignId, command: SubmitCampaign) -> None:
-    """Raises KeyReused if the campaign that bears a key is another one; one that has been completed is taken
-    at its word."""
+    """Raises KeyReused if the campaign with this key is a different one; a campaign that has been completed
+    is not compared."""
     known = service.kernel.state.campaigns.open.get(name)
     if known is None:
         return
@@ -229,7 +230,7 @@ async def _find_workcell(service: LabService, workflow: WorkflowText) -> str:
 
 
 def _choose_rows(lines: Sequence[RowLine]) -> list[int]:
-    """The rows that are planned before the campaign is submitted: all, or so many evenly spread."""
+    """The rows that are planned before the submission: all, or so many, evenly spread."""
     if len(lines) <= MOST_CHECKED:
         return list(range(len(lines)))
     last = len(lines) - 1
@@ -239,7 +240,7 @@ def _choose_rows(lines: Sequence[RowLine]) -> list[int]:
 async def check_rows(
     service: LabService, new: NewCampaign, told: CampaignSource, workcell: str
 ) -> CheckedCampaign:
-    """Plan rows. Raises SpecErrors with the faults of all of them."""
+    """Plan rows. Raises SpecErrors with the faults of all rows."""
     checked, rows = CheckedCampaign(FindingList(new.name)), _choose_rows(told.lines)
     for first in range(0, len(rows), CHECKED_AT_ONCE):
         part = rows[first : first + CHECKED_AT_ONCE]
@@ -295,8 +296,8 @@ def _plan_rows(
 
 
 def _report_row(report: FindingList, row: int, line: RowLine, finding: Finding, workflow: str) -> None:
-    """A fault of a row, at its place in the table: that of the value which the faulty line of the workflow
-    takes, if it names one. Where the workflow has it stands behind."""
+    """Report a fault of a row, at its place in the table: at the value that the faulty line of the workflow
+    uses, if it names one. The place in the workflow follows."""
     where, field = "", finding.field
     if finding.file and finding.line:
         where = f" ({finding.file}:{finding.line}:{finding.column})"
@@ -347,7 +348,7 @@ def _estimate(service: LabService, told: CampaignSource, workcell: str, checked:
 
 
 def find_left(service: LabService, workcell: str, kind: str) -> float | None:
-    """What is left of a consumable in all modules of a workcell."""
+    """The rest of a consumable in all modules of a workcell."""
     levels = service.kernel.state.resources.levels
     found = [
         level.level
@@ -358,7 +359,7 @@ def find_left(service: LabService, workcell: str, kind: str) -> float | None:
 
 
 def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:
-    """The terms with what is asked. Raises BadInput."""
+    """The terms after the requested change. Raises BadInput."""
     budget = Budget(
         terms.budget.runs if asked.runs is None else asked.runs,
         terms.budget.lab_time_s if asked.lab_time_s is None else asked.lab_time_s,

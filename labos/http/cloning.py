@@ -1,4 +1,4 @@
-"""A campaign once more: the same rows and the same workflow, checked in the lab as it is now."""
+"""A copy of a campaign: the same rows and the same workflow, checked in the present state of the lab."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from labos.spec.source import parse
 async def clone_campaign(
     service: LabService, name: str, asked: Clone, user: str, request: str
 ) -> tuple[str, Estimate]:
-    """Submit a campaign, also one that has ended, once more; with ``dry_run``, only check that. Raises
-    SpecErrors with what is wrong in which row, NotFound, Refused, KeyReused."""
+    """Submit a copy of a campaign, also of one that has ended; with ``dry_run``, only check it. Raises
+    SpecErrors with each fault and its row, NotFound, Refused, KeyReused."""
     service.expect_role(user, "submitter")
     first, terms = await asyncio.to_thread(_read, service.parts.store, name)
     blobs = service.parts.blobs
@@ -56,7 +56,7 @@ async def clone_campaign(
 
 
 def _read(log: Log, name: str) -> tuple[CampaignSubmitted, Terms]:
-    """What was submitted, and the terms that held last. Raises NotFound."""
+    """The submitted campaign, and its last terms. Raises NotFound."""
     kinds: tuple[Any, ...] = (CampaignSubmitted, CampaignAmended, ApprovalGiven)
     query = LogQuery(streams=(name,), types=tuple(kind.TYPE for kind in kinds))
     first: CampaignSubmitted | None = None

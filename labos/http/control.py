@@ -1,5 +1,5 @@
-"""Pausing, resuming and cancelling whatever a name means: a run, an experiment, a module, a workcell, the
-lab."""
+"""Pauses, resumes and cancels the target that a name stands for: a run, an experiment, a module, a workcell,
+the lab."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ async def control(kernel: LabKernel, verb: str, asked: ControlRequest) -> Contro
 
 
 def find_meant(state: LabState, text: str) -> tuple[Kind, str]:
-    """What a name means; modules may be named without their workcell."""
+    """The target that a name stands for; modules may be named without their workcell."""
     if state.runs.get(text) is not None:
         return "run", text
     if ExperimentId(text) in state.experiments.open:

@@ -1,4 +1,4 @@
-"""Saying what stands on the bench: all of it, or nothing."""
+"""Declares the content of the bench: all stations or none."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from labos.http.service import LabService
 async def declare_bench(
     service: LabService, told: Mapping[str, Sequence[str]], workcell: str, by: str, *, empty: bool
 ) -> dict[str, list[str]]:
-    """Declare stations by what stands there, bottom to top; with ``empty``, those that nobody has
-    spoken of stand empty. Returns what was declared. Raises Refused, NotFound, BadInput."""
+    """Declare the content of stations, bottom to top; with ``empty``, stations without a declaration are
+    empty. Returns what was declared. Raises Refused, NotFound, BadInput."""
     bench = service.kernel.state.bench
     stations: dict[StationName, tuple[str, ...]] = {}
     for name, types in told.items():

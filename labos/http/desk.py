@@ -1,4 +1,4 @@
-"""Where the kernel's process answers API processes, on the bus."""
+"""The part of the kernel's process that answers API processes over the bus."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from labos.http.wire import send_problem
 
 LONGEST_S = 65.0
 AT_ONCE = 64
-"""Requests of all API processes that are worked on at once."""
+"""The number of requests of all API processes that are handled at the same time."""
 LIVES_S = 15.0
-"""An API process that has said nothing for so long is gone."""
+"""An API process without a message for so long counts as gone."""
 MOST_PROCESSES = 100
 STREAM = f"{PREFIX}/events/stream"
 
@@ -31,7 +31,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Desk:
-    """Answers the questions of API processes with the kernel's own application."""
+    """Answers the requests of API processes with the kernel's own application."""
 
     def __init__(self, app: Starlette, service: LabService, letters: Letters) -> None:
         self._app, self._service, self._letters = app, service, letters
@@ -40,12 +40,12 @@ class Desk:
 
     @property
     def addresses(self) -> dict[str, str]:
-        """Where the metrics of living API processes are, by their names."""
+        """The addresses of the metrics of running API processes, by their names."""
         now = self._service.kernel.clock.monotonic()
         return {name: at for name, (at, heard) in self._heard.items() if at and now - heard < LIVES_S}
 
     async def on_question(self, key: str, payload: bytes) -> bytes:
-        """Answer a question. Raises Unreadable for one that is not believed."""
+        """Answer a request. Raises Unreadable for one that is not genuine."""
         question, nonce = self._letters.read_question(payload)
         match question:
             case Hello(address):
@@ -66,7 +66,7 @@ class Desk:
         try:
             found = await idempotent.recall(asked.key, asked.digest, asked.user)
         except LabosError:
-            found = None  # it was refused, and is not remembered
+            found = None  # the request was refused: nothing is stored for it
         if found is None:
             return KernelAnswer(0)
         return KernelAnswer(found.status_code, tuple(found.raw_headers), bytes(found.body), self._durable)
@@ -89,14 +89,14 @@ class Desk:
         return KernelAnswer(status, headers, body, self._durable)
 
     async def _call(self, asked: SentOn) -> tuple[int, Headers, bytes]:
-        """Ask the application as its server would."""
+        """Call the application in the same way as its server."""
         arriving: list[Message] = [{"type": "http.request", "body": asked.body, "more_body": False}]
         status, headers, body = 500, (), bytearray()
 
         async def receive() -> Message:
             if arriving:
                 return arriving.pop()
-            await asyncio.Event().wait()  # the client stays connected until the answer is there
+            await asyncio.Event().wait()  # the client stays connected until the answer is complete
             raise AssertionError
 
         async def send(message: Message) -> None:
@@ -123,7 +123,7 @@ class Desk:
         }
         try:
             await self._app(scope, receive, send)
-        except Exception:  # the application has answered already; its server would log the rest, too
+        except Exception:  # the application has answered already; its server would only log later errors, too
             _log.exception("request_failed", path=asked.path)
         return status, headers, bytes(body)
 

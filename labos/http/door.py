@@ -1,6 +1,6 @@
-"""Who may talk to the lab: programs that mean it, not web pages that a browser shows.
+"""Which requests are accepted: those that a program sends on purpose, not those of web pages in a browser.
 
-A page of another site can let a browser on this computer send requests here. It cannot choose the headers
+A page of another site can make a browser on this computer send requests here. It cannot choose the headers
 ``Host`` and ``Origin``, nor send ``application/json`` without asking first.
 """
 
@@ -19,16 +19,17 @@ from labos.http.body_reader import drain
 from labos.http.problems import Problem, make_problem
 
 LONGEST_PATH = 4_000
-"""Bytes of a path, and of a query, as they are sent."""
+"""The largest number of bytes in a path, and in a query, as sent."""
 
 
 WAY_BACK = "/login/oidc/callback"
-"""Where an identity provider sends a browser: the one path to which pages of others may lead."""
+"""The path to which an identity provider redirects a browser: the only path to which pages of other sites may
+lead."""
 
 
 class RequestFilter:
-    """Refuses requests before any handler sees them. ``names`` are those of the server besides this
-    computer's own."""
+    """Refuses requests before a handler is called. ``names`` are the names of the server besides those of
+    this computer."""
 
     def __init__(self, app: ASGIApp, names: Collection[str] = ()) -> None:
         self._app = app
@@ -54,7 +55,7 @@ class RequestFilter:
 
     def _check_host(self, host: str) -> Problem | None:
         name = _strip_port(host)
-        # A browser always names a host; a program that names none is not led here by a page.
+        # A browser always names a host; a request without a host is not caused by a page.
         if not name or name in self._names or _is_address(name):
             return None
         return make_problem(
@@ -73,7 +74,7 @@ def _strip_port(host: str) -> str:
 
 
 def _is_address(name: str) -> bool:
-    """Whether it is an IP address: no other site can let a browser take one for its own name."""
+    """Whether it is an IP address: no other site can make a browser use one as the name of the site."""
     try:
         ipaddress.ip_address(name)
     except ValueError:
@@ -82,7 +83,7 @@ def _is_address(name: str) -> bool:
 
 
 def _is_way_back(scope: Scope) -> bool:
-    """Whether an identity provider's page sends somebody back who has signed in there."""
+    """Whether an identity provider redirects a user who has signed in there."""
     return (scope["method"], scope["path"]) == ("GET", WAY_BACK)
 
 
@@ -109,7 +110,7 @@ def _check_json(method: str, content_type: str) -> Problem | None:
 
 
 def _check_text(scope: Scope) -> Problem | None:
-    """Paths and queries are UTF-8, and not too long."""
+    """Paths and queries must be UTF-8, and not too long."""
     for what, raw in (("path", scope.get("raw_path", b"")), ("query", scope["query_string"])):
         if len(raw) > LONGEST_PATH:
             return make_problem(

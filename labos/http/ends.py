@@ -1,4 +1,4 @@
-"""Streams end when what their followers have shown ends: at its time, or when it is taken back."""
+"""A stream ends when its follower's credential ends: at its expiry, or when it is revoked."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    # The process for followers starts without them.
+    # The process for followers starts without these imports.
     from labos.clock import Clock
     from labos.services.accounts import Credential
 
 _SECOND = 1_000_000_000
 LONGEST_S = 86400.0
-"""A stream ends after a day at the latest if its follower has shown something; who follows connects again."""
+"""A stream with a credential ends after a day at the latest; its follower connects again."""
 
 
 class StreamEnd:
-    """The end of one stream. ``when`` is called when it comes."""
+    """The end of one stream. ``when`` is called at the end."""
 
     def __init__(self, lasts_s: float) -> None:
         self.has_come = False
@@ -30,13 +30,13 @@ class StreamEnd:
         self.when()
 
     def forget(self) -> None:
-        """The stream is over by itself."""
+        """The stream has ended by itself."""
         self._timer.cancel()
 
 
 class StreamEnds:
     """The streams of this process by the key of a credential, and those that another process serves.
-    ``cut_elsewhere`` is told which keys have ended."""
+    ``cut_elsewhere`` is called with the keys that have ended."""
 
     def __init__(self, clock: Clock, cut_elsewhere: Callable[[str], None] = lambda key: None) -> None:
         self._clock, self._cut_elsewhere = clock, cut_elsewhere
@@ -45,24 +45,24 @@ class StreamEnds:
 
     @property
     def followed(self) -> frozenset[str]:
-        """The keys of the credentials with which somebody may be following."""
+        """The keys of the credentials with which streams may be open."""
         return frozenset(self._known)
 
     def find_length_s(self, credential: Credential) -> float:
-        """How long a stream may last that begins now; its credential is remembered."""
+        """How long a stream that begins now may last; its credential is stored."""
         now = self._clock.now_ns()
         self._known = {key: known for key, known in self._known.items() if known.until > now}
         self._known[credential.key] = credential
         return max(0.0, (credential.until - now) / _SECOND)
 
     def begin(self, credential: Credential) -> StreamEnd:
-        """The end of a stream of this process."""
+        """The end of a stream in this process."""
         end = StreamEnd(self.find_length_s(credential))
         self._here.setdefault(credential.key, set()).add(end)
         return end
 
     def forget_stream(self, credential: Credential, end: StreamEnd) -> None:
-        """The stream is over by itself."""
+        """The stream has ended by itself."""
         end.forget()
         left = self._here.get(credential.key, set())
         left.discard(end)

@@ -1,4 +1,4 @@
-"""Erasing words: which of them stand beside the log is looked up here; the core decides that they go."""
+"""Erases words: finds the words beside the log; the core decides that they are erased."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from labos.http.operation import Call
 from labos.services.log import Log
 
 Found = tuple[tuple[int, str], ...]
-"""Digests of references to words, each with the position of an event that bears it."""
+"""Digests of references to words, each with the position of an event that contains it."""
 
 
 class ErasingLog(Log, Protocol):
-    """A log that knows whose words stand beside it."""
+    """A log with a list of the words that are stored beside it."""
 
     def words_by(self, user: str) -> list[tuple[int, str]]: ...
 
@@ -42,7 +42,7 @@ class ErasureDone(msgspec.Struct, frozen=True):
 async def erase(
     call: Call, because: str, by: str, records: Sequence[int], user: str, erasure: str = ""
 ) -> ErasureDone:
-    """Erase words, or ask for a second person. Raises NotFound, Refused, Forbidden."""
+    """Erase words, or request the agreement of a second person. Raises NotFound, Refused, Forbidden."""
     log = cast(ErasingLog, call.service.parts.store)
     found = await asyncio.to_thread(_find, log, tuple(records), user, call.kernel.durable)
     command = EraseWords(because, by, found, tuple(records), user, erasure)
@@ -68,7 +68,8 @@ def _find(log: ErasingLog, records: tuple[int, ...], user: str, durable: int) ->
 
 
 def _list_words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[int, str]]:
-    """The references in a record. Raises NotFound, and Refused for one whose words stand in the log."""
+    """The references in a record. Raises NotFound, and Refused for a record whose words are in the log
+    itself."""
     record = next(log.read(position - 1, position), None) if 0 < position <= durable else None
     if record is None:
         raise NotFound(f"The log has no position {position}.", remedy="Find it: labos log")

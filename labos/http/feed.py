@@ -1,4 +1,4 @@
-"""Tells waiting requests that something has been committed."""
+"""Wakes waiting requests after a commit."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class _Waiter:
 
 
 class Feed:
-    """A kernel's listener on which any number of requests wait. The more of them, the more seldom they are
-    looked at: each costs the kernel's process time."""
+    """A kernel's listener on which any number of requests wait. The more requests wait, the less often they
+    are checked, as each check uses time of the kernel's process."""
 
     def __init__(self) -> None:
         self.closed = False
@@ -36,15 +36,15 @@ class Feed:
         self._wake_up()
 
     def close(self) -> None:
-        """Let everybody go who waits."""
+        """Wake all waiting requests."""
         self.closed = True
         for waiter in self._waiters:
             if not waiter.done.done():
                 waiter.done.set_result(False)
 
     async def wait_until(self, holds: Callable[[], bool], timeout_s: float, each_s: float = 0.0002) -> bool:
-        """Wait until something holds; False if it does not in time. ``each_s`` is the pause between two
-        looks, for each who waits: what it costs to answer, some times over."""
+        """Wait until ``holds`` returns true; False if it does not in time. ``each_s`` is the pause between
+        two checks for each waiting request: several times the cost of an answer."""
         if _is_so(holds):
             return True
         if self.closed or timeout_s <= 0:

@@ -16,15 +16,16 @@ _RANGE = re.compile(r"bytes=(\d{0,19})-(\d{0,19})")
 
 
 async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response:
-    """The file with a SHA-256, or the range of it that is asked for. A file of this name never
-    changes. Raises NotFound, LogDamaged, StoreUnavailable."""
+    """The file with a SHA-256, or the requested range of it. A file with this name never changes. Raises
+    NotFound, LogDamaged, StoreUnavailable."""
     headers = {"accept-ranges": "bytes", "etag": f'"{digest}"', "cache-control": "private, immutable"}
-    headers["x-content-type-options"] = "nosniff"  # a device's file is no page of this server
+    headers["x-content-type-options"] = "nosniff"  # never a page of this server
     if request.headers.get("if-none-match") == headers["etag"]:
         return Response(status_code=304, headers=headers)
     data = await asyncio.to_thread(blobs.get, digest)
     asked = _RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
-    # One range is answered; several, another unit, or one of another file are answered with the whole.
+    # One range is answered. Several ranges, another unit, or a range of another file are answered with the
+    # whole file.
     if asked is None or request.headers.get("if-range", headers["etag"]) != headers["etag"]:
         return Response(data, headers=headers, media_type="application/octet-stream")
     part = find_part(len(data), *asked.groups())
@@ -39,7 +40,8 @@ async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response
 
 
 def find_part(size: int, first: str, last: str) -> tuple[int, int] | None:
-    """The first byte of a range, and the one behind its last; None if it is not in a file of this size."""
+    """The first byte of a range, and the byte after its last one; None if the range is not in a file of this
+    size."""
     if first:
         begin, end = int(first), min(int(last), size - 1) + 1 if last else size
     else:

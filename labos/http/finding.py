@@ -1,4 +1,4 @@
-"""Questions to the search index, which a process of its own answers and keeps."""
+"""Queries to the search index. A separate process answers them and updates the index."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from labos.errors import BadInput, Refused
 PROGRAM = "labos.audit.find_process"
 
 GIVE_UP_S = 60.0
-"""After so many seconds a question is given up."""
+"""A query fails after so many seconds."""
 
 MOST_ASKED = 16
-"""So many may be asked at a time."""
+"""At most so many queries may wait at the same time."""
 
 LONGEST_LINE = 64 * 1024 * 1024
 
@@ -27,7 +27,7 @@ _decode = msgspec.json.Decoder(SearchReply).decode
 
 
 class Finder:
-    """Asks the process, which is started with the first question; one question at a time."""
+    """Sends queries to the process, which is started with the first one; one query at a time."""
 
     def __init__(self, database: str, blobs: Path | str, home: Path) -> None:
         self._begin = LogPlace(database, str(blobs), str(home))
@@ -38,7 +38,7 @@ class Finder:
         self._asked = 0
 
     async def find(self, question: SearchQuery) -> SearchResult:
-        """Raises BadInput for a question that cannot be answered, Refused for an index that cannot."""
+        """Raises BadInput for a query that cannot be answered, Refused if the index cannot be used."""
         if self._asked >= MOST_ASKED:
             raise Refused(
                 f"{self._asked} requests to the search index are already waiting.",
@@ -57,7 +57,7 @@ class Finder:
         raise kind(reply.refusal.message, remedy=reply.refusal.remedy)
 
     def close(self) -> None:
-        """Nothing more is found. ``wait_closed`` waits until the process has gone."""
+        """No further query is answered. ``wait_closed`` waits until the process has ended."""
         self._is_closed = True
         self._kill()
 
@@ -73,7 +73,7 @@ class Finder:
             raise Refused("The lab is closing.", remedy="Ask again when it has been started.")
 
     async def wait_closed(self) -> None:
-        """Until nothing is left of the processes that were killed, nor of their pipes."""
+        """Wait until all killed processes have ended and their pipes are closed."""
         async with self._turn:
             killed, self._killed = self._killed, []
             for process in killed:
@@ -100,7 +100,7 @@ class Finder:
         except OSError:
             line = b""
         except BaseException:
-            self._kill()  # or its answer would be taken for that of the next question
+            self._kill()  # else its answer would be taken for the answer to the next query
             raise
         if not line:
             self._kill()

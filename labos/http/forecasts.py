@@ -1,4 +1,4 @@
-"""Forecasts of the lab as it is now: of its queue, and of what somebody thinks of submitting."""
+"""Forecasts of the present lab: of its queue, and of submissions that are only planned."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from labos.http.service import LabService
 
 LOOKED_BACK = 200_000
-"""Of a longer log, only what comes after its snapshot tells how good forecasts were."""
+"""For a longer log, the errors of forecasts are measured only on events after its snapshot."""
 
 ROWS_READ = 100_000
-"""So many records are read for one forecast; what is left is read with the next."""
+"""At most so many records are read for one forecast; the others are read with the next one."""
 
 ROWS_PLANNED = 3
-"""Rows of a campaign that is known whose plans stand for all of its rows."""
+"""The number of planned rows of a known campaign; their plans stand for all of its rows."""
 
 FRESH_S = 10.0
-"""How long a forecast of the queue is good for everybody who asks, if nothing has happened."""
+"""So long a forecast of the queue is used for all requests, if there are no new events."""
 
 
 class Forecasts:
-    """Asks for forecasts. Reads of the log what it has not learned from yet."""
+    """Makes forecasts. Reads the part of the log that it has not learned from yet."""
 
     def __init__(self, service: LabService) -> None:
         self._service = service
@@ -45,11 +45,11 @@ class Forecasts:
         self._turn = asyncio.Lock()
 
     def close(self) -> None:
-        """Forecasts that are being worked out are given up."""
+        """Forecasts that are being computed are stopped."""
         self._process.close()
 
     async def queue(self) -> LabForecast:
-        """What is to be expected of everything that is submitted. Raises Refused."""
+        """The forecast of everything that is submitted. Raises Refused."""
         async with self._turn:
             position, clock = self._service.kernel.state.position, self._service.parts.clock
             now_s = clock.monotonic()
@@ -60,17 +60,17 @@ class Forecasts:
             return self._queue
 
     async def forecast_run(self, command: SubmitRun | SubmitWithLabware, actor: str) -> LabForecast:
-        """What a run would bring. Raises Refused."""
+        """The forecast of a run. Raises Refused."""
         return await self._ask(command, actor)
 
     async def forecast_campaign(
         self, command: SubmitCampaign, rows: list[tuple[Plan, ...]], actor: str
     ) -> LabForecast:
-        """What a campaign would bring whose rows have such plans to choose from. Raises Refused."""
+        """The forecast of a campaign whose rows choose between these plans. Raises Refused."""
         return await self._ask(command, actor, rows)
 
     async def forecast_proposal(self, subject: str) -> LabForecast:
-        """What would come if a run, a campaign or a change of one were approved. Raises Refused."""
+        """The forecast for the approval of a run, a campaign or a change of one. Raises Refused."""
         return await self._ask(approved=subject)
 
     async def _ask(
@@ -102,7 +102,7 @@ class Forecasts:
         return await self._process.answer(ask, keep)
 
     def _read(self, upto: int) -> tuple[LookBack, list[Row]]:
-        """What is known of past forecasts, and the records that are not yet learned from."""
+        """The errors of past forecasts, and the records that have not been used for them yet."""
         log = self._service.parts.store
         known = self._known
         if known is None:
@@ -114,7 +114,7 @@ class Forecasts:
         return known, list(log.replay(after, min(upto, after + ROWS_READ)))
 
     async def _plan_rows(self) -> dict[CampaignId, list[tuple[Plan, ...]]]:
-        """Plans of the next rows of the campaigns that go on."""
+        """Plans of the next rows of the campaigns in progress."""
         found: dict[CampaignId, list[tuple[Plan, ...]]] = {}
         for campaign in list(self._service.kernel.state.campaigns.open.values()):
             for row in range(campaign.next_row, min(campaign.rows, campaign.next_row + ROWS_PLANNED)):

@@ -1,7 +1,7 @@
-"""Where one request ends and the next one begins: said in one way only.
+"""The end of a request must be stated in exactly one way.
 
-A program in front of the lab (a proxy) that reads the bytes of a connection differently would let somebody
-hide a request in the body of another one. What two programs may read differently is refused.
+If a program in front of the lab (a proxy) reads the bytes of a connection differently, a client can hide a
+request in the body of another one. So requests that two programs may read differently are refused.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from h11._receivebuffer import ReceiveBuffer
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 MOST_HEAD = 16 * 1024
-"""Bytes of the head of a request."""
+"""The largest number of bytes in the head of a request."""
 
 
 class _Lines(ReceiveBuffer):
-    """Lines end with CR LF and are not continued on the next one."""
+    """Lines end with CR LF and do not continue on the next line."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,12 +48,12 @@ class _Lines(ReceiveBuffer):
             if self._data.startswith((b" ", b"\t"), at + 1):
                 raise h11.LocalProtocolError("a header that is continued on the next line")
             at = self._data.find(b"\n", at + 1, end)
-        # A last LF is looked at again, with what follows it.
+        # A last LF is checked again, together with the bytes after it.
         self._looked_at = max(0, end - 1)
 
 
 class StrictConnection(h11.Connection):
-    """A server's connection; a request whose end is said in two ways is a RemoteProtocolError."""
+    """A server's connection; a request whose end is stated in two ways is a RemoteProtocolError."""
 
     def __init__(self) -> None:
         super().__init__(h11.SERVER, MOST_HEAD)
@@ -71,7 +71,7 @@ class StrictConnection(h11.Connection):
 
 
 class StrictProtocol(H11Protocol):
-    """A connection to a server, read strictly."""
+    """A connection to a server that uses the strict reading."""
 
     def __init__(self, *args: Any, **named: Any) -> None:
         super().__init__(*args, **named)

@@ -1,8 +1,8 @@
 """The answers to requests with an idempotency key, kept for a repetition of the request.
 
-They are kept in memory. A process that was started since knows by the log that a request was carried out
-(``runtime.marks``), and works out from it what it was answered (``recorded``). What the log knows of the keys
-of runs, experiments and campaigns is in ``repeats``.
+They are kept in memory. A process that was started later finds in the log that a request was carried out
+(``runtime.marks``), and computes its answer from the log (``recorded``). ``repeats`` handles the keys of
+runs, experiments and campaigns, which are in the log.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from labos.http.wire import send_problem
 from labos.runtime.marks import MARK, PREFIX, Marks
 
 MOST = 10_000
-"""Answers that are kept."""
+"""The largest number of stored answers."""
 MOST_BYTES = 32 * 1024 * 1024
 
 ASKED = 16
-"""Digits of the digest of what a request says that stand behind its mark."""
+"""The number of digits of the request's digest that follow its mark."""
 
 
 class _Answer(msgspec.Struct, frozen=True):
@@ -38,7 +38,7 @@ class _Answer(msgspec.Struct, frozen=True):
 
 
 class _Request:
-    """``asked`` is a digest of all that a request says; ``answer`` comes when it has been carried out."""
+    """``asked`` is a digest of the whole request; ``answer`` is set when the request has been carried out."""
 
     def __init__(self, path: str, asked: str, answer: asyncio.Task[_Answer]) -> None:
         self.path, self.asked, self.answer = path, asked, answer
@@ -46,8 +46,8 @@ class _Request:
 
 
 class IdempotentAnswers:
-    """A request with a key is carried out once: the same one again, also while the first is under way, gets
-    its answer."""
+    """A request with a key is carried out once: a repetition gets the same answer, also while the first one
+    is still in progress."""
 
     def __init__(self, most: int = MOST, most_bytes: int = MOST_BYTES) -> None:
         self._most, self._most_bytes = most, most_bytes
@@ -55,8 +55,8 @@ class IdempotentAnswers:
         self._bytes = 0
 
     async def recall(self, key: str, asked: str, user: str) -> Response | None:
-        """What a request with this key was answered, if it was this one; None if nothing is known of it.
-        Raises what the request raised."""
+        """The answer to an earlier request with this key, if it was the same request; None if there is none.
+        Raises the error that the earlier request raised."""
         known = self._requests.get((user, key))
         if known is None or known.asked != asked:
             return None
@@ -73,10 +73,11 @@ class IdempotentAnswers:
         logs_key: bool,
         logged: LoggedRequest | None = None,
     ) -> Response:
-        """The answer to a request of a ``user``: nobody is told what another one asked. A refusal is not
-        kept: it changed nothing, and may not hold tomorrow. ``logs_key``: the log knows what was done for a
-        key; else what may have been done is not tried again. ``logged`` tells what was answered before this
-        process was started. Raises KeyReused if the key belongs to another request."""
+        """The answer to a request of a ``user``; answers are kept by user, so nobody receives the answer to
+        another user's request. A refusal is not kept, as it changed nothing and may not hold later.
+        ``logs_key``: the log shows whether a key was used; without it, a request that may have been carried
+        out is not tried again. ``logged`` finds the answer of an earlier process. Raises KeyReused if the key
+        belongs to another request."""
         mine = user, key
         known = self._requests.get(mine)
         if known is None:
@@ -90,12 +91,12 @@ class IdempotentAnswers:
                 if not known.answer.done():
                     await asyncio.wait([known.answer])
                     return await self.answer_once(key, path, asked, work, user=user, logs_key=logs_key)
-                await work()  # the log says best what differs
+                await work()  # the log shows any difference
             raise _refuse_reused(key, _find_answer(known))
         return (await asyncio.shield(known.answer)).response()
 
     def _keep(self, key: tuple[str, str], request: _Request) -> None:
-        """Keep what has been done, and no more than so much."""
+        """Keep the answer; the oldest ones are removed if there are too many."""
         task = request.answer
         if task.cancelled() or task.exception() is not None:
             self._requests.pop(key, None)
@@ -111,13 +112,13 @@ class IdempotentAnswers:
 
 
 def mark_of(user: str, path: str, key: str) -> str:
-    """The mark of a request in the log; it tells nobody the key."""
+    """The mark of a request in the log; the key cannot be computed from it."""
     return PREFIX + digest(msgspec.json.encode((user, path, key)))[:32]
 
 
 class LoggedRequest(msgspec.Struct, frozen=True):
-    """What the log knows of a request: ``mark`` is what its first event bears, ``asked`` a digest of all that
-    it says; ``answer`` tells what was answered to the request of a mark that stands at a position."""
+    """A request that may be in the log: ``mark`` is in its first event, ``asked`` is a digest of the whole
+    request; ``answer`` computes the answer to the request with a mark whose first event is at a position."""
 
     marks: Marks
     mark: str
@@ -136,12 +137,12 @@ class LoggedRequest(msgspec.Struct, frozen=True):
         return True
 
     async def tell(self) -> Response:
-        """What it was answered, of one that is known. Raises AlreadyDone."""
+        """The answer to a known request. Raises AlreadyDone."""
         return await self.answer(self.mark, await self.marks.find(self.mark))
 
 
 async def _carry_out_marked(logged: LoggedRequest, work: Callable[[], Awaitable[Response]]) -> Response:
-    """Carry a request out under its mark, unless the log bears it. Raises AlreadyDone, KeyReused."""
+    """Carry out a request under its mark, unless the mark is in the log. Raises AlreadyDone, KeyReused."""
     if await logged.is_known():
         return await logged.tell()
     MARK.set(f"{logged.mark}:{logged.asked[:ASKED]}")
@@ -166,7 +167,7 @@ async def _carry_out(work: Callable[[], Awaitable[Response]], logs_key: bool) ->
 
 
 def _find_answer(request: _Request) -> str:
-    """What the request of a key was answered, as far as that is known."""
+    """The answer to the request with a key, as far as it is known."""
     if not request.answer.done():
         return " It is being carried out."
     return f" It was answered {request.answer.result().body[:200].decode(errors='replace')}."

@@ -1,4 +1,5 @@
-"""Who asks: by a token, by the cookie of a session, by the key in the lab's folder, or nobody yet."""
+"""Identifies the requesting user: by a token, by the cookie of a session, or by the key in the lab's
+folder."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 COOKIE = "labos-session"
 SECURE_COOKIE = f"__Host-{COOKIE}"
-"""Browsers take it over TLS only, and from no other name than the one that has set it."""
+"""Browsers accept it only over TLS, and send it only to the host that set it."""
 
 BEHALF = "labos-on-behalf-of"
 
@@ -32,9 +33,9 @@ _log = structlog.get_logger(__name__)
 
 
 class Who(msgspec.Struct, frozen=True):
-    """The user who asks. ``user`` is empty in a lab without users, where the request says a name (``open``),
-    and for the owner of the lab's folder (``home``), who may look, stop modules, and help users to sign
-    in."""
+    """The requesting user. ``user`` is empty in a lab without users, where the request names the user
+    (``open``), and for the owner of the lab's folder (``home``), who may view, stop modules, and help users
+    to sign in."""
 
     how: Literal["open", "home", "token", "session"]
     user: str = ""
@@ -43,30 +44,30 @@ class Who(msgspec.Struct, frozen=True):
 
     @property
     def actor(self) -> str:
-        """The name in the log of the user who has signed in: a service account with the person for whom it
-        acts for."""
+        """The name of the signed-in user in the log: for a service account, together with the person for whom
+        it acts."""
         return on_behalf(self.user, self.behalf) if self.behalf else self.user
 
     @property
     def is_known(self) -> bool:
-        """Whether the name that counts is this one, and not one that the request says."""
+        """Whether this name is used, and not the name in the request."""
         return self.how in ("token", "session")
 
 
 class Users(Protocol):
-    """The lab's users, as far as the door knows them."""
+    """The lab's users, as far as they are needed to admit requests."""
 
     @property
     def is_open(self) -> bool:
-        """Whether there are none: everybody may do everything."""
+        """Whether there are no users: everybody may do everything."""
 
     def get(self, user: str) -> User | None:
-        """One who may act."""
+        """A user who may act."""
 
 
 class Gate:
-    """Lets requests in. ``home_key`` is the secret in the lab's folder; ``secure``: browsers reach the lab
-    over TLS. ``on_refusal`` are called with the reason of each refusal."""
+    """Admits requests. ``home_key`` is the secret in the lab's folder; ``secure``: browsers reach the lab
+    over TLS. The functions in ``on_refusal`` are called with the reason of each refusal."""
 
     def __init__(
         self,
@@ -89,8 +90,8 @@ class Gate:
         self.on_refusal: list[Callable[[str], None]] = []
 
     def users(self) -> Users:
-        """The users of the lab; while its log is away, those that were known last. Raises StoreUnavailable
-        if none have been read yet."""
+        """The users of the lab; while its log cannot be read, the last known ones. Raises StoreUnavailable if
+        none have been read yet."""
         try:
             self._last_users = self._read_users()
         except StoreUnavailable:
@@ -105,9 +106,9 @@ class Gate:
     async def admit(
         self, request: Request, need: Need, *, by_home: bool = False, by_link: bool = False
     ) -> Who:
-        """The user who sends a request that needs such a role. ``by_home``: the owner of the lab's folder may
-        do it; ``by_link``: a token may stand in the address, if it is good for looking only. Raises
-        NotSignedIn, Forbidden."""
+        """The user who sends a request that needs this role. ``by_home``: the owner of the lab's folder may
+        send it too; ``by_link``: the token may be in the address, if its scope is viewer. Raises NotSignedIn,
+        Forbidden."""
         try:
             who = await (self._find_user_by_link(request) if by_link else self.identify(request))
             self._check(who, need, by_home)
@@ -118,7 +119,7 @@ class Gate:
         return who
 
     def confirm(self, who: Who, need: Need) -> None:
-        """An API process says who asks: a name that could not have signed in is not believed. Raises
+        """Check the user that an API process names: one who could not have signed in is refused. Raises
         NotSignedIn, Forbidden."""
         users = self.users()
         if who.how == "home" or (who.how == "open") is not users.is_open:
@@ -132,8 +133,8 @@ class Gate:
         self._check(who, need, by_home=False)
 
     async def _find_user_by_link(self, request: Request) -> Who:
-        """The user who asks by an address that holds a token: such an address is kept in many places. Raises
-        NotSignedIn, Forbidden."""
+        """The user of a token in the address. Such addresses are stored in many places, so the token's scope
+        must be viewer. Raises NotSignedIn, Forbidden."""
         shown = request.query_params.get("token", "")[:200]
         if not shown or request.headers.get("authorization"):
             return await self.identify(request)
@@ -145,7 +146,7 @@ class Gate:
         return Who("token", credential.user, "", credential)
 
     async def identify(self, request: Request) -> Who:
-        """The user who asks, for any kind of request. Raises NotSignedIn, Forbidden."""
+        """The requesting user, for any kind of request. Raises NotSignedIn, Forbidden."""
         shown = _bearer(request)
         if shown.startswith(HOME):
             if not self._home or not hmac.compare_digest(make_digest(shown), self._home):
@@ -170,7 +171,7 @@ class Gate:
         return named
 
     def _expect_service(self, named: str, user: str) -> None:
-        """Raises Forbidden if a user cannot act for somebody of that name."""
+        """Raises Forbidden if a user may not act for the named person."""
         if not named:
             return
         known = self.users().get(user)
@@ -218,8 +219,8 @@ def _bearer(request: Request) -> str:
 
 
 def _expect_own_page(request: Request) -> None:
-    """A browser adds its cookie, whichever page asked it to send something; it also says which page asked.
-    That an ``Origin`` is this server is looked at before. Raises Forbidden."""
+    """A browser sends its cookie with every request, whichever page caused it; it also names the site of that
+    page. The check that an ``Origin`` is this server was made before. Raises Forbidden."""
     headers = request.headers
     if headers.get("origin") or headers.get("sec-fetch-site") == "same-origin":
         return

@@ -1,4 +1,4 @@
-"""What operations need of the kernel: it is in this process, or it is followed."""
+"""The interface of the kernel for operations: the kernel is in this process, or it is followed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class LabKernel(Protocol):
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]: ...
 
     async def scrub(self) -> str:
-        """Let nothing of words that were erased stand in the database's files. Returns why something still
-        may."""
+        """Remove what remains of erased words from the database's files. Returns why something may still
+        remain."""
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection: ...

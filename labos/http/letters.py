@@ -1,7 +1,8 @@
-"""What an API process and the kernel say to each other on the bus.
+"""Messages between an API process and the kernel on the bus.
 
-On a secure bus a certificate says who may ask, and the key under which is asked names the process. Elsewhere
-both sides show that they know the key in the lab's folder; a question is good for a minute, and once.
+On a secure bus, a certificate proves who may send requests, and the key expression of a request names the
+process. Elsewhere both sides prove that they know the key in the lab's folder; a request is valid for one
+minute, and once.
 """
 
 from __future__ import annotations
@@ -38,8 +39,7 @@ class SentOn(msgspec.Struct, frozen=True, tag="request"):
 
 
 class Recall(msgspec.Struct, frozen=True, tag="recall"):
-    """What was a request of a user answered, which bore this idempotency key and said what this digest stands
-    for?"""
+    """Asks for the answer to an earlier request of a user with this idempotency key and this digest."""
 
     path: str
     key: str
@@ -48,15 +48,15 @@ class Recall(msgspec.Struct, frozen=True, tag="recall"):
 
 
 class Hello(msgspec.Struct, frozen=True, tag="hello"):
-    """An API process lives, and would like to know what the log does not say. ``address`` is where its
-    metrics are (``host:port``)."""
+    """An API process reports that it is running, and asks for facts that are not in the log. ``address`` is
+    where its metrics are (``host:port``)."""
 
     address: str
 
 
 class KernelAnswer(msgspec.Struct, frozen=True, tag="answer"):
-    """An answer of the kernel's process; ``status`` 0: nothing is known. ``position`` is how far its log was
-    on disk."""
+    """An answer of the kernel's process; ``status`` 0: there is none. ``position`` is the last position on
+    disk in its log."""
 
     status: int
     headers: Headers = ()
@@ -73,7 +73,7 @@ LetterReply = KernelAnswer | Welcome
 
 
 class _Sealed(msgspec.Struct, frozen=True):
-    """``mac`` is over time, nonce and message; a reply has the nonce of its question."""
+    """``mac`` is over time, nonce and message; a reply has the nonce of its request."""
 
     at_ns: int
     nonce: bytes
@@ -89,14 +89,14 @@ _reply: msgspec.msgpack.Decoder[LetterReply] = msgspec.msgpack.Decoder(LetterRep
 
 
 class Letters:
-    """Seals and opens. ``key`` is the one in the lab's folder, empty on a secure bus."""
+    """Seals and opens messages. ``key`` is the one in the lab's folder, empty on a secure bus."""
 
     def __init__(self, key: bytes, clock: Clock) -> None:
         self._key, self._clock = key, clock
         self._seen: OrderedDict[bytes, int] = OrderedDict()
 
     def ask(self, question: LetterRequest) -> tuple[bytes, bytes]:
-        """A question as it is sent, and the nonce that its reply has to bear."""
+        """A sealed request, and the nonce that its reply must have."""
         nonce = os.urandom(16)
         return self._seal(b"ask", nonce, question), nonce
 
@@ -104,8 +104,8 @@ class Letters:
         return self._seal(b"reply", nonce, reply)
 
     def read_question(self, payload: bytes) -> tuple[LetterRequest, bytes]:
-        """A question, and its nonce. Raises Unreadable for one that nobody may ask, or that was asked
-        before."""
+        """A request, and its nonce. Raises Unreadable for one whose sender has no right to send it, or that
+        was sent before."""
         sealed = self._open(b"ask", payload)
         now = self._clock.now_ns()
         while self._seen and (
@@ -118,7 +118,7 @@ class Letters:
         return _decode(_question, sealed.message), sealed.nonce
 
     def read_reply(self, payload: bytes, nonce: bytes) -> LetterReply:
-        """Raises Unreadable for one that is not the kernel's, or answers another question."""
+        """Raises Unreadable for a reply that is not the kernel's, or that answers another request."""
         sealed = self._open(b"reply", payload)
         if sealed.nonce != nonce:
             raise Unreadable("The reply answers another question.")

@@ -1,7 +1,7 @@
-"""What a request may hold: how long its texts are, how large its numbers, how deep its tables.
+"""Limits of requests: the length of texts, the size of numbers, the depth of tables.
 
-The bodies of all routes are made of these types, and every request is checked against them before a handler
-sees it. docs/reference/http.md tells them to people.
+The bodies of all routes consist of these types, and every request is checked against them before a handler is
+called. docs/reference/http.md describes them for users.
 """
 
 from __future__ import annotations
@@ -24,27 +24,28 @@ LONGEST_TEXT = 1024 * 1024
 LONGEST_SHEET = 4 * 1024 * 1024
 """Characters of a sample sheet."""
 LARGEST_BODY = 96 * 1024 * 1024
-"""Bytes of a request that brings files along."""
+"""The largest number of bytes in a request with files."""
 SMALL_BODY = 512 * 1024
 """Bytes of any other request."""
 LARGEST_CONTENT = 64 * 1024 * 1024
-"""Bytes of a file that is kept by itself."""
+"""The largest number of bytes of a separately stored file."""
 LARGEST_BODIES = 192 * 1024 * 1024
-"""Bytes of all requests that are being read."""
+"""The largest number of bytes of all requests that are being read."""
 LARGEST_TABLE = 48 * 1024
-"""Bytes of a payload, of facts or of a result, as JSON: an event of the log holds 64 KB."""
+"""The largest number of bytes of a payload, of facts or of a result, as JSON: an event of the log holds 64
+KB."""
 MOST_FILES = 200
-"""Files sent along with a workflow or a workcell."""
+"""The largest number of files that are sent with a workflow or a workcell."""
 MOST_ENTRIES = 2_000
 """Entries of a list or table."""
 MOST_VARIABLES = 20
-"""Variables of a piece of labware that one request says."""
+"""The largest number of variables of a piece of labware in one request."""
 MOST_TAGS = 100
 """Tags of a campaign."""
 MOST_VALUES = 20_000
 """Values in a payload, in facts or in a result."""
 DEEPEST = 32
-"""Tables and lists in each other."""
+"""The largest depth of nested tables and lists."""
 WHOLE_NUMBERS = (-(2**63), 2**63 - 1)
 HIGHEST_PRIORITY = 100_000
 MOST_FILTERS = 50
@@ -56,33 +57,33 @@ FORMS = {
     ONE_LINE: "holds a line break or a control character",
     SEVERAL_LINES: "holds a control character",
 }
-"""What is wrong with a text that does not fit a pattern."""
+"""The fault of a text that does not match a pattern."""
 
 
 def says(meaning: str) -> msgspec.Meta:
-    """What a field means, for the description of the API and its reference page."""
+    """The description of a field, for the description of the API and its reference page."""
     return msgspec.Meta(description=meaning)
 
 
 Person = Annotated[str, msgspec.Meta(max_length=LONGEST_PERSON, pattern=ONE_LINE)]
-"""Somebody's name. ``check_person`` tells which names are not a person's."""
+"""The name of a person. ``check_person`` knows which names cannot be a person's."""
 WHO_ASKS = says("the user who asks; ignored in a lab that has users, where it is the user who has signed in")
 Asker = Annotated[Person, WHO_ASKS]
-"""Who asks: a field for labs without users."""
+"""The requesting user: a field for labs without users."""
 Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME, pattern=ONE_LINE)]
 """The name or id of something."""
 Line = Annotated[str, msgspec.Meta(max_length=LONGEST_LINE, pattern=ONE_LINE)]
-"""A word for the log, on one line."""
+"""A text for the log, on one line."""
 Words = Annotated[str, msgspec.Meta(max_length=LONGEST_WORDS, pattern=SEVERAL_LINES)]
 """A note; it may have several lines."""
 FileName = Annotated[str, msgspec.Meta(max_length=LONGEST_FILE_NAME, pattern=ONE_LINE)]
-"""What errors call a file: its path, where it was read."""
+"""The name of a file in error messages: its path, where it was read."""
 FileText = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
 SheetText = Annotated[str, msgspec.Meta(max_length=LONGEST_SHEET)]
 Files = Annotated[dict[Name, bytes], msgspec.Meta(max_length=MOST_FILES)]
 FileContent = Annotated[bytes, msgspec.Meta(max_length=LARGEST_CONTENT)]
 Secret = Annotated[str, msgspec.Meta(max_length=1000)]
-"""A password; it is in no log and no answer."""
+"""A password; it never appears in a log or an answer."""
 Priority = Annotated[int, msgspec.Meta(ge=-HIGHEST_PRIORITY, le=HIGHEST_PRIORITY)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
 Time = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
@@ -98,8 +99,8 @@ SAY_WHO = "Give the name of the requesting person or program."
 
 
 def check_person(name: str, field: str) -> str:
-    """A name under which somebody may ask. Raises BadInput for none, and for those of LabOS and its
-    modules: what the log says of a person must not look like its own words."""
+    """The name of a requesting person. Raises BadInput if it is empty, and for the names of LabOS and its
+    modules: entries in the log about a person must not look like LabOS's own."""
     if not name.strip():
         raise BadInput(f"The field {field!r} is empty.", remedy="Say who asks.")
     if name.strip().casefold() == OWN_NAME:
@@ -113,7 +114,7 @@ def check_person(name: str, field: str) -> str:
 
 
 def name_in_emergency(said: str) -> str:
-    """The name of the person who asks for an emergency stop. No name is a reason to refuse one."""
+    """The name of the person who requests an emergency stop. No name leads to a refusal."""
     name = "".join(char if char.isprintable() and char != "/" else " " for char in said[:LONGEST_PERSON])
     return "somebody" if name.strip().casefold() in ("", OWN_NAME) else name
 
@@ -127,7 +128,7 @@ def check_text(text: str, what: str, longest: int = LONGEST_NAME) -> str:
 
 
 def find_misfit(text: str, longest: int) -> str:
-    """Why a text is not one line of so many characters; empty if it is."""
+    """Why a text is not one line with at most so many characters; empty if it is."""
     if len(text) > longest:
         return f"has {len(text)} characters; {longest} are allowed"
     if not text.isprintable() and not _is_one_line(text):
@@ -137,14 +138,14 @@ def find_misfit(text: str, longest: int) -> str:
 
 @cache
 def asker_of(kind: type[msgspec.Struct]) -> str:
-    """The field in which a request says who asks; empty if it has none."""
+    """The field of a request with the requesting user; empty if it has none."""
     hints = get_type_hints(kind, include_extras=True)
     return next((name for name, hint in hints.items() if WHO_ASKS in getattr(hint, "__metadata__", ())), "")
 
 
 def check_fields(told: msgspec.Struct) -> None:
-    """What types alone do not say of a request: who may ask, and how deep and large its tables are. Raises
-    BadInput."""
+    """Checks of a request that its types do not make: the requesting user, and the depth and size of its
+    tables. Raises BadInput."""
     asker = asker_of(type(told))
     for field in told.__struct_fields__:
         value = getattr(told, field)
@@ -158,7 +159,7 @@ def check_fields(told: msgspec.Struct) -> None:
 
 
 def _check_table(value: Any, field: str) -> None:
-    """Raises BadInput for what is too deep, too large, or no value that can be kept."""
+    """Raises BadInput for a value that is too deep, too large, or cannot be stored."""
     count, level = 0, [value]
     for _ in range(DEEPEST + 1):
         inner: list[Any] = []

@@ -1,4 +1,4 @@
-"""A record of the log as HTTP sends it."""
+"""A record of the log in the form that HTTP sends."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The way from an API process to the kernel.
+"""The connection from an API process to the kernel.
 
-A request is worked on here as far as the log goes: what is only looked at is answered, and what the rules
-forbid is refused. The kernel hears of what is left (``SendOn``), and of every idempotency key, since another
-API process may have been asked with it before.
+As far as the log is enough, a request is handled here: a request that only reads is answered, and one that
+the rules forbid is refused. The other requests are sent to the kernel (``SendOn``). The kernel also receives
+every idempotency key, as another API process may have handled a request with it before.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
     from labos.http.operation import AdmittedRequest, Operation
 
 ANSWER_S = 70.0
-"""How long the kernel may take: a little longer than what somebody may ask it to wait for."""
+"""How long the kernel may take: a little longer than the longest wait that a request may demand."""
 RECALL_S = 5.0
 AT_ONCE = 16
-"""Requests of one API process that the kernel works on at once; others wait here."""
+"""The number of requests of one API process that the kernel handles at the same time; others wait here."""
 HELLO_S = 2.0
 PASSED_ON = re.compile(rb"content-type|idempotency-key|labos-user|last-event-id|range|if-range|if-none-match")
 """The headers of a request that handlers read."""
 OWN = (b"content-length", b"labos-position")
-"""The headers of an answer that are made anew."""
+"""The headers of an answer that are written anew."""
 
 AGAIN = "Repeat the request in a moment, with the same Idempotency-Key: nothing is done twice."
 NO_KEY = (
@@ -57,7 +57,8 @@ _log = structlog.get_logger(__name__)
 
 
 class Work:
-    """How requests were answered, for metrics: here, by the kernel, or with the word that it is away."""
+    """The number of answers for metrics: answered here, by the kernel, or with the error that the kernel is
+    away."""
 
     def __init__(self) -> None:
         self.here = self.by_kernel = self.away = 0
@@ -65,7 +66,7 @@ class Work:
 
 
 class KernelLink:
-    """Asks the kernel under the ``name`` of this process."""
+    """Sends requests to the kernel under the ``name`` of this process."""
 
     def __init__(self, kernel: FollowedKernel, bus: Bus, letters: Letters, name: str) -> None:
         self._kernel, self._bus, self._letters, self._name = kernel, bus, letters, name
@@ -73,13 +74,13 @@ class KernelLink:
         self.work = Work()
         self.address = ""
         self.is_there = False
-        """Whether the kernel answered last time it was asked."""
+        """Whether the kernel answered the last request."""
         self._turn = asyncio.Semaphore(AT_ONCE)
         self._gone: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        """Done when the kernel that is there now has gone."""
+        """Completed when the present kernel has gone."""
         self._task: asyncio.Task[None] | None = None
 
-    # -- life --------------------------------------------------------------------------------
+    # -- start and end -----------------------------------------------------------------------
 
     async def start(self) -> None:
         await self._bus.watch_alive(Keys(self._kernel.lab).kernel, self._on_alive)
@@ -91,7 +92,7 @@ class KernelLink:
             await asyncio.wait({self._task})
 
     def _on_alive(self, key: str, alive: bool) -> None:
-        """A kernel that is gone answers nobody any more."""
+        """A kernel that has gone will not answer any more."""
         if not alive:
             self.is_there = False
             self._gone.set_result(None)
@@ -105,7 +106,7 @@ class KernelLink:
                     self.notes = reply.notes
                     self._kernel.suspended = reply.notes.suspended
             except KernelAway:
-                pass  # the next request is told of it
+                pass  # the next request reports it
             except Exception:
                 _log.exception("kernel_not_greeted")
             await asyncio.sleep(HELLO_S)
@@ -119,10 +120,10 @@ class KernelLink:
     async def answer(
         self, operation: Operation, asked: AdmittedRequest, work: Callable[[], Awaitable[Response]]
     ) -> Response:
-        """The answer to a request; ``work`` is its handler over the log that is followed. Raises KernelAway,
-        and what the handler raises."""
+        """The answer to a request; ``work`` calls its handler on the followed log. Raises KernelAway, and the
+        errors of the handler."""
         if asked.logged is not None and await asked.logged.is_known():
-            # The kernel remembers what it has answered; the log says it, too, but takes longer.
+            # The kernel keeps its answers; the log has them too, but reading it takes longer.
             known = await self._recall(asked)
             return known if known is not None else await asked.logged.tell()
         refusal: LabosError | None = None
@@ -173,8 +174,7 @@ class KernelLink:
         return await self._response(reply)
 
     async def _recall(self, asked: AdmittedRequest) -> Response | None:
-        """What the kernel has answered to a request with this key; None if it knows of none, or is
-        away."""
+        """The kernel's answer to an earlier request with this key; None if it has none, or is away."""
         try:
             reply = await self._ask(
                 Recall(asked.request.url.path, asked.key, asked.digest, asked.who.user), RECALL_S
@@ -185,9 +185,9 @@ class KernelLink:
 
     async def _response(self, reply: KernelAnswer) -> Response:
         try:
-            await self._kernel.wait_until_known(reply.position)  # who asks next sees what was done
+            await self._kernel.wait_until_known(reply.position)  # the next reader sees this change
         except Behind:
-            pass  # who says the position waits for it
+            pass  # a reader who names the position waits for it
         found = Response(reply.body, reply.status)
         found.raw_headers = [
             *((name, value) for name, value in reply.headers if name not in OWN),

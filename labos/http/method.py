@@ -1,4 +1,4 @@
-"""How the client calls an operation: its method of ``LabClient`` is written from this and from the types of
+"""How a method of ``LabClient`` calls an operation: the client is generated from this and from the types of
 the operation."""
 
 from __future__ import annotations
@@ -10,16 +10,19 @@ import msgspec
 
 
 class Method(msgspec.Struct, frozen=True):
-    """``name`` begins with an underscore where a method with logic of its own stands before it; ``by_hand``:
-    there is only that one.
+    """``name`` begins with an underscore if a hand-written method calls the generated one; ``by_hand``: there
+    is only the hand-written one.
 
     ``positional`` are the first parameters, in order, as ``module, by='somebody', until_ns=until``: a value
-    in quotation marks is a default, another one the name that the parameter has in the request. Left out:
-    what stands in the path, what a body must have, and who asks. All others are keywords.
+    in quotation marks is a default, another one the name that the parameter has in the request. If it is
+    empty, they are the names in the path, the required fields of the body, and the requesting user. All other
+    parameters are keywords.
 
-    ``take`` is the member of the answer that is returned (none: nothing is). With ``repeat`` it may be done
-    twice; with a ``key`` it is done once, however often it is sent. ``fixed`` members of the request are
-    always the same, those ``without`` are never sent. ``timeout_s`` goes before the client's own."""
+    ``take`` is the member of the answer that is returned (none: nothing is returned). With ``repeat`` the
+    request may be carried out twice; with a ``key`` it is carried out once, however often it is sent.
+    ``fixed`` members of the request are always the same, those ``without`` are never sent. ``timeout_s`` goes
+    before the client's own.
+    """
 
     name: str
     positional: str = ""

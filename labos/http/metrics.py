@@ -14,7 +14,7 @@ TEXT = "text/plain; version=0.0.4; charset=utf-8"
 
 
 def metric_routes(service: LabService, gate: Gate) -> list[Route]:
-    """The routes over one lab."""
+    """The routes for one lab."""
 
     async def metrics(request: Request) -> Response:
         """All metrics of the kernel's process."""
@@ -22,7 +22,7 @@ def metric_routes(service: LabService, gate: Gate) -> list[Route]:
         return PlainTextResponse(service.parts.metrics.text(), media_type=TEXT)
 
     async def targets(request: Request) -> Response:
-        """Where Prometheus finds the kernel and the nodes."""
+        """The addresses at which Prometheus finds the metrics of the kernel and the nodes."""
         await gate.admit(request, "viewer")
         return wire.answer(service.parts.metrics.targets(request.headers.get("host", "")))
 

@@ -1,4 +1,5 @@
-"""What the kernel's process knows of nodes besides the log: why some are not admitted; their processes."""
+"""Facts about nodes that the kernel's process knows and the log does not have: why some are not admitted, and
+their processes."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class ProcessNote(msgspec.Struct, frozen=True):
-    """The process of a node, as the kernel's process has it."""
+    """The process of a node, as the kernel's process knows it."""
 
     state: str
     pid: int
@@ -22,8 +23,8 @@ class ProcessNote(msgspec.Struct, frozen=True):
 
 
 class Notes(msgspec.Struct, frozen=True):
-    """``rejected`` says why nodes are not admitted, ``supervised`` are those that run here, both by module;
-    ``suspended`` why nothing is started; ``simulated``: the bench is a simulated one."""
+    """``rejected`` has the reasons why nodes are not admitted, ``supervised`` the nodes that run here, both
+    by module; ``suspended`` is the reason why nothing is started; ``simulated``: the bench is simulated."""
 
     rejected: Mapping[str, str] = {}
     supervised: Mapping[str, ProcessNote] = {}
@@ -32,7 +33,7 @@ class Notes(msgspec.Struct, frozen=True):
 
 
 def notes_of(service: LabService) -> Notes:
-    """What is known in the kernel's own process."""
+    """The facts in the kernel's own process."""
     parts = service.parts
     nodes = parts.supervised.nodes if parts.supervised is not None else {}
     return Notes(

@@ -1,4 +1,4 @@
-"""What people say of the bench: what stands at a station, whose labware is."""
+"""Reports of people about the bench: the content of a station, and the owner of labware."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class ObservationResult(msgspec.Struct, frozen=True):
 
 
 async def observe(service: LabService, station: str, what: str, by: str) -> ObservationResult:
-    """Somebody saw ``what`` at a station: ``empty``, a number, labware by its id or barcode, a
-    labware type, or (nothing said) something. Returns what follows. Raises NotFound, Refused."""
+    """A person saw ``what`` at a station: ``empty``, a number, labware by its id or barcode, a labware type,
+    or (no words) something. Returns the consequences. Raises NotFound, Refused."""
     place = service.station(station)
     events = await service.kernel.execute(_sight(service, place, what.strip(), by), by)
     return ObservationResult(
@@ -77,7 +77,7 @@ def _sight(service: LabService, place: str, what: str, by: str) -> ObserveStatio
 async def give(
     service: LabService, labware: str, to: str, by: str, *, force: bool = False, note: str = ""
 ) -> list[Event]:
-    """Give labware to another owner to ``user:NAME``, ``experiment:E3`` or ``shared``. Raises NotFound,
+    """Give labware to another owner: ``user:NAME``, ``experiment:E3`` or ``shared``. Raises NotFound,
     Refused."""
     item = service.labware(labware)
     heir = SHARED if to == SHARED else Owner(to)

@@ -1,4 +1,4 @@
-"""The description of the API (OpenAPI 3.1), made from its operations."""
+"""The description of the API (OpenAPI 3.1), generated from its operations."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from labos.version import VERSION
 REF = "#/components/schemas/{name}"
 
 ALWAYS = ("bad_input", "not_signed_in", "forbidden", "uri_too_long", "internal")
-"""What may go wrong with every request."""
+"""The problems that every request may have."""
 AWAY = ("store_unavailable", "kernel_away", "behind")
-"""The same, while something is away: the last two only from an API process."""
+"""Further problems of every request while a part is away: the last two only from an API process."""
 OF_POSTS = (
     *("too_slow", "too_large", "unsupported_media_type", "too_many"),
     *("commit_in_doubt", "fenced", "internal_fault", "key_reused", "already_done"),
 )
-"""And with what changes something."""
+"""Further problems of requests that change something."""
 
 TAGS = {
     "lab": "The lab as a whole",
@@ -106,13 +106,13 @@ def document(operations: Iterable[Operation]) -> dict[str, Any]:
             "schemas": {name: _plain(part) for name, part in components.items() if name not in inline},
             "securitySchemes": SIGNED_IN,
         },
-        # Any of them; and nothing, for a lab without users.
+        # Any of these schemes; or none, for a lab without users.
         "security": [*({name: []} for name in SIGNED_IN), {}],
     }
 
 
 def problems_of(operation: Operation) -> dict[int, list[str]]:
-    """The codes of what may go wrong with an operation, by their status."""
+    """The codes of the problems of an operation, by their status."""
     codes = [*ALWAYS, *AWAY, *operation.problems]
     if operation.shape.path is not None:
         codes.append("not_found")
@@ -125,7 +125,7 @@ def problems_of(operation: Operation) -> dict[int, list[str]]:
 
 
 def parameters(operation: Operation) -> Iterator[dict[str, Any]]:
-    """What an operation reads from its path, its query and its headers."""
+    """The parameters that an operation reads from its path, its query and its headers."""
     for kind, place in ((operation.shape.path, "path"), (operation.shape.query, "query")):
         if kind is None:
             continue
@@ -147,7 +147,7 @@ def parameters(operation: Operation) -> Iterator[dict[str, Any]]:
 
 
 def about(operation: Operation) -> str:
-    """What is said of an operation besides its summary."""
+    """The description of an operation after its summary."""
     return inspect.cleandoc(operation.handler.__doc__ or "")
 
 
@@ -196,8 +196,8 @@ def _answer(operation: Operation, names: dict[Any, Any]) -> dict[str, Any]:
 
 
 def _plain(schema: Any) -> Any:
-    """A schema in the words of JSON Schema: patterns as ECMAScript has them, descriptions on one line, and
-    pairs of one type as lists of two, since few generators know tuples."""
+    """A schema as JSON Schema: patterns in the syntax of ECMAScript, descriptions on one line, and pairs of
+    one type as lists of two, since few generators know tuples."""
     if isinstance(schema, list):
         return [_plain(item) for item in schema]
     if not isinstance(schema, dict):

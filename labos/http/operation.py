@@ -1,8 +1,8 @@
-"""An operation of the API, declared once: its route, the checks of its requests and its description follow
-from it.
+"""An operation of the API, declared once: its route, the checks of its requests and its description are
+derived from it.
 
-A handler names what it reads by its parameters: ``path``, ``query`` and ``body`` are structs, and what it
-returns is one too::
+The parameters of a handler show what it reads: ``path``, ``query`` and ``body`` are structs, and its return
+value is a struct too::
 
     async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunChanged: ...
 """
@@ -41,15 +41,15 @@ from labos.services.accounts import Need
 JSON = "application/json"
 
 ADMITTED = "labos.admitted"
-"""Where the scope of a request has who asks, if an API process has let them in."""
+"""The key in a request's scope with the user, if an API process has admitted the request."""
 
 
 MOST_VIEWERS = 100
-"""So many answers about the state of the lab are kept apart, for those who do not see the same."""
+"""At most so many different views of the lab's state are kept, for users who see different campaigns."""
 
 
 class Api:
-    """What the operations of one lab share."""
+    """The objects that the operations of one lab share."""
 
     def __init__(self, service: LabService, gate: Gate) -> None:
         self.service, self.gate = service, gate
@@ -62,7 +62,7 @@ class Api:
         self._states: dict[tuple[bool, Viewer | None], Shared] = {}
 
     def state_for(self, viewer: Viewer | None, *, waits: bool) -> Shared:
-        """The state of the lab for all who see the same of its campaigns."""
+        """The state of the lab, shared by all users who see the same campaigns."""
         if viewer is not None and not self.kernel.state.campaigns.restricted:
             viewer = None
         if (waits, viewer) not in self._states and len(self._states) >= MOST_VIEWERS:
@@ -75,7 +75,7 @@ class Api:
 
     @property
     def _notes(self) -> Notes:
-        """What is known of nodes besides the log."""
+        """The facts about nodes that are not in the log."""
         link = self.service.link
         return link.notes if link is not None else notes_of(self.service)
 
@@ -92,7 +92,7 @@ class Api:
 
 
 class Call:
-    """A request to an operation, besides what was read from its path, query and body."""
+    """A request to an operation: everything besides its path, query and body."""
 
     def __init__(self, api: Api, request: Request, who: Who, service: LabService | None = None) -> None:
         self.api, self.request, self.who = api, request, who
@@ -101,34 +101,35 @@ class Call:
 
     @property
     def user(self) -> str:
-        """The user who asks: the one who has signed in; in a lab without users by the header LabOS-User.
+        """The requesting user: the signed-in user; in a lab without users, the user in the header LabOS-User.
         Raises BadInput."""
         return self.who.actor if self.who.is_known else wire.read_asker(self.request)
 
     @cached_property
     def viewer(self) -> Viewer | None:
-        """What the user who asks sees of campaigns; None: everything."""
+        """Which campaigns the requesting user sees; None: all."""
         return find_viewer(self.kernel.state, self.who.actor) if self.who.is_known else None
 
     @cached_property
     def hidden(self) -> frozenset[CampaignId]:
-        """The campaigns that the user who asks does not see."""
+        """The campaigns that the requesting user does not see."""
         return find_hidden(self.kernel.state, self.viewer)
 
     def expect_seen(self, campaign: str) -> None:
-        """Raises NotFound for a campaign that the user does not see, as for one that is not there."""
+        """Raises NotFound for a campaign that the user does not see, as for a campaign that does not
+        exist."""
         if campaign in self.hidden:
             raise NotFound(f"There is no campaign {campaign!r}.", remedy="List them: labos campaign list")
 
     def expect_run_seen(self, run: str) -> None:
-        """Raises NotFound for a run that is alive, of a campaign that the user does not see."""
+        """Raises NotFound for a run that has not ended, of a campaign that the user does not see."""
         known = self.kernel.state.runs.get(run)
         if known is not None and known.campaign in self.hidden:
             raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs")
 
     @property
     def is_sent_on(self) -> bool:
-        """Whether an API process has worked on it before, and sent it on to the kernel."""
+        """Whether an API process has already handled the request, and sent it on to the kernel."""
         return ADMITTED in self.request.scope
 
     @property
@@ -138,8 +139,8 @@ class Call:
 
 
 class AdmittedRequest(msgspec.Struct, frozen=True):
-    """A request that was let in and read: ``key`` is its idempotency key (empty: none that counts),
-    ``digest`` stands for all that it says, ``logged`` tells what the log says of it."""
+    """A request that was admitted and read: ``key`` is its idempotency key (empty: none that is used),
+    ``digest`` is a digest of the whole request, ``logged`` finds it in the log."""
 
     request: Request
     who: Who
@@ -165,16 +166,16 @@ class Shape(msgspec.Struct, frozen=True, dict=True):
 
 
 class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """``route`` is the method and the path: ``GET /runs/{run}``. ``client`` says how the method of the client
-    is called. ``tag`` is the heading under which it is described. ``problems`` are the codes of what may go
-    wrong besides what may with each request; ``example`` is a body, ``example_answer`` what is answered.
-    ``answer`` is for handlers that return a whole ``Response``; ``media`` are its content types.
-    ``headers`` are those that it reads of its own. ``logs_key``: the log bears the idempotency key, so that a
-    repetition is known after a restart, too. ``needs`` is the least role of the user who asks, ``nobody`` for
-    what somebody asks who has not signed in yet; ``by_home``: the owner of the lab's folder may do it;
-    ``by_link``: a token of scope viewer may stand in the address. ``secret``: the answer is not kept for a
-    repetition. ``at_kernel``: only the kernel's process can answer. ``recall`` tells from the events of a
-    request what was answered, where the handler cannot be asked once more."""
+    """``route`` is the method and the path: ``GET /runs/{run}``. ``client`` describes the client's method.
+    ``tag`` is the heading in the description. ``problems`` are the codes of its own problems, besides those
+    of every request; ``example`` is a body, ``example_answer`` an answer. ``answer`` is for handlers that
+    return a whole ``Response``; ``media`` are its content types. ``headers`` are the headers that it reads.
+    ``logs_key``: the log contains the idempotency key, so that a repetition is recognised after a restart
+    too. ``needs`` is the lowest role that the user must have, ``nobody`` for requests before signing in.
+    ``by_home``: the owner of the lab's folder may send it; ``by_link``: a token of scope viewer may be in the
+    address. ``secret``: the answer is not kept for a repetition. ``at_kernel``: only the kernel's process can
+    answer. ``recall`` computes the answer from the events of a request, if the handler cannot be called
+    again."""
 
     route: str
     handler: Callable[..., Awaitable[Any]]
@@ -218,7 +219,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return Shape(hints.get("path"), hints.get("query"), hints.get("body"), answer)
 
     def endpoint(self, api: Api) -> Callable[[Request], Awaitable[Response]]:
-        """What Starlette calls: it reads the request, asks the handler, and sends its answer."""
+        """The endpoint for Starlette: it reads the request, calls the handler, and sends its answer."""
 
         link = api.service.link
 
@@ -293,5 +294,5 @@ def declare(tag: str, *operations: Operation) -> tuple[Operation, ...]:
 
 
 def respond(operation: Operation, found: Any) -> Response:
-    """What a handler returned, as an answer."""
+    """The response for the return value of a handler."""
     return found if isinstance(found, Response) else wire.answer(found, operation.status)

@@ -1,4 +1,4 @@
-"""What the service of a lab stands on."""
+"""The parts that the service of a lab uses."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from labos.services.log import Log
 
 
 class Metrics(Protocol):
-    """What Prometheus asks for."""
+    """The metrics for Prometheus."""
 
     def text(self) -> str:
         """All metrics, in Prometheus' text format."""
 
     def targets(self, host: str) -> list[dict[str, Any]]:
-        """Where the metrics of the lab's processes are, as Prometheus' HTTP service discovery wants it;
-        ``host`` is how the asker reaches the kernel."""
+        """The addresses of the metrics of the lab's processes, in the form of Prometheus' HTTP service
+        discovery; ``host`` is the name under which the requesting program reaches the kernel."""
 
 
 class Parts(Protocol):
-    """What the service stands on."""
+    """The parts that the service uses."""
 
     @property
     def kernel(self) -> LabKernel: ...

@@ -1,4 +1,4 @@
-"""Users, groups and roles, as requests and answers say them."""
+"""Users, groups and roles, as the types of requests and answers."""
 
 from __future__ import annotations
 

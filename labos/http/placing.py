@@ -1,4 +1,4 @@
-"""Labware that is put on the bench for a run: all of it and the run, or nothing."""
+"""Labware that is placed on the bench for a run: all pieces and the run are recorded, or nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One piece of labware of a type, and the station on which it was put; ``variables`` say what it is:
+    """One piece of labware of a type, and the station on which it was put; ``variables`` describe it:
     ``{"sealed": true}``."""
 
     station: Name
@@ -33,8 +33,8 @@ class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def make_loads(service: LabService, placings: Sequence[Placing], workcell: str, by: str) -> list[LoadStation]:
-    """What somebody has put where: a command for each station. Raises NotFound, BadInput, and Refused if it
-    cannot stand there."""
+    """The commands for labware that a person has placed: one for each station. Raises NotFound, BadInput, and
+    Refused if it cannot stand there."""
     loads: dict[StationName, LoadStation] = {}
     for placing in placings:
         written = placing.station
@@ -60,8 +60,8 @@ def make_loads(service: LabService, placings: Sequence[Placing], workcell: str, 
 
 
 def _read_placing(service: LabService, placing: Placing) -> tuple[str, dict[str, bool]]:
-    """The type with its lid, and what else is said of a piece. Raises BadInput for what nothing in this lab
-    asks about."""
+    """The labware type with its lid, and the variables of a piece. Raises BadInput for a variable that no
+    action in this lab uses."""
     variables, labware = dict(placing.variables), placing.labware
     is_lidded = variables.pop("lidded", None)
     if is_lidded is False and split_item(labware)[1]:
@@ -86,7 +86,7 @@ def _list_variables(service: LabService) -> set[str]:
 
 
 def with_loads(bench: BenchFile, loads: Sequence[LoadStation]) -> BenchFile:
-    """What the stacks will hold when this has been put on them."""
+    """The content of the stacks after these pieces have been placed."""
     held = {stock.station: stock.count for stock in bench.stock}
     on_top = {load.station: load for load in loads}
     kept = [stock for stock in bench.stock if stock.station not in on_top]

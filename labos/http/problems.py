@@ -1,7 +1,7 @@
-"""The one shape in which errors leave the server: problem documents (RFC 9457).
+"""The only form of errors in answers: problem documents (RFC 9457).
 
-``PROBLEMS`` names every kind of them once, with its status; the description of the API and its reference
-page are made from it.
+``PROBLEMS`` names each kind once, with its status; the description of the API and its reference page are
+generated from it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ MEDIA_TYPE = "application/problem+json"
 
 
 class ProblemKind(msgspec.Struct, frozen=True):
-    """A kind of problem: its HTTP status, and what it says in general."""
+    """A kind of problem: its HTTP status and its general description."""
 
     status: int
     title: str
@@ -86,8 +86,8 @@ def make_problem(code: str, detail: str, remedy: str = "", details: tuple[Findin
 
 
 def make_problem_of_error(error: LabosError) -> Problem:
-    """An error as a problem. Its code is that of the error itself; its status and title those of the nearest
-    kind that is known of."""
+    """The problem for an error. Its code is the error's own; its status and title are those of the nearest
+    known kind."""
     findings = error.findings if isinstance(error, SpecErrors) else ()
     if isinstance(error, SpecError):
         return make_problem("spec_error", str(error), "", (make_finding(error),))
@@ -102,7 +102,7 @@ def make_problem_of_error(error: LabosError) -> Problem:
 
 
 def describe_error(error: LabosError) -> dict[str, Any]:
-    """An error as commands tell it in JSON: ``{error, remedy, code, details}``."""
+    """An error in the JSON form of commands: ``{error, remedy, code, details}``."""
     found = make_problem_of_error(error)
     details = msgspec.to_builtins(found.details)
     return {"error": found.detail, "remedy": found.remedy, "code": found.code, "details": details}

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from labos.services.accounts.command_line import CommandLineSignIn
 
 Sent = Annotated[str, msgspec.Meta(max_length=3_500)]
-"""What a provider sends with a browser."""
+"""Data that a provider sends with a browser."""
 
 
 class BeginSignIn(msgspec.Struct, forbid_unknown_fields=True):

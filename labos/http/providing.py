@@ -1,5 +1,5 @@
-"""Signing in with an identity provider: the two addresses to which a browser goes, and what the provider's
-groups mean here."""
+"""Signing in with an identity provider: the two addresses that a browser opens, and the roles in the lab that
+follow from the provider's groups."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 START = "/login/oidc"
 COOKIE = "labos-way-back"
 
-# Strict cookies are not sent by a browser that another site has sent here: this page asks for the next one.
+# A browser does not send strict cookies after a redirect from another site: this page makes it request the
+# next page itself.
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>LabOS</title>
 <meta http-equiv="refresh" content="0;url=/"><p>{}</p><p><a href="/">Go on</a></p></html>
 """
@@ -41,7 +42,7 @@ _log = structlog.get_logger(__name__)
 
 
 def list_provider_routes(api: Api, provider: Provider) -> list[Route]:
-    """The routes over one lab."""
+    """The routes for one lab."""
 
     async def start(request: Request) -> Response:
         """Send the browser to the provider."""
@@ -49,7 +50,7 @@ def list_provider_routes(api: Api, provider: Provider) -> list[Route]:
         begun = await provider.begin()
         answer = RedirectResponse(begun.address, 303, headers=HEADERS)
         secure = api.gate.secure
-        # Lax: it has to come along when the provider's page sends the browser back.
+        # Lax: the cookie must be sent when the provider's page redirects the browser back.
         answer.set_cookie(
             _name_cookie(secure),
             begun.browser,
@@ -62,7 +63,7 @@ def list_provider_routes(api: Api, provider: Provider) -> list[Route]:
         return answer
 
     async def come_back(request: Request) -> Response:
-        """The provider has sent the browser back."""
+        """The provider has redirected the browser back."""
         shown = request.cookies.get(_name_cookie(api.gate.secure), "")
         try:
             claims = await provider.finish(request.query_params, shown)
@@ -86,7 +87,7 @@ def _name_cookie(secure: bool) -> str:
 
 
 async def find_user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> str:
-    """The user whom a provider means; a new one, where that is allowed. Raises NotSignedIn."""
+    """The user for a provider's claims; a new user, if the provider file allows it. Raises NotSignedIn."""
     accounts, told, state = api.gate.accounts, provider.told, api.kernel.state
     user = await accounts.user_of(told.issuer, claims.subject)
     if not user and told.new_users:
@@ -105,14 +106,14 @@ async def find_user_meant(api: Api, provider: Provider, claims: ProviderClaims) 
         await accounts.set_person(Person(user, claims.name, claims.mail))
     for command in _list_changes(api, provider, user, frozenset(claims.groups)):
         answer = api.kernel.submit(command, LABOS)
-        if isinstance(answer, Rejection):  # the file names a group or workcell that is not there
+        if isinstance(answer, Rejection):  # the file names a group or workcell that does not exist
             _log.warning("claim_not_followed", user=user, why=answer.message)
     await api.kernel.flush()
     return user
 
 
 def _list_changes(api: Api, provider: Provider, user: str, claimed: frozenset[str]) -> list[Command]:
-    """What makes the user's group and roles those that the file says, as far as it speaks of them."""
+    """The commands that give the user the group and the roles of the provider file; others stay unchanged."""
     told, state = provider.told, api.kernel.state
     found: list[Command] = []
     wanted = next((group for claim, group in told.groups.items() if claim in claimed), "")

@@ -1,4 +1,4 @@
-"""What stands in the paths and queries of the operations."""
+"""The parameters in the paths and queries of the operations."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Answers from the log: what a request was answered that was carried out before this process knew of it.
+"""Computes from the log the answer to a request that was carried out before this process knew of it.
 
-The first event of a request bears its mark. So the log says where it was carried out, and the state before
-that is folded anew. There the handler is asked once more; what it gives its commands to does not decide, but
-tells what was decided then.
+The first event of a request contains its mark. So the log shows where it was carried out, and the state
+before it is folded again. In this state the handler is called once more; its kernel does not decide, but
+returns the events of that time.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ if TYPE_CHECKING:
     from labos.http.parts import Parts
 
 FURTHER = 5_000
-"""So many records behind a command of a request the next one of it is looked for."""
+"""The next command of a request is searched for within so many records after the previous one."""
 
 _log = structlog.get_logger(__name__)
 _turn = asyncio.Semaphore(1)
 
 
 class _NotInTheLog(Exception):
-    """The answer depends on what the log does not say."""
+    """The answer depends on facts that are not in the log."""
 
 
 class _Then:
-    """The time at which something was recorded; it stands still."""
+    """A clock that stands still at the time of a record."""
 
     def __init__(self, at_ns: int) -> None:
         self._at_ns = at_ns
@@ -64,8 +64,9 @@ class _Then:
 
 
 class RecordedKernel(FoldedLab):
-    """A kernel in the ``state`` before a request, whose events are among ``records``: those that bear its
-    ``mark``, each with what it caused. It decides nothing: a command has the events that it had."""
+    """A kernel in the ``state`` before a request, whose events are among ``records``: those that contain its
+    ``mark``, and the events that they caused. It decides nothing: a command returns its events of that
+    time."""
 
     def __init__(self, state: LabState, records: Sequence[Record], mark: str) -> None:
         self.state, self._records, self._mark = state, records, mark
@@ -77,11 +78,12 @@ class RecordedKernel(FoldedLab):
         self.scheduler = Scheduler()
 
     async def scrub(self) -> str:
-        """It was done, or told, when the request was carried out."""
+        """This was done when the request was carried out; nothing to do."""
         return ""
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
-        """What the command led to: a rejection then is one now, for the state is what it was."""
+        """The events of the command. If the command is rejected now, it was rejected then too, as the state
+        is the same."""
         decision = decide(self.state, command, actor)
         if isinstance(decision, Rejection):
             return decision
@@ -90,11 +92,11 @@ class RecordedKernel(FoldedLab):
         return list(self._fold_next())
 
     def events_of_command(self) -> list[Event]:
-        """Those of the request's next command."""
+        """The events of the request's next command."""
         return list(self._fold_next())
 
     def _fold_next(self) -> Iterator[Event]:
-        """The events of the request's next command; the state goes on to the last of them."""
+        """The events of the request's next command; the state continues to the last of them."""
         cause = ""
         for record in self._records:
             head = record.head
@@ -105,7 +107,7 @@ class RecordedKernel(FoldedLab):
             event = decode_event(record)
             evolve(self.state, event, head.position, head.recorded_at)
             if not cause and not head.causation.startswith(self._mark):
-                continue  # what others did in between
+                continue  # an event of another request in between
             cause = cause or head.id
             yield event
         if not cause:
@@ -113,7 +115,7 @@ class RecordedKernel(FoldedLab):
 
 
 class _RecordedParts:
-    """What a service stands on that answers from the log: no node is asked, and nothing follows."""
+    """The parts of a service that answers from the log: no node is asked, and nothing is changed."""
 
     supervised = None
     log_check: LogCheck | None = None
@@ -139,11 +141,11 @@ class _RecordedParts:
         raise _NotInTheLog("metrics were asked for")
 
     def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:
-        """They were followed then."""
+        """This was done when the request was carried out."""
 
 
 class RepeatedRequest(msgspec.Struct, frozen=True):
-    """A request as it came again, which can be asked of the log."""
+    """A repeated request whose answer can be computed from the log."""
 
     api: Api
     operation: Operation
@@ -152,8 +154,8 @@ class RepeatedRequest(msgspec.Struct, frozen=True):
     told: Mapping[str, msgspec.Struct]
 
     async def answer(self, mark: str, position: int) -> Response:
-        """What it was answered when it was carried out, its first event at ``position``. Raises AlreadyDone
-        if the log does not say."""
+        """Its answer at the time when it was carried out; its first event is at ``position``. Raises
+        AlreadyDone if the log is not enough."""
         from labos.http.operation import Call, respond
         from labos.http.service import LabService
 
@@ -163,7 +165,7 @@ class RepeatedRequest(msgspec.Struct, frozen=True):
             return fold_to(log, position - 1), list(log.read(position - 1, position + FURTHER))
 
         try:
-            async with _turn:  # to fold a log takes a while
+            async with _turn:  # folding a log takes a while
                 kernel = RecordedKernel(*await asyncio.to_thread(read), mark)
             if self.operation.recall is not None:
                 return respond(self.operation, self.operation.recall(kernel.events_of_command()))

@@ -1,4 +1,4 @@
-"""The same idempotency key twice is one thing, if the same thing is asked for."""
+"""Two requests with the same idempotency key count as one, if they are the same."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ E = TypeVar("E", bound=Event)
 
 
 def make_digest_of_request(*whole: Any) -> str:
-    """One digest for all that a request says."""
+    """One digest of the whole request."""
     return digest(msgspec.json.encode(whole, order="deterministic"))
 
 
 def expect_same_run(log: Log, key: str, run: str, asked: str) -> None:
-    """Raises KeyReused if the run that bears a key was asked for in other words."""
+    """Raises KeyReused if the run with this key comes from a different request."""
     first = _read_first(log, run, RunSubmitted)
     if first is not None and first.pins.get("request", asked) != asked:
         raise KeyReused(
@@ -36,7 +36,7 @@ def expect_same_run(log: Log, key: str, run: str, asked: str) -> None:
 
 
 def expect_same_experiment(log: Log, command: StartExperiment, experiment: str) -> None:
-    """Raises KeyReused if the experiment that bears a key is another one."""
+    """Raises KeyReused if the experiment with this key is a different one."""
     first = _read_first(log, experiment, ExperimentStarted)
     closing = plan_digest(command.closing) if command.closing is not None else ""
     asked = (command.name, command.user, closing, command.priority, command.parking)

@@ -1,6 +1,6 @@
-"""Events of campaigns that not everybody sees are kept back from those who do not.
+"""Hides events of restricted campaigns from users who may not see these campaigns.
 
-Which campaigns these are is learned from the log itself, so that every process that hands events on knows.
+The restricted campaigns are learned from the log itself, so that every process that sends events knows them.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from labos.core.viewer import RestrictedCampaign, Viewer
 from labos.ports import LogQuery
 
 if TYPE_CHECKING:
-    # The process for followers starts without it.
+    # The process for followers starts without this import.
     from labos.services.log import Log
 
 SUBMITTED = "campaign.submitted"
 
 SHOWN = ("labware.", "liquid.", "resource.", "intervention.")
-"""How the types of events begin that are never kept back: what happens to labware and stock, and what people
-are asked about it, concerns everybody who works at the bench."""
+"""The first parts of event types that are never hidden: labware, stock and questions about them concern
+everybody who works at the bench."""
 
 
 class _Submitted(msgspec.Struct, frozen=True):
-    """The part of ``CampaignSubmitted`` that says who sees it."""
+    """The part of ``CampaignSubmitted`` that determines who sees it."""
 
     campaign: str
     user: str
@@ -48,7 +48,7 @@ class RestrictedCampaigns:
         self._turn = asyncio.Lock()
 
     def learn(self, records: Iterable[Record]) -> None:
-        """What was written last."""
+        """Take in the newest records."""
         for record in records:
             if record.head.type == SUBMITTED:
                 found = _decode(record.payload)
@@ -58,11 +58,11 @@ class RestrictedCampaigns:
                     )
 
     def forget(self) -> None:
-        """The log may contain events that this listener was not told of."""
+        """The log may contain events that this listener did not receive."""
         self._is_read = False
 
     async def read(self) -> None:
-        """Learn of all that were ever submitted, once. Raises StoreUnavailable."""
+        """Read all campaigns that were ever submitted, once. Raises StoreUnavailable."""
         async with self._turn:
             if not self._is_read:
                 self.learn(await asyncio.to_thread(self._read_submitted))

@@ -1,4 +1,5 @@
-"""A person goes round the bench after the log lost its end, and says what stands where."""
+"""The round: after the log lost its end, a person checks the whole bench and reports the content of each
+station."""
 
 from __future__ import annotations
 
@@ -41,15 +42,15 @@ class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Evidence(msgspec.Struct, frozen=True):
-    """A module or file that knows of a later position than the log has, and that position."""
+    """A module or file that has a later position than the log, and that position."""
 
     by: str
     knows: str
 
 
 class DiscoveredAction(msgspec.Struct, frozen=True):
-    """An action that a node knows and the log does not. ``places`` is where it was at work; null: the journal
-    does not say."""
+    """An action that is in a node's journal and not in the log. ``places`` are the stations at which it
+    worked; null: the journal does not name them."""
 
     module: str
     name: str
@@ -107,7 +108,7 @@ class RoundResult(msgspec.Struct, frozen=True):
 
 
 def round_view(state: LabState) -> Round:
-    """What is known of the log's lost end, and every station with what the log believes of it."""
+    """The facts about the log's lost end, and every station with its content according to the log."""
     shorter, bench = state.shorter, state.bench
     left = set(list_to_say(state))
     asked = [q.id for q in state.interventions.open.values() if q.kind == ShorterLog.KIND]
@@ -155,8 +156,8 @@ def _make_round_station(state: LabState, name: StationName, said: bool) -> Round
 
 
 async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
-    """Take what a person says, station by station: what cannot be is told with its reason, all else
-    holds."""
+    """Accept a person's report, station by station: an impossible one is refused with its reason, all others
+    are recorded."""
     refused: list[RoundRefusal] = []
     said: dict[StationName, SayContents] = {}
     confirmed: dict[StationName, ConfirmStations] = {}
@@ -189,7 +190,7 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
 
 
 def _explain_open(service: LabService, by: str) -> str:
-    """Why the question about the round cannot be answered though everything is said."""
+    """Why the question about the round cannot be answered although everything is reported."""
     for question in service.kernel.state.interventions.open_about(ShorterLog):
         try:
             check(service, ResolveIntervention(question.id, "checked", by), by)
@@ -199,7 +200,7 @@ def _explain_open(service: LabService, by: str) -> str:
 
 
 def _expect_known(service: LabService, name: StationName, contents: Sequence[str]) -> None:
-    """Labware by its id, or by its type; what lies in a waste is only counted."""
+    """Labware by its id, or by its type; pieces in a waste are only counted."""
     bench = service.kernel.state.bench
     if bench.stations[name].spec.kind == "waste":
         return

@@ -1,4 +1,4 @@
-"""Sample sheets: from the text of a sheet to what the log says of plates."""
+"""Sample sheets: from the text of a sheet to the events about plates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labos.spec.findings import FindingList
 from labos.spec.sheet import MOST_FAULTS, SheetLine, check_wells, read_sheet
 
 LARGEST_INLINE = 16 * 1024
-"""Bytes of samples that stand in an event; more of them are a blob."""
+"""The largest number of bytes of samples in an event; more of them are stored as a blob."""
 
 
 async def register_samples(
@@ -30,8 +30,8 @@ async def register_samples(
     station: str = "",
     replace: bool = False,
 ) -> dict[str, int]:
-    """Say what the wells of plates hold, all of it or nothing; returns how many samples each has.
-    ``labware`` or ``station`` names the plate where the sheet does not. Raises SpecErrors with the
+    """Register the samples in the wells of plates, all of them or none; returns the number of samples in each
+    plate. ``labware`` or ``station`` names the plate if the sheet does not. Raises SpecErrors with the
     sheet's lines, BadInput, Refused, NotFound."""
     service.expect_role(actor, "submitter")
     report = FindingList(name)
@@ -45,7 +45,7 @@ async def register_samples(
     if report.errors:
         raise SpecErrors(report.sort_findings())
     blobs = service.parts.blobs
-    # Kept before any event speaks of them.
+    # Stored before an event names them.
     await asyncio.to_thread(blobs.put, text.encode())
     told = [await asyncio.to_thread(_pack, service, plate, mine) for plate, mine in plates.items()]
     await service.kernel.execute(RegisterSamples(digest(text.encode()), tuple(told), replace), actor)
@@ -70,7 +70,7 @@ def _find_plate(service: LabService, labware: str, station: str) -> Labware | No
 def _sort_by_plate(
     service: LabService, rows: list[SheetLine], only: Labware | None, report: FindingList
 ) -> dict[LabwareId, list[SheetLine]]:
-    """The rows of each plate; what names no plate here goes to the report."""
+    """The rows of each plate; a row that names no plate of this lab is added to the report."""
     found: dict[LabwareId, list[SheetLine]] = {}
     named: dict[str, Labware | BadInput] = {}
     for row in rows:
@@ -105,7 +105,7 @@ def _find_labware(service: LabService, name: str) -> Labware | BadInput:
 
 async def _check(service: LabService, labware: Labware, rows: list[SheetLine], report: FindingList) -> None:
     kind = service.find_labware_kind(labware)
-    # Of a type that nobody describes, nothing is known that could be wrong.
+    # Nothing can be checked for a type without a description.
     if kind is not None:
         await service.run_beside(0, check_wells, rows, labware.type, kind.wells, report)
 

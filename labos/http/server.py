@@ -27,10 +27,10 @@ HEAD_S = 10.0
 """How long a client may take to send the head of a request, once it has connected or begun one."""
 
 STALL_S = 30.0
-"""How long a client may take nothing of its answer up."""
+"""How long a client may accept nothing of its answer."""
 
 MOST_CONNECTIONS = 2_000
-"""Connections at once; fewer where the process may not open twice as many files."""
+"""Connections at once; fewer if the process may not open twice as many files."""
 
 BUSY = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: %b\r\nconnection: close\r\n\r\n%b" % (
     MEDIA_TYPE.encode(),
@@ -48,7 +48,7 @@ class _Server(uvicorn.Server):
 
 
 class _Protocol(StrictProtocol):
-    """One connection; one that does not say what it wants is closed."""
+    """One connection; it is closed if it does not send a request."""
 
     most_connections = MOST_CONNECTIONS
 
@@ -64,13 +64,13 @@ class _Protocol(StrictProtocol):
         self.app = with_connection
 
     async def give_away(self, take: Callable[[socket.socket], bool]) -> bool:
-        """Let somebody else have the connection; False if nobody takes it. Nothing is sent here any more."""
+        """Give the connection to another process; False if none takes it. Nothing is sent here afterwards."""
         connection = self.transport.get_extra_info("socket")
         if self.transport.get_extra_info("ssl_object") is not None:
-            return False  # what is said over TLS, only this process can say
+            return False  # only this process can encrypt for this TLS connection
         if connection is None or self.transport.is_closing() or not take(connection):
             return False
-        self.transport.abort()  # closes our end of it only
+        self.transport.abort()  # closes only our own end
         await self._gone.wait()
         return True
 
@@ -99,7 +99,8 @@ class _Protocol(StrictProtocol):
             self._await_head()
 
     def send_400_response(self, msg: str) -> None:
-        """What is no HTTP is refused as everything else is; once an answer has begun, it just ends."""
+        """A request that is not HTTP is refused like every other one; if an answer has begun, the connection
+        is closed."""
         if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):
             self.transport.close()
             return
@@ -144,9 +145,9 @@ class _Protocol(StrictProtocol):
 
 
 class Listening(msgspec.Struct, frozen=True):
-    """Where a lab is served: ``names`` are those under which it is reached besides ``host``. With a
-    ``certificate`` and its ``key`` (PEM files) over TLS. ``behind_proxy``: a program on this computer or its
-    network speaks for browsers, and says for whom (``X-Forwarded-For``)."""
+    """Where a lab is served: ``names`` are the other names under which it is reached. With a ``certificate``
+    and its ``key`` (PEM files), it uses TLS. ``behind_proxy``: a proxy on this computer or its network
+    forwards the requests of browsers, and names the sender (``X-Forwarded-For``)."""
 
     host: str = "127.0.0.1"
     port: int = 0
@@ -157,12 +158,12 @@ class Listening(msgspec.Struct, frozen=True):
 
     @property
     def is_secure(self) -> bool:
-        """Whether browsers reach it over TLS."""
+        """Whether browsers reach the lab over TLS."""
         return bool(self.certificate) or self.behind_proxy
 
 
 class HttpServer:
-    """Serves a lab on one address; loopback only unless told otherwise. Raises BadInput for an address or a
+    """Serves a lab on one address; by default only on loopback. Raises BadInput for an address or a
     certificate that cannot be used."""
 
     def __init__(self, service: LabService, gate: Gate, listening: Listening) -> None:
@@ -191,7 +192,7 @@ class HttpServer:
         self._task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """The socket listens already: requests that come before the server is up wait for it."""
+        """The socket already listens: requests that come before the server is up wait."""
         self._task = asyncio.get_running_loop().create_task(self._server.serve([self._socket]))
 
     async def close(self) -> None:
@@ -247,7 +248,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def is_own_address(host: str) -> bool:
-    """Whether only programs of this computer reach what listens on an address."""
+    """Whether a server at this address is reached only by programs of this computer."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -1,6 +1,6 @@
-"""What a lab can be asked to do from outside: words in, commands out.
+"""The service of a lab for requests from outside: it turns their texts into commands.
 
-Everything is checked before anything is decided, so that a refused request leaves no trace.
+Every check is made before the first decision, so that a refused request leaves no trace.
 """
 
 from __future__ import annotations
@@ -79,19 +79,19 @@ if TYPE_CHECKING:
     from labos.http.link import KernelLink
 
 SILENCE_S = 30.0
-"""An application that is not heard of for so long is lost."""
+"""An application without a heartbeat for so long counts as lost."""
 
 STORIES_KEPT = 200
 
 LONG_TEXT = 64 * 1024
-"""Characters from which on reading a file takes a while."""
+"""Reading a file with at least so many characters takes a while."""
 
 R = TypeVar("R")
 
 
 class WorkflowText(msgspec.Struct, frozen=True):
-    """A workflow as a client sends it along: its text, the name errors shall call it by, and the
-    contents of files that its arguments may name."""
+    """A workflow in a request: its text, its name in error messages, and the contents of files that its
+    arguments may name."""
 
     text: FileText
     name: FileName = "workflow"
@@ -99,7 +99,7 @@ class WorkflowText(msgspec.Struct, frozen=True):
 
 
 class LabService:
-    """Submits, answers and changes; every call raises LabosError with a remedy."""
+    """Submits, queries and changes; every call raises LabosError with a remedy."""
 
     def __init__(self, parts: Parts, feed: Feed, viewers: Viewers | None = None) -> None:
         self.viewers = viewers
@@ -110,19 +110,19 @@ class LabService:
         self.tail = Tail(parts.store, lambda: parts.kernel.durable)
         parts.kernel.listeners.append(self.tail)
         self.marks: Marks | None = None
-        """What the log knows of requests, where the kernel is in this process."""
+        """The log's facts about requests, if the kernel is in this process."""
         self.link: KernelLink | None = None
-        """The way to the kernel, where it is in another process."""
+        """The connection to the kernel, if it is in another process."""
         self.finder: Finder | None = None
-        """Who answers from the search index."""
+        """Answers queries to the search index."""
         self._heard: dict[ExperimentId, float] = {}
         self._stories: dict[str, RunHistory] = {}
         self._cells: dict[str, Workcell] = {}
         self._long_work = asyncio.Semaphore(1)
 
     async def run_beside(self, size: int, work: Callable[..., R], *args: Any, **named: Any) -> R:
-        """Do work on ``size`` characters that somebody sent, beside the event loop. Long ones are read one
-        at a time: Python does one thing at a time, and the kernel needs its share."""
+        """Do work on a text of ``size`` characters, for long texts in a thread. Long texts are handled one at
+        a time: Python runs one thread at a time, and the kernel needs its share."""
         if size <= LONG_TEXT:
             return await asyncio.to_thread(work, *args, **named)
         async with self._long_work:
@@ -130,21 +130,21 @@ class LabService:
 
     @cached_property
     def forecasts(self) -> Forecasts:
-        """What is to be expected of the lab."""
+        """Makes forecasts of the lab."""
         from labos.http.forecasts import Forecasts
 
         return Forecasts(self)
 
     def give_up_forecasts(self) -> None:
-        """What is being worked out ends, if anybody has ever asked for a forecast."""
+        """Stop forecasts that are being computed, if any were requested."""
         if "forecasts" in self.__dict__:
             self.forecasts.close()
 
     # -- workcells ---------------------------------------------------------------------------
 
     async def apply(self, cell: CompiledWorkcell, actor: str, *, declare: bool) -> None:
-        """Set a workcell up, or change it. With ``declare``, what nobody has spoken of stands
-        as the file's stock says."""
+        """Set up a workcell, or change it. With ``declare``, stations without a declaration have the content
+        that the file gives as stock."""
         stock: dict[StationName, list[str]] = {}
         for item in cell.bench.stock if declare else ():
             stock.setdefault(item.station, []).extend([item.labware] * item.count)
@@ -152,7 +152,7 @@ class LabService:
         await self.kernel.execute(ApplyWorkcell(cell.workcell, contents), actor)
 
     def workcell(self, name: str = "") -> Workcell:
-        """An applied workcell, as the log has it; without a name, the only one. Raises BadInput."""
+        """An applied workcell, as the log has it; if no name is given, the only one. Raises BadInput."""
         state = self.kernel.state
         known = list(state.lab.workcells)
         if not name:
@@ -179,11 +179,11 @@ class LabService:
         return self._cells[found]
 
     def read_bench(self, workcell: str) -> BenchFile:
-        """Which labware types stand in the stacks now, and which modules are not at rest though no run keeps
+        """The labware types in the stacks now, and the modules that are not at rest although no run holds
         them."""
         state = self.kernel.state
         away = {
-            name: tuple(v for v, at in module.spec.rest.items() if module.value(v) not in (at, None))
+            name: tuple(v for v, at in module.spec.rest.items() if module.find_value(v) not in (at, None))
             for name, module in state.modules.by_name.items()
             if workcell_of(name) == workcell and not state.runs.holders.get(name)
         }
@@ -197,8 +197,8 @@ class LabService:
         )
 
     def list_labware_types(self) -> list[str]:
-        """What may be placed: the packaged types and the lab's own, what stations accept, what is on the
-        bench."""
+        """The labware types that may be placed: those of LabOS and of the lab, those that stations accept,
+        and those on the bench."""
         bench = self.kernel.state.bench
         known = {item.type for item in bench.labware.values()} | set(_load_packaged_labware())
         for own in self.kernel.state.lab.labware.values():
@@ -221,8 +221,8 @@ class LabService:
             )
 
     def find_labware_kind(self, item: Labware) -> LabwareSpec | None:
-        """The description of a piece's type: by the workcell where it stands, by another one, or LabOS'
-        own; None if nobody gave one."""
+        """The description of a piece's type: from the workcell where it stands, from another workcell, or
+        from LabOS; None if there is none."""
         own = self.kernel.state.lab.labware
         here = workcell_of(item.station) if item.station else ""
         cells = [own[name] for name in sorted(own, key=lambda name: (name != here, name))]
@@ -241,8 +241,8 @@ class LabService:
         *,
         keep: bool = True,
     ) -> Compiled:
-        """``loads`` is what will have been put on the bench when it is submitted. With ``keep``, files and
-        text are kept for those who submit it. Raises SpecError, SpecErrors, BadInput."""
+        """``loads`` is the labware that will be placed on the bench before the submission. With ``keep``,
+        files and text are stored for the submission. Raises SpecError, SpecErrors, BadInput."""
         cell = self.workcell(await self.find_workcell_for(workflow, workcell))
         bench = with_loads(self.read_bench(cell.name), loads)
         simulated = self.parts.simulated
@@ -254,7 +254,7 @@ class LabService:
                 source, payload, cell, descriptions, simulate=simulated, files=workflow.files, bench=bench
             )
             compiled = check_windows(compiled, cell)
-            # Kept before any event speaks of them.
+            # Stored before an event names them.
             for content in (*compiled.files.values(), workflow.text.encode()) if keep else ():
                 self.parts.blobs.put(content)
             return compiled
@@ -262,7 +262,7 @@ class LabService:
         return await self.run_beside(len(workflow.text), work)
 
     async def find_workcell_for(self, workflow: WorkflowText, workcell: str) -> str:
-        """The workcell that is named, by the workflow if by nobody else; empty if that is not needed."""
+        """The named workcell, else the workflow's; empty if none is needed."""
         if workcell or len(self.kernel.state.lab.workcells) == 1:
             return workcell
         source = await self.run_beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
@@ -283,10 +283,11 @@ class LabService:
         propose: bool = False,
         due: str = "",
     ) -> tuple[str, tuple[Finding, ...]]:
-        """Queue a run of ``user``, who asks; returns its id and the workflow's warnings. The same ``request``
-        twice is one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with
-        it, or not at all. With ``propose`` it waits for an approval; it should be over when it is ``due``."""
-        self.expect_role(user, "submitter")  # before anything is kept of it
+        """Queue a run for the requesting ``user``; returns its id and the workflow's warnings. The same
+        ``request`` twice is one run; Refused if the two requests differ. The labware in ``place`` is recorded
+        together with the run, or not at all. With ``propose`` it waits for an approval; ``due`` is its due
+        date."""
+        self.expect_role(user, "submitter")  # before anything of it is stored
         self.expect_own(experiment, user)
         files = await asyncio.to_thread(digest_files, workflow.files)
         asked = digest_of_run(
@@ -322,7 +323,7 @@ class LabService:
         return str(run), (*compiled.findings, *self.without_gap(run))
 
     def without_gap(self, run: RunId) -> list[Finding]:
-        """The bookings of others that leave a run no room, as warnings: it would wait for a person."""
+        """Warnings about bookings of others that leave no time for the run: it would wait for a person."""
         state = self.kernel.state
         known = state.runs.queued.get(run) if state.bookings.open else None
         waits = list_without_gap(state, known, self.kernel.clock.now_ns()) if known is not None else []
@@ -332,7 +333,7 @@ class LabService:
         ]
 
     def expect_own(self, experiment: str, user: str) -> None:
-        """Raises Refused for a run that would use somebody else's experiment, and with it their labware."""
+        """Raises Refused for a run in an experiment of another user, as it could use that user's labware."""
         known = self.kernel.state.experiments.open.get(ExperimentId(experiment))
         if known is not None and known.user != find_person(user):
             raise Refused(
@@ -341,7 +342,7 @@ class LabService:
             )
 
     def list_pins(self, workflow: WorkflowText, *plans: Plan) -> dict[str, str]:
-        """What a run is made of that follows one of these plans, by digest."""
+        """The digests of the parts of a run that follows one of these plans."""
         state = self.kernel.state
         pins = {
             "workflow": digest(workflow.text.encode()),
@@ -354,8 +355,8 @@ class LabService:
         return pins
 
     async def change(self, run: str, verb: str, actor: str, *, stay: bool = False, why: str = "") -> None:
-        """``cancel``, ``pause`` or ``resume`` a run. ``stay``: a cancelled run's labware stays where it
-        is. ``why``: a word about its cancellation for the log."""
+        """``cancel``, ``pause`` or ``resume`` a run. ``stay``: a cancelled run's labware stays where it is.
+        ``why``: the reason for its cancellation, for the log."""
         name = RunId(run)
         commands: dict[str, Command] = {
             "cancel": CancelRun(name, stay, why),
@@ -363,12 +364,11 @@ class LabService:
             "resume": ResumeRun(name),
         }
         if self.kernel.state.runs.get(run) is None:
-            await self.read_story(run)  # raises NotFound if there never was one
+            await self.read_story(run)  # raises NotFound for an unknown run
         await self.kernel.execute(commands[verb], actor)
 
     async def read_story(self, run: str, wait_s: float = 0.0) -> RunHistory:
-        """A run as the log tells it, waiting for its end for ``wait_s`` at the most. Raises
-        NotFound."""
+        """A run according to the log; waits for its end for at most ``wait_s``. Raises NotFound."""
         if wait_s > 0:
             await self.feed.wait_until(lambda: self.kernel.state.runs.get(run) is None, wait_s)
         await self.kernel.flush()
@@ -396,7 +396,7 @@ class LabService:
         parking: Sequence[str] = (),
         propose: bool = False,
     ) -> str:
-        """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
+        """An application begins; from now on it must send a heartbeat at least every ``SILENCE_S``."""
         self.expect_role(user, "submitter")
         compiled = await self.compile(closing, payload, workcell) if closing is not None else None
         if compiled is not None and compiled.others:
@@ -419,19 +419,19 @@ class LabService:
         return str(experiment)
 
     def expect_role(self, actor: str, needs: Role, cell: str = "") -> None:
-        """Raises Forbidden for somebody who lacks a role in a workcell (empty: in all of them)."""
+        """Raises Forbidden for a user without the role in a workcell (empty: in all of them)."""
         lacks = check_role(self.kernel.state, actor, needs, cell)
         if lacks is not None:
             raise make_error(lacks)
 
     def hear(self, experiment: str, actor: str) -> None:
-        """The application is running. Raises Forbidden for somebody else's: the program that keeps it alive
-        goes on with it."""
+        """The application is running. Raises Forbidden for another user's experiment: a heartbeat means that
+        its sender continues the experiment."""
         self.check_noting(experiment, actor)
         self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
 
     def check_noting(self, experiment: str, actor: str) -> None:
-        """Raises Forbidden for who may not add to an experiment."""
+        """Raises Forbidden for a user who may not add to an experiment."""
         wrong = check_rights(self.kernel.state, NoteExperiment(ExperimentId(experiment), "", ""), actor)
         if wrong is not None:
             raise make_error(wrong)
@@ -448,7 +448,7 @@ class LabService:
         self.hear(experiment, actor)
 
     async def end_experiment(self, experiment: str, why: str, actor: str) -> None:
-        """The application is over; ending it twice is ending it once."""
+        """The application has ended; a repetition has no further effect."""
         name = ExperimentId(experiment)
         known = self.kernel.state.experiments.open
         given_out = {f"E{number + 1}" for number in range(self.kernel.state.experiments.named)}
@@ -459,7 +459,7 @@ class LabService:
         self._heard.pop(name, None)
 
     async def miss_silent(self) -> None:
-        """Ask a person about applications that have gone silent; for ever."""
+        """Ask a person about applications without a heartbeat; runs until it is cancelled."""
         while True:
             await asyncio.sleep(1.0)
             now = self.parts.clock.monotonic()
@@ -484,11 +484,11 @@ class LabService:
         await self.kernel.execute(answer, by)
 
     async def emergency_stop(self, target: str, by: str) -> StopReport:
-        """Stop a module, a workcell or everything (``*``) at once: no log is asked, and none is
-        waited for. Raises NotFound."""
+        """Stop a module, a workcell or everything (``*``) at once, without reading the log or waiting for it.
+        Raises NotFound."""
         registry = self.parts.registry
         known = list(registry.living)
-        with contextlib.suppress(LabosError):  # the log may be out of reach
+        with contextlib.suppress(LabosError):  # the log may be unreachable
             known += [name for name in self.kernel.state.modules.by_name if name not in known]
         modules = resolve_target(target, known)
         if not modules and target != EVERYTHING:
@@ -497,7 +497,7 @@ class LabService:
                 remedy=near(target, map(local, known), "module"),
             )
         report = await stop_modules(self.parts.bus, registry.lab, modules, by)
-        with contextlib.suppress(LabosError):  # the nodes tell it again with their states
+        with contextlib.suppress(LabosError):  # the nodes report it again with their states
             self.kernel.submit(RecordStops(by, report.stopped, target, report.silent), by)
         return report
 
@@ -510,7 +510,7 @@ class LabService:
         await self.kernel.execute(PutBack(self.module(module)), by)
 
     def module(self, name: str) -> ModuleName:
-        """A module by its full name, or by its local one if only one bears it. Raises NotFound."""
+        """A module by its full name, or by its local one if only one module has it. Raises NotFound."""
         return ModuleName(self._find_one_of(name, list(self.kernel.state.modules.by_name), "module"))
 
     def labware(self, name: str) -> Labware:
@@ -523,8 +523,8 @@ class LabService:
         return known[LabwareId(name)]
 
     def station(self, name: str) -> StationName:
-        """A station by its full name, its local one or an alias, with its module or without. Raises NotFound,
-        BadInput."""
+        """A station by its full name, its local name or an alias, with or without its module. Raises
+        NotFound, BadInput."""
         known = self.kernel.state.bench.stations
         if name in known:
             return StationName(name)
@@ -571,8 +571,8 @@ def digest_of_run(
     propose: bool,
     due: str,
 ) -> str:
-    """What is asked for with a run, as one digest: it tells whether a key stands for the same run. ``files``
-    are those of the workflow, by their digests."""
+    """A digest of the whole request for a run: it shows whether a key stands for the same run. ``files`` are
+    the workflow's files by their digests."""
     return make_digest_of_request(
         workflow.text,
         files,

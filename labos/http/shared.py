@@ -1,4 +1,4 @@
-"""An answer for everybody who asks at the same time, worked out once."""
+"""An answer that is computed once for all requests at the same time."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import time
 from collections.abc import Awaitable, Callable
 
 LOAD = 0.2
-"""The part of the kernel's time that working out an answer may take, however many ask."""
+"""The part of the kernel's time that computing an answer may take, for any number of requests."""
 LONGEST_PAUSE_S = 2.0
 
 
 class Shared:
-    """Those who ask wait together for the next answer. It is never older than their question; and the more
-    work it is, the longer is the pause before the one after it."""
+    """Requests wait together for the next answer. The answer is never older than a request. The longer an
+    answer takes to compute, the longer is the pause before the next one."""
 
     def __init__(
         self, work: Callable[[], bytes], written: Callable[[], Awaitable[None]], load: float = LOAD
@@ -23,7 +23,7 @@ class Shared:
         self._rest_until = 0.0
 
     async def get(self) -> bytes:
-        """The answer, when what it tells is on disk."""
+        """The answer, when everything that it reports is on disk."""
         if self._next is None:
             self._next = asyncio.get_running_loop().create_task(self._answer_next())
         return await asyncio.shield(self._next)
@@ -34,7 +34,7 @@ class Shared:
             if pause > 0:
                 await asyncio.sleep(pause)
         finally:
-            self._next = None  # from here on, who asks would get an answer older than the question
+            self._next = None  # from here on, this answer would be older than a new request
         begun = time.monotonic()
         answer = self._work()
         took = time.monotonic() - begun

@@ -1,4 +1,4 @@
-"""Signing in and out, tokens, passwords, and who users are."""
+"""Signing in and out, tokens, passwords, and names of users."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _DAY = 86_400 * _SECOND
 
 
 class SignIn(msgspec.Struct, forbid_unknown_fields=True):
-    """What a person shows to sign in."""
+    """The credentials with which a person signs in."""
 
     user: Annotated[Name, says("the user's id")]
     password: Annotated[Secret, says("the password")]
@@ -87,7 +87,7 @@ class NewPassword(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class PersonDetails(msgspec.Struct, forbid_unknown_fields=True):
-    """What is left out stays as it is."""
+    """Fields that are left out do not change."""
 
     name: Annotated[Line | None, says("the user's name")] = None
     mail: Annotated[Mail | None, says("an address")] = None
@@ -109,7 +109,7 @@ class UserReference(msgspec.Struct, frozen=True):
 
 
 def is_admin(call: Call) -> bool:
-    """Whether the user who asks may help others to sign in."""
+    """Whether the requesting user may help others to sign in."""
     if not call.who.is_known:
         return call.who.how == "home"
     state = call.kernel.state
@@ -120,7 +120,7 @@ def is_admin(call: Call) -> bool:
 
 
 def expect_self_or_admin(call: Call, user: str) -> None:
-    """Raises Forbidden, also for a program that would get at how somebody else signs in; NotFound."""
+    """Raises Forbidden, also for a program that wants to change how another user signs in; NotFound."""
     who, known = call.who.user, call.kernel.state.users.known
     if who != user and not is_admin(call):
         raise Forbidden(
@@ -137,7 +137,7 @@ def expect_self_or_admin(call: Call, user: str) -> None:
 
 
 def _is_program(call: Call) -> bool:
-    """Whether a service account asks."""
+    """Whether the requesting user is a service account."""
     known = call.kernel.state.users.known.get(call.who.user) if call.who.is_known else None
     return known is not None and known.kind == "service"
 
@@ -168,8 +168,8 @@ async def sign_in(call: Call, told: SignIn) -> Response:
 
 
 def give_cookie(gate: Gate, answer: Response, secret: str, session: Session) -> None:
-    """Let the browser keep a session: no script reads the cookie, and no page of another site makes it
-    sent."""
+    """Set the cookie of a session: scripts cannot read it, and it is not sent with requests that pages of
+    other sites cause."""
     answer.set_cookie(
         gate.cookie,
         secret,
@@ -232,7 +232,7 @@ async def make_token(call: Call, told: NewToken) -> MadeToken:
                 f"for {told.scope}.",
                 remedy=SIGN_IN,
             )
-        if credential.token:  # one that was stolen must not live on in its children
+        if credential.token:  # a stolen token must not live on in tokens that were made with it
             now = call.kernel.clock.now_ns()
             days = min(days, (credential.until - now) / _DAY)
     secret, token = await call.api.gate.accounts.make_token(user, told.label, told.scope, days)
@@ -247,14 +247,14 @@ async def list_tokens(call: Call, user: str) -> list[Token]:
 
 
 async def revoke_token(call: Call, id_: str) -> Token:
-    """Raises NotFound, also for a token of somebody else; admins who are persons revoke any."""
+    """Raises NotFound, also for a token of another user; admins who are persons may revoke any token."""
     any_ = is_admin(call) and not _is_program(call)
     return await call.api.gate.accounts.revoke_token(id_, "" if any_ else call.who.user)
 
 
 async def change_password(call: Call, user: str, told: NewPassword) -> None:
-    """Raises Forbidden, NotFound, NotSignedIn for a wrong present password, BadInput for a new one that will
-    not do."""
+    """Raises Forbidden, NotFound, NotSignedIn for a wrong present password, BadInput for an unsuitable new
+    one."""
     expect_self_or_admin(call, user)
     accounts: Accounts = call.api.gate.accounts
     if call.kernel.state.users.known[user].kind == "service":
@@ -285,8 +285,8 @@ async def change_person(call: Call, user: str, told: PersonDetails) -> Person:
 
 
 async def erase_person(call: Call, user: str) -> None:
-    """Erase a user's name, address and means of signing in; then the log says so, by the id alone. Raises
-    Forbidden, NotFound."""
+    """Erase a user's name, address, password, tokens and sessions; then record the erasure in the log, with
+    the id alone. Raises Forbidden, NotFound."""
     expect_self_or_admin(call, user)
     by = call.who.user if call.who.is_known else LABOS  # the owner of the lab's folder has no name
     await call.api.gate.accounts.erase(user)
@@ -311,6 +311,6 @@ def expect_admin(who: Who, call: Call) -> None:
 
 
 def answer_secret(value: msgspec.Struct) -> Response:
-    # Not for any cache: it may hold a secret.
+    # Not for a cache: it may contain a secret.
     headers = {"cache-control": "no-store"}
     return Response(msgspec.json.encode(value), 200, headers, "application/json")

@@ -1,4 +1,4 @@
-"""Signing the record of a run, of an experiment or of a campaign: who signs proves again who they are."""
+"""Signs the record of a run, of an experiment or of a campaign; the user has to give the password again."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Signature:
-    """The signature of the user who asks; one that is there already, of the same meaning and comment, is
-    given again. Raises Forbidden, NotFound, Refused, TooManyTries."""
+    """The signature of the requesting user; an earlier one with the same meaning and comment is returned
+    again. Raises Forbidden, NotFound, Refused, TooManyTries."""
     expect_users(call.kernel.state)
     user, store = call.who.user, call.service.parts.store
     if not call.who.is_known:
@@ -29,7 +29,7 @@ async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Sig
     await _expect_seen(call, subject, kind)
     if not call.is_sent_on:
         await _expect_password(call, user, asked.password)
-        asked.password = ""  # an API process sends the request on to the kernel, over the bus, without it
+        asked.password = ""  # it must not be sent over the bus, from an API process to the kernel
     await call.kernel.flush()
     record = await asyncio.to_thread(record_of, store, subject, kind)
     for known in await asyncio.to_thread(list_signatures, store, subject):

@@ -1,4 +1,4 @@
-"""What people bring to the bench and take away, by HTTP."""
+"""Labware and material that people bring to the bench and take away, over HTTP."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Load(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Unload(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """One piece by name, the topmost ``count``, or all if neither is named."""
+    """One piece by name, the topmost ``count``, or all if neither is given."""
 
     station: Annotated[Name, says("the station")]
     by: Asker = ""
@@ -42,8 +42,8 @@ class Unload(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Replenishment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """``amount`` 0 is as much as there is room for, in ``unit`` (empty: the resource's own); ``instead``
-    of what was left."""
+    """``amount`` 0 fills all free room, in ``unit`` (empty: the resource's own); ``instead``: it replaces the
+    rest of the old content."""
 
     resource: Annotated[Name, says("which resource of the module")]
     by: Asker = ""
@@ -59,7 +59,7 @@ class Replenishment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 async def load(service: LabService, told: Load, by: str) -> list[str]:
-    """Labware was put on a station; returns the names it got (none on a stack). Raises Refused."""
+    """Labware was put on a station; returns the ids that it got (none on a stack). Raises Refused."""
     name = service.station(told.station)
     service.expect_labware(told.labware)
     events = await service.kernel.execute(LoadStation(name, told.labware, told.count, told.lot), by)
@@ -67,7 +67,7 @@ async def load(service: LabService, told: Load, by: str) -> list[str]:
 
 
 async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str], int]:
-    """Labware was taken away; returns its names, and how many pieces had none. Raises Refused."""
+    """Labware was taken away; returns its ids, and the number of pieces without one. Raises Refused."""
     name = service.station(told.station)
     labware = service.labware(told.labware).id if told.labware else LabwareId("")
     command = UnloadStation(name, by, labware, told.count)
@@ -78,7 +78,7 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
 
 
 async def replenish(service: LabService, module: str, told: Replenishment, by: str) -> float:
-    """More of a resource was put in; returns how much. Raises Refused."""
+    """A resource was replenished; returns the amount. Raises Refused."""
     name = service.module(module)
     today = day_of(service.kernel.clock.now_ns())
     units = service.kernel.state.modules.by_name[name].spec.units
@@ -90,13 +90,14 @@ async def replenish(service: LabService, module: str, told: Replenishment, by: s
 
 
 def predict_events(service: LabService, command: Command, by: str) -> list[Event]:
-    """What somebody's command would do, without what follows from that; changes nothing. Raises Refused."""
+    """The events that a command would cause, without the reactions to them; changes nothing. Raises
+    Refused."""
     return list(check(service, command, by))
 
 
 def check(service: LabService, command: Command, by: str) -> Iterable[Event]:
     """Raises Refused for a command that cannot be carried out. The events can be read only if none of them
-    needs one before it, as those of composite commands do."""
+    depends on an earlier one, as in composite commands."""
     found = decide(service.kernel.state, command, by)
     if isinstance(found, Rejection):
         raise make_error(found)

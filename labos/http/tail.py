@@ -1,9 +1,9 @@
-"""The end of the log for all who follow it: read and encoded once, however many they are.
+"""The newest events of the log for all followers: read and encoded once, for any number of followers.
 
-What has just been committed stays here for a while. It is handed on in pieces, the more seldom the more there
-are who follow: each piece costs the kernel's process time for each of them. Who has fallen behind what is
-kept here reads the log itself, a page at a time and in turn with others; who takes nothing up is dropped, and
-told from where to go on.
+Newly committed events are kept here for a while. They are sent in pieces. The more followers there are, the
+longer are the pauses between pieces, as each piece uses time of the kernel's process for each follower. A
+follower that is behind the kept events reads the log itself, a page at a time and in turn with others. A
+follower that accepts nothing is disconnected, with the position at which it can continue.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from labos.services.filters import is_of_type
 from labos.services.shown import show_json
 
 if TYPE_CHECKING:
-    # The process for followers starts without them.
+    # The process for followers starts without these imports.
     from labos.http.ends import StreamEnd
     from labos.runtime.ledger import Entry
     from labos.services.log import Log
@@ -41,21 +41,21 @@ KEEP_ALIVE_S = 10.0
 KEPT = 16 * 1024 * 1024
 """Bytes of encoded events that are kept."""
 LARGEST_BACKLOG = 1024 * 1024
-"""Bytes that wait for one follower; with more of them it is dropped."""
+"""The largest number of bytes that wait for one follower; a follower with more is disconnected."""
 PAUSE_S = 0.003
-"""Between two pieces, for each follower."""
+"""The pause between two pieces, for each follower."""
 LONGEST_PAUSE_S = 1.0
 STREAM_TYPE = "text/event-stream"
 STREAM_HEADERS = {"cache-control": "no-store", "x-accel-buffering": "no"}
-"""Nothing between here and the follower keeps a stream back, or for later."""
+"""Proxies must neither delay a stream nor store it."""
 RETRY = b"retry: 1000\n\n"
 """Milliseconds after which a browser connects again."""
 WANTED_S = 60.0
-"""How long what is new is kept after somebody has asked for it and gone."""
+"""How long new events are kept after the last request for them has ended."""
 
 
 class StreamLine(msgspec.Struct, frozen=True):
-    """An event as it is handed on. ``data`` is its JSON, ``payload`` a part of it."""
+    """An event in the form that is sent. ``data`` is its JSON, ``payload`` a part of it."""
 
     position: int
     type: str
@@ -67,7 +67,7 @@ class StreamLine(msgspec.Struct, frozen=True):
 
 
 class StreamFilter(msgspec.Struct, frozen=True):
-    """Which events somebody wants, as ``LogQuery`` says it, and what they see of campaigns (``viewer``)."""
+    """The events that a follower wants, as in ``LogQuery``, and which campaigns it may see (``viewer``)."""
 
     types: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()
@@ -86,13 +86,13 @@ class StreamFilter(msgspec.Struct, frozen=True):
         )
 
     def _mentions_name(self, line: StreamLine) -> bool:
-        # In a payload the text stands as JSON writes it.
+        # In a payload, the text is encoded as JSON.
         return msgspec.json.encode(self.mentions)[1:-1] in line.payload or self.mentions in line.stream
 
 
 class _Follower:
-    """``after``: everything up to there was handed on or is of no interest. A follower that is ``live`` gets
-    what is new."""
+    """``after``: everything up to this position was sent or does not match. A follower that is ``live``
+    receives new events directly."""
 
     def __init__(self, query: LogQuery, viewer: Viewer | None) -> None:
         self.query, self.after = query, query.after
@@ -104,7 +104,7 @@ class _Follower:
         self._woken = asyncio.Event()
 
     def give(self, piece: bytes, upto: int) -> None:
-        """What is new for it. Too much that it has not taken, and it is dropped."""
+        """Add new events for it. If too many of them wait, the follower is disconnected."""
         if piece and self._size + len(piece) > LARGEST_BACKLOG:
             self.dropped, self.live = True, False
         else:
@@ -116,7 +116,7 @@ class _Follower:
             self._woken.set()
 
     def take(self) -> bytes:
-        """All that waits for it."""
+        """Everything that waits for it."""
         pieces, self._pieces, self._size = self._pieces, [], 0
         self.sent = self.after
         return b"".join(pieces)
@@ -134,7 +134,7 @@ class _Follower:
 
 
 class Tail:
-    """A kernel's listener. ``durable`` says how far the log is on disk."""
+    """A kernel's listener. ``durable`` returns the last position on disk."""
 
     def __init__(self, log: Log, durable: Callable[[], int]) -> None:
         self._log, self._durable = log, durable
@@ -150,13 +150,13 @@ class Tail:
         self._waiting = 0
         self._closed = False
 
-    # -- what the kernel says ------------------------------------------------------------------
+    # -- called by the kernel -----------------------------------------------------------------
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         self.add([entry.record for entry in entries])
 
     def add(self, records: Sequence[Record]) -> None:
-        """What was written last, in order."""
+        """Add the newest records, in order."""
         if not records:
             return
         self._restricted.learn(records)
@@ -182,24 +182,24 @@ class Tail:
             self._begin, self._size = gone.position, self._size - len(gone.data)
 
     def on_reopened(self) -> None:
-        """The log was read again: it may contain events that this listener was not told of."""
+        """The log was read again: it may contain events that this listener did not receive."""
         self._restricted.forget()
         self._begin_at(self._durable())
 
     def close(self) -> None:
-        """Let everybody go who follows."""
+        """Disconnect all followers."""
         self._closed = True
         for follower in self._followers:
             follower.wake()
 
-    # -- for those who ask ---------------------------------------------------------------------
+    # -- called for requests -------------------------------------------------------------------
 
     async def read_page(
         self, query: LogQuery, *, stored: bool = False, viewer: Viewer | None = None
     ) -> bytes:
-        """One page of events as JSON, and the position from which to go on: with the words that stand beside
-        the log, or as it is ``stored``; without those that a ``viewer`` does not reach. Raises
-        StoreUnavailable."""
+        """One page of events as JSON, and the position at which the next page begins. With the words beside
+        the log in place of references, or as it is ``stored``; without the events that a ``viewer`` may not
+        see. Raises StoreUnavailable."""
         self._note_interest()
         if viewer is not None:
             await self._restricted.read()
@@ -222,8 +222,7 @@ class Tail:
         stored: bool = False,
         viewer: Viewer | None = None,
     ) -> AsyncIterator[bytes]:
-        """Server-sent events, for ever; or until their ``end`` comes, or the follower has fallen too far
-        behind."""
+        """Server-sent events without end; or until their ``end``, or until the follower is too far behind."""
         self._note_interest()
         if viewer is not None:
             await self._restricted.read()
@@ -249,7 +248,7 @@ class Tail:
         finally:
             self._followers.discard(me)
 
-    # -- inside --------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------
 
     def _takes(self, wanted: StreamFilter, line: StreamLine) -> bool:
         return wanted.takes(line) and self._shows(wanted, line)
@@ -258,13 +257,14 @@ class Tail:
         return self._restricted.shows(wanted.viewer, line.type, line.stream, line.correlation)
 
     async def _show(self, data: bytes, *, stored: bool) -> bytes:
-        """Put in the words that stand beside the log now. They are not kept here: they may be erased."""
+        """Replace references by the words beside the log. The words are not kept here, as they may be
+        erased."""
         if stored or not list_references(data):
             return data
         return await asyncio.to_thread(show_json, self._log, data)
 
     async def _catch_up(self, me: _Follower) -> bytes:
-        """What a follower has missed, or a page of that; it is live if there is no more."""
+        """The events that a follower has missed, or a page of them; it is live if there are no more."""
         if me.query.last is None and (me.after > self._end or self._holds_after(me.after)):
             piece = _encode_lines(line for line in self._list_since(me.after) if self._takes(me.filter, line))
             me.after, me.live = max(me.after, self._end), True
@@ -278,8 +278,8 @@ class Tail:
         return _encode_lines(found)
 
     async def _read(self, query: LogQuery, wanted: StreamFilter) -> tuple[list[StreamLine], bool]:
-        """A page of the log, and whether there may be more. Readers take turns, and the more of them wait,
-        the longer is the pause between two pages: the kernel works on."""
+        """A page of the log, and whether there may be more. Readers take turns; the more of them wait, the
+        longer is the pause between two pages, so that the kernel can work."""
         if query.upto is not None and query.after >= query.upto:
             return [], False
         self._waiting += 1
@@ -298,7 +298,7 @@ class Tail:
         return _cut(line for line in lines if self._shows(wanted, line))
 
     def _flush(self) -> None:
-        """Hand on what is new; what one filter takes is put together once."""
+        """Send new events; the data for one filter is put together once."""
         self._flush_at, self._last_flush = None, asyncio.get_running_loop().time()
         new = self._list_since(self._flushed)
         self._flushed = self._end
@@ -319,7 +319,7 @@ class Tail:
             follower.give(piece, self._end)
 
     def _list_since(self, after: int) -> list[StreamLine]:
-        """The lines that are kept, behind a position that is kept too."""
+        """The kept lines after a position; the position itself must be kept too."""
         skipped = max(after - self._begin, 0)
         return list(islice(self._lines, skipped, None))
 
@@ -327,7 +327,7 @@ class Tail:
         return self._begin <= after <= self._end
 
     def _begin_at(self, position: int) -> None:
-        """Nothing is kept; followers that were up to date read the log for what may be missing."""
+        """Keep nothing; followers that were up to date read the log for events that may be missing."""
         self._lines.clear()
         self._size = 0
         self._begin = self._end = self._flushed = position
@@ -337,7 +337,7 @@ class Tail:
                 follower.wake()
 
     def _note_interest(self) -> None:
-        """Somebody asks: what comes now is kept."""
+        """There is a request: new events are kept from now on."""
         if not self._is_wanted():
             self._begin_at(self._durable())
         self._wanted_until = time.monotonic() + WANTED_S
@@ -355,7 +355,7 @@ def _make_line(record: Record) -> StreamLine:
 
 
 def _cut(lines: Iterable[StreamLine]) -> tuple[list[StreamLine], bool]:
-    """As many as a page holds, and whether that is a full one."""
+    """As many lines as fit into a page, and whether the page is full."""
     found: list[StreamLine] = []
     size = 0
     for line in lines:
@@ -371,7 +371,7 @@ def _encode_lines(lines: Iterable[StreamLine]) -> bytes:
 
 
 def _is_open(query: LogQuery) -> bool:
-    """Whether it asks for all that there is behind a position."""
+    """Whether it requests everything after a position."""
     return query.last is None and query.upto is None and query.since_ns is None and query.until_ns is None
 
 

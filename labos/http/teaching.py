@@ -1,4 +1,4 @@
-"""Where manipulators find stations: what they were taught, and being taught."""
+"""The poses at which manipulators reach stations: lists and teaches them."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from labos.http.service import LabService
 
 
 async def teach(service: LabService, name: str, told: NewPose, by: str) -> int:
-    """A new pose of a module; returns its version. Raises NotFound, BadInput, Refused."""
+    """Record a new pose of a module; returns its version. Raises NotFound, BadInput, Refused."""
     module, station, kind = service.module(name), service.station(told.station), told.labware_type
     if kind:
         service.expect_labware(kind)
         _expect_types(service, service.kernel.state.modules.by_name[module])
     command = TeachLocation(module, station, tuple(told.pose), by, told.why, kind)
     if await service.kernel.execute(command, by):
-        service.parts.follow_workcells([module])  # its node learns poses when it starts
+        service.parts.follow_workcells([module])  # its node reads the poses when it starts
     taught = service.kernel.state.modules.by_name[module].find_taught(station, kind)
     assert taught is not None
     return taught.version
 
 
 def _expect_types(service: LabService, module: Module) -> None:
-    """Raises BadInput for a module that does not hear what it carries."""
+    """Raises BadInput for a module that is not informed about the labware type it carries."""
     driver = service.parts.descriptions.get(module.spec.driver)
     args = {arg.name for action in driver.actions for arg in action.args} if driver is not None else set()
     if LABWARE_TYPE not in args or "interface" in module.spec.config:
@@ -39,7 +39,7 @@ def _expect_types(service: LabService, module: Module) -> None:
 
 
 class TaughtPose(msgspec.Struct):
-    """A pose; version 0 is the workcell file's. ``proven``: by a move that succeeded since."""
+    """A pose; version 0 is the workcell file's. ``proven``: a move with it has succeeded since."""
 
     pose: tuple[float, ...] = ()
     version: int = 0
@@ -47,7 +47,7 @@ class TaughtPose(msgspec.Struct):
 
 
 class LocationPose(TaughtPose):
-    """The pose for a station. ``types`` are those of labware types, where they differ."""
+    """The pose for a station. ``types`` are poses for labware types, where they differ."""
 
     types: dict[str, TaughtPose] = {}
 
@@ -57,7 +57,7 @@ def _list_facts(taught: Taught) -> tuple[tuple[float, ...], int, bool]:
 
 
 def make_locations(module: Module) -> dict[str, LocationPose]:
-    """The poses of a module as they are now, by station."""
+    """The present poses of a module, by station."""
     written = module.spec.config
     found = {name: LocationPose(tuple(pose), 0, True) for name, pose in written.get("poses", {}).items()}
     for station, lessons in module.taught.items():
@@ -68,7 +68,7 @@ def make_locations(module: Module) -> dict[str, LocationPose]:
             found[name].types[kind] = TaughtPose(tuple(pose), 0, True)
     for station, lessons in module.taught.items():
         for kind, taught in lessons.by_type.items():
-            # The workcell file may have lost the station's own pose since.
+            # The workcell file may no longer have a pose for the station itself.
             own = found.setdefault(local(station), LocationPose())
             own.types[kind] = TaughtPose(*_list_facts(taught))
     return found

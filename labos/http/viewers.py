@@ -1,8 +1,8 @@
-"""Followers of the log are served by a process of their own, which reads the log by itself.
+"""A separate process serves the followers of the log; it reads the log by itself.
 
-The kernel's process reads a request, hands its connection over (the socket itself), and has no more to do
-with it: however many follow, and however much they want to read, the kernel's time is its own. The process
-is started when somebody follows for the first time, and ends with the kernel.
+The kernel's process reads a request and hands over its connection (the socket itself). After that it has no
+work with it, so the number of followers and their reading does not slow the kernel down. The process is
+started for the first follower, and ends with the kernel.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 PACKET = 256 * 1024
 NOTICE_S = 0.02
-"""Between two words to the process that the log has grown."""
+"""The pause between two messages to the process that the log has grown."""
 STALL_S = 30.0
-"""How long a follower may take nothing up."""
+"""How long a follower may accept nothing."""
 RETRY_S = 0.5
 HEAD = b"HTTP/1.1 200 OK\r\ncontent-type: %b; charset=utf-8\r\n%bconnection: close\r\n\r\n%b" % (
     STREAM_TYPE.encode(),
@@ -46,7 +46,7 @@ _log = structlog.get_logger(__name__)
 
 
 class OpenLog(msgspec.Struct, frozen=True, tag="begin"):
-    """Where the log is. A URL may hold a password, so it does not stand in the command line."""
+    """Where the log is. A URL may contain a password, so it is not passed on the command line."""
 
     database: str
     durable: int
@@ -57,9 +57,9 @@ class Grown(msgspec.Struct, frozen=True, tag="grown"):
 
 
 class Follow(msgspec.Struct, frozen=True, tag="follow"):
-    """A follower; its connection comes with the packet. ``key`` names what it has shown (empty: nothing),
-    ``lasts_s`` is how long that is good. ``stored``: events as the log has them. ``viewer``: what it sees of
-    campaigns."""
+    """A follower; its connection comes with the packet. ``key`` identifies its credential (empty: none),
+    ``lasts_s`` is how long the credential is valid. ``stored``: events as the log has them. ``viewer``: which
+    campaigns it may see."""
 
     query: LogQuery
     key: str = ""
@@ -69,7 +69,7 @@ class Follow(msgspec.Struct, frozen=True, tag="follow"):
 
 
 class Cut(msgspec.Struct, frozen=True, tag="cut"):
-    """The followers of a key may follow no more."""
+    """The followers with this key must be disconnected."""
 
     key: str
 
@@ -80,7 +80,7 @@ _decoder: msgspec.json.Decoder[Message] = msgspec.json.Decoder(Message)
 
 
 class Viewers:
-    """The kernel's side: a listener of the kernel, which hands connections over."""
+    """The kernel's side: a listener of the kernel, which hands over connections."""
 
     def __init__(self, database: str) -> None:
         self._database = database
@@ -97,7 +97,7 @@ class Viewers:
                 self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._tell)
 
     def on_reopened(self) -> None:
-        """What is new is told with the next commit."""
+        """New events are reported with the next commit."""
 
     def cut(self, key: str) -> None:
         """End the streams that were opened with this credential."""
@@ -106,10 +106,10 @@ class Viewers:
         try:
             self._link.send(_encode(Cut(key)))
         except OSError:
-            self._end()  # rather all of them than none: they connect again, if they may
+            self._end()  # end all streams: the followers connect again if they are allowed to
 
     def take_over(self, connection: socket.socket, follow: Follow, durable: int) -> bool:
-        """Hand a follower's connection over; the caller closes its own end. False if that cannot be done
+        """Hand over a follower's connection; the caller closes its own end. False if this is not possible
         now."""
         self._durable = max(self._durable, durable)
         if self._is_closed:
@@ -126,14 +126,14 @@ class Viewers:
         try:
             socket.send_fds(link, [_encode(follow)], [connection.fileno()])
         except BlockingIOError:
-            pass  # many at once while the process starts: this one is cut off, and asks again
+            pass  # many at once while the process starts: this one is disconnected, and connects again
         except OSError as error:
             _log.warning("viewers_failed", why=str(error))
             self._end()
         return True
 
     def close(self) -> None:
-        """The process ends, and its followers' connections with it; nobody is taken over any more."""
+        """The process ends, and its followers' connections too; no further connection is taken over."""
         self._is_closed = True
         self._end()
 
@@ -167,7 +167,7 @@ class Viewers:
         ours.setblocking(False)
         ours.send(_encode(OpenLog(self._database, self._durable)))
         self._link = ours
-        asyncio.get_running_loop().add_reader(ours, self._on_end)  # it says nothing
+        asyncio.get_running_loop().add_reader(ours, self._on_end)  # readable only at its end
         return ours
 
     def _on_end(self) -> None:
@@ -187,7 +187,7 @@ class Viewers:
 
 
 class _Server:
-    """The other side: reads the log once for all, and writes to all."""
+    """The other side: reads the log once for all followers, and writes to each."""
 
     def __init__(self, begin: OpenLog) -> None:
         self.durable = begin.durable
@@ -198,7 +198,7 @@ class _Server:
         import resource  # not on Windows, where this process is never started
 
         self._most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2
-        """Followers: the process needs files of its own, and its memory has an end."""
+        """The largest number of followers: the process needs files of its own, and its memory is limited."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._ends: dict[str, set[StreamEnd]] = {}
 
@@ -209,7 +209,7 @@ class _Server:
                     os.close(fds[0])
                     return
                 end = StreamEnd(lasts_s) if key else None
-                if end is not None:  # at once: the next word may be that it has ended
+                if end is not None:  # at once: the next message may report its end
                     self._ends.setdefault(key, set()).add(end)
                 task = asyncio.get_running_loop().create_task(
                     self._serve(socket.socket(fileno=fds[0]), message, end)
@@ -224,7 +224,7 @@ class _Server:
                 self._grown.set()
 
     async def keep_up(self) -> None:
-        """Read what is new, and hand it on; for ever."""
+        """Read new events and send them, without end."""
         while True:
             await self._grown.wait()
             self._grown.clear()
@@ -272,7 +272,7 @@ class _Server:
 
 
 async def _await_end(reader: asyncio.StreamReader) -> None:
-    """A follower says nothing more; wait until it has gone."""
+    """Wait until a follower has gone; it sends nothing."""
     with contextlib.suppress(OSError):
         while await reader.read(4096):
             pass

@@ -1,4 +1,4 @@
-"""The lab's state as an answer."""
+"""The lab's state as an answer of the API."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ OldName = Annotated[
         description="the same as `module`, as it was called", extra_json_schema={"deprecated": True}
     ),
 ]
-"""A field that programs may still read."""
+"""A deprecated field for older programs."""
 
 _log = structlog.get_logger(__name__)
 
 
 class NodeProcess(Protocol):
-    """What a supervisor says of a node's process."""
+    """A node's process as its supervisor reports it."""
 
     state: str
     pid: int
@@ -64,8 +64,8 @@ class Supervised(Protocol):
 
 
 class AccessView(msgspec.Struct, frozen=True):
-    """Who reaches into a workcell. ``moving`` are the modules that still move, ``perhaps_moving`` those of
-    which nobody knows whether they are at rest."""
+    """A person's access to a workcell. ``moving`` are the modules that still move, ``perhaps_moving`` those
+    that may still move."""
 
     by: str
     why: str
@@ -115,7 +115,7 @@ class CalibrationView(msgspec.Struct, frozen=True):
 
 
 class ModuleView(msgspec.Struct, frozen=True):
-    """A module. ``back_at``: when it is back in service by itself (UTC nanoseconds; 0: when somebody puts it
+    """A module. ``back_at``: when it is back in service by itself (UTC nanoseconds; 0: when a person puts it
     back)."""
 
     module: str
@@ -134,8 +134,8 @@ class ModuleView(msgspec.Struct, frozen=True):
 
 
 class StationView(msgspec.Struct, frozen=True):
-    """A station. ``stock`` counts the pieces without names on a stack, ``level`` those in a waste; ``hotel``
-    is the hotel that it belongs to as a shelf."""
+    """A station. ``stock`` is the number of pieces without ids on a stack, ``level`` the number in a waste;
+    ``hotel`` is the hotel that it belongs to as a shelf."""
 
     name: str
     kind: str
@@ -164,8 +164,8 @@ class LabwareView(msgspec.Struct, frozen=True):
 
 
 class StepView(msgspec.Struct, frozen=True):
-    """A step under way: since when (UTC nanoseconds), and how long it still takes (lab seconds) if it takes
-    as long as it should; null where nobody knows how it ended."""
+    """A step in progress: since when (UTC nanoseconds), and how long it will still take (lab seconds), by its
+    nominal duration; null if its outcome is unknown."""
 
     step: int
     key: str
@@ -187,11 +187,10 @@ class WaitView(msgspec.Struct, frozen=True):
 
 
 class RunView(msgspec.Struct, frozen=True):
-    """A run that is alive: how far it is, what it does, and why it does not go on. ``modules`` are those of
-    which one does a step, by the step's key, where its workflow leaves a choice: once the run is let in, the
-    one that it has chosen. It should be over when it is ``due_at`` (0: no such time); ``late_by_s`` is by how
-    much it would be late if nothing were in its way from now on: negative if it has time to spare, null if
-    it is not due."""
+    """A run that has not ended: its progress, its present action, and why it does not continue. ``modules``
+    are, by the step's key, the modules between which the workflow leaves a choice; after the run has started,
+    only the chosen one. ``due_at`` is its due date (0: none); ``late_by_s`` is how late it would end if
+    nothing delayed it from now on: negative if it would be early, null without a due date."""
 
     id: str
     workflow: str
@@ -214,7 +213,7 @@ class RunView(msgspec.Struct, frozen=True):
 
 
 class QuestionView(msgspec.Struct, frozen=True):
-    """What the lab asks a person, and what may be answered."""
+    """A question of the lab to a person, with the possible answers."""
 
     id: str
     kind: str
@@ -348,7 +347,7 @@ def make_module_view(
 
 
 def list_calibrations(module: Module) -> list[CalibrationView]:
-    """The last calibrations of a module, by what was calibrated."""
+    """The last calibrations of a module, one for each ``what``."""
     return [
         CalibrationView(what, one.certificate, one.until, one.file, one.by, one.at)
         for what, one in sorted(module.calibrations.items())
@@ -356,7 +355,7 @@ def list_calibrations(module: Module) -> list[CalibrationView]:
 
 
 def make_question_view(state: LabState, question: Intervention) -> QuestionView:
-    """What the lab asks a person, and what may be answered."""
+    """A question of the lab to a person, with the possible answers."""
     return make_from(
         QuestionView,
         question,
@@ -382,7 +381,7 @@ def make_station_view(name: str, station: Station) -> StationView:
 def run_view(
     kernel: LabKernel, run: RunState, now: int, flying: Mapping[tuple[RunId, int], Action], *, waits: bool
 ) -> RunView:
-    """A run that is alive. ``flying`` are the open actions by run and step."""
+    """A run that has not ended. ``flying`` are the actions in flight by run and step."""
     state = kernel.state
     plan = state.runs.plan_of(run)
     steps = list_statuses(plan, run)
@@ -425,7 +424,7 @@ def _make_step_view(
 
 
 def list_wait_views(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
-    """Why a run does not go on, in one sentence for each step whose turn it is."""
+    """Why a run does not continue, in one sentence for each ready step."""
     plan = kernel.state.runs.plan_of(run)
 
     def view(step: int, wait: Wait) -> WaitView:
@@ -436,7 +435,7 @@ def list_wait_views(kernel: LabKernel, run: RunState, now: int) -> list[WaitView
         return [_view_failed_planning(f"Nothing is started, since planning fails: {kernel.suspended}")]
     try:
         return [view(step, wait) for step, wait in kernel.scheduler.list_waits(kernel.state, run, now)]
-    except Exception as error:  # the rest of the view is worth having
+    except Exception as error:  # the rest of the view is still useful
         _log.exception("wait_not_explained", run=run.id)
         return [
             _view_failed_planning(f"LabOS cannot say what it waits for: {error!r}. This is a fault of LabOS.")

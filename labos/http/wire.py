@@ -1,4 +1,4 @@
-"""Requests and answers as bytes: what may be asked, and how answers and problems are sent."""
+"""Requests and answers as bytes: how requests are read, and how answers and problems are sent."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from labos.spec.mismatch import explain_plainly
 
 SEND = "Send what docs/reference/http.md says."
 OF_STATUS = {403: "forbidden", 404: "not_found", 405: "method_not_allowed"}
-"""The problems that the router finds by itself."""
+"""The problems that the router finds."""
 
 POSITION = "labos-position"
-"""An answer bears the position up to which the log is known where it was given; who asks may say which one is
-needed."""
+"""The header of an answer with the last known position of the log; in a request, the position that the answer
+must include."""
 
 UNREAD = "labos.unread"
-"""Where a request's scope says that its body was not read to its end."""
+"""The key in a request's scope that says that its body was not read to its end."""
 
 T = TypeVar("T", bound=msgspec.Struct)
 _log = structlog.get_logger(__name__)
@@ -46,8 +46,8 @@ _log = structlog.get_logger(__name__)
 async def read_body(
     request: Request, arriving: BodyReader, kind: type[T], most: int = SMALL_BODY, *, asker: str = ""
 ) -> T:
-    """The request's JSON, checked against the limits. The user who has signed in is its ``asker``, whatever
-    it says. Raises BadInput."""
+    """The request's JSON, checked against the limits. The signed-in user replaces the name in the field
+    ``asker``. Raises BadInput."""
     raw = await arriving.read(request, most)
     try:
         told = msgspec.json.decode(raw or b"{}", type=kind)
@@ -68,8 +68,8 @@ def read_path(request: Request, kind: type[T]) -> T:
 
 
 def read_query(request: Request, kind: type[T] | None, lists: frozenset[str]) -> T | None:
-    """The parameters of the query; those in ``lists`` may be repeated, of the others the last counts. Raises
-    BadInput, also for a parameter that is not known."""
+    """The parameters of the query. Those in ``lists`` may be repeated; of the others the last one counts.
+    Raises BadInput, also for an unknown parameter."""
     asked = request.query_params.multi_items()
     if len(asked) > MOST_FILTERS:
         raise BadInput(
@@ -106,7 +106,7 @@ def _explain_error(error: Exception) -> str:
 
 
 def read_asker(request: Request) -> str:
-    """Who asks, by the header LabOS-User. Raises BadInput."""
+    """The requesting user from the header LabOS-User. Raises BadInput."""
     name = check_text(
         read_header(request, "labos-user") or "application", "The header LabOS-User", LONGEST_PERSON
     )
@@ -119,7 +119,7 @@ def read_key(request: Request) -> str:
 
 
 def read_position(request: Request) -> int:
-    """The position in the log that the client knows of; 0 if none is said. Raises BadInput."""
+    """The position in the log that the client knows; 0 if it names none. Raises BadInput."""
     said = request.headers.get(POSITION, "0")
     if not (said.isascii() and said.isdecimal() and len(said) <= 19):
         raise BadInput(f"The header LabOS-Position is {said[:40]!r}.", remedy="Write a whole number.")
@@ -127,7 +127,7 @@ def read_position(request: Request) -> int:
 
 
 def read_header(request: Request, name: str) -> str:
-    """A header as text; people's names are UTF-8 there. Raises BadInput."""
+    """A header as text; names of people are encoded as UTF-8 there. Raises BadInput."""
     try:
         return request.headers.get(name, "").encode("latin-1").decode()
     except UnicodeDecodeError:
@@ -139,12 +139,12 @@ def answer(value: Any, status: int = 200) -> Response:
 
 
 def answer_encoded(data: bytes) -> Response:
-    """An answer that is JSON already."""
+    """An answer that is already encoded as JSON."""
     return Response(data, 200, media_type="application/json")
 
 
 def send_problem(found: Problem, *, close: bool = False) -> Response:
-    """A problem document. ``close``: nobody reads the request to its end, so the connection is closed."""
+    """A problem document. ``close``: the request is not read to its end, so the connection is closed."""
     headers = {"connection": "close"} if close else None
     return Response(msgspec.json.encode(found), found.status, headers, MEDIA_TYPE)
 

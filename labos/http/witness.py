@@ -36,8 +36,8 @@ def make_witness_app(witness: Witness) -> Starlette:
 
 
 async def serve_witness(witness: Witness, host: str, port: int, ready: Callable[[str], None]) -> None:
-    """Serve until cancelled; ``ready`` is called with the URL once connections are taken. Raises SystemFailed
-    for a port in use."""
+    """Serve until cancelled; ``ready`` is called with the URL once connections are accepted. Raises
+    SystemFailed for a port in use."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -1,7 +1,7 @@
-"""Answers are shown with the words that stand beside the log, put in at the last moment.
+"""References in answers are replaced by the words beside the log, in the last step before sending.
 
-Nothing behind this knows them: what is folded, kept for a repetition, or sent between processes has
-references in their place. So what is erased is gone from every answer at once.
+All earlier steps have only references: folded states, answers kept for a repetition, messages between
+processes. So erased words disappear from every answer at once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from labos.errors import LabosError
 from labos.services.shown import WordsBeside, read_texts
 
 STORED = "labos.stored"
-"""Where a request's scope says that it asks for what is stored."""
+"""The key in a request's scope that asks for the answer as stored."""
 
 NOT_READ = "(not read: the log's database does not answer)"
 
@@ -25,7 +25,7 @@ _log = structlog.get_logger(__name__)
 
 
 class ShownWords:
-    """Puts words into answers that are JSON and come in one piece. Streams of events see to it themselves."""
+    """Puts words into JSON answers that are sent in one piece. Streams of events do this themselves."""
 
     def __init__(self, app: ASGIApp, log: WordsBeside) -> None:
         self._app, self._beside = app, log
@@ -39,7 +39,7 @@ class ShownWords:
         async def pass_on(message: Message) -> None:
             nonlocal begun
             if message["type"] == "http.response.start" and _is_json(message):
-                begun = message  # how long the answer is may change
+                begun = message  # the length of the answer may change
                 return
             if begun is not None:
                 start, begun = begun, None

@@ -1,4 +1,5 @@
-"""Changing a workcell while the lab runs: what differs, what is in the way, then all of it."""
+"""Changes a workcell while the lab runs: lists the differences and the obstacles, then applies all changes or
+none."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ from labos.spec.tables import find_table
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """Local names; ``poses`` as ``module: station``, with the labware type in brackets if it is that
-    type's own."""
+    """Local names; ``poses`` as ``module: station``, with the labware type in brackets if the pose is for
+    that type."""
 
     added: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
@@ -30,7 +31,7 @@ class Difference(msgspec.Struct, frozen=True):
 
 
 OF_STEPS = ("on_error", "retry", "timeout_s")
-"""What a module says for the steps on it."""
+"""The fields of a module that concern its steps."""
 
 
 class WorkcellChange(msgspec.Struct, frozen=True):
@@ -51,8 +52,7 @@ class WorkcellChange(msgspec.Struct, frozen=True):
 
 
 async def apply_workcell(service: LabService, told: WorkcellFile, by: str) -> WorkcellChange:
-    """Apply a workcell file to the running lab, or only say what that would do. Raises SpecErrors,
-    Refused."""
+    """Apply a workcell file to the running lab, or only report its effects. Raises SpecErrors, Refused."""
     service.expect_role(by, "admin")
     descriptions = service.parts.descriptions
     sent = {**told.labware, **told.files}
@@ -93,7 +93,7 @@ async def apply_workcell(service: LabService, told: WorkcellFile, by: str) -> Wo
 
 def _refuse_on_site(service: LabService, new: Workcell) -> None:
     """Raises BadInput for a module that names files, programs or secrets of its node's computer, unless the
-    lab has it like that already."""
+    lab already has the same module."""
     known, tables = service.kernel.state.modules.by_name, service.parts.descriptions
     for spec in new.modules:
         table = find_table(spec.driver, tables)
@@ -110,7 +110,7 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
 
 
 def _list_connection(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
-    """How a module's device is reached."""
+    """The fields that determine how a module's device is reached."""
     told = spec.config
     return spec.driver, told.get("interface"), told.get("config"), told.get("about"), told.get("extends")
 
@@ -131,7 +131,7 @@ def _sort_by_name(specs: tuple[ModuleSpec, ...] | tuple[StationSpec, ...]) -> di
 
 
 def _list_ways(cell: Workcell) -> dict[str, Any]:
-    """The ways of transfers, by who carries and between which stations."""
+    """The paths of transfers, by manipulator and pair of stations."""
     found: dict[str, Any] = {}
     for way in cell.transfers:
         name = f"{local(way.module)}.{way.action}"
@@ -144,7 +144,8 @@ def _list_ways(cell: Workcell) -> dict[str, Any]:
 def _describe_changes(
     before: Mapping[str, ModuleSpec], after: Mapping[str, ModuleSpec]
 ) -> dict[str, tuple[str, ...]]:
-    """What changes of modules that stay. What a driver is told may be secret, and is named only."""
+    """The changes of modules that exist before and after. Settings of a driver may be secret: only their
+    names are listed."""
     found = {}
     for name in sorted(before.keys() & after.keys()):
         was, is_ = msgspec.to_builtins(before[name]), msgspec.to_builtins(after[name])

@@ -80,7 +80,7 @@ class Gathering:
 
     def _give_up(self, group: _Group, why: str) -> None:
         for start in group.starts.values():
-            self._journal.void(start.action, start.attempt, start.position)
+            self._journal.forbid_attempts(start.action, start.attempt, start.position)
         self._decide(group, why)
 
     def _decide(self, group: _Group, why: str) -> None:

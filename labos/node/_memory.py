@@ -71,13 +71,13 @@ class Memory(msgspec.Struct):
     actions: dict[str, Known] = {}
     corrections: list[Corrected] = []
 
-    def attempts(self) -> list[Attempt]:
+    def list_attempts(self) -> list[Attempt]:
         """All remembered attempts, in the order in which they were accepted."""
         return [attempt for known in self.actions.values() for attempt in known.attempts.values()]
 
     def list_spent(self, position: int) -> list[Attempt]:
         """The attempts that the node may forget after an acknowledgement of ``position``."""
-        return [attempt for attempt in self.attempts() if _is_spent(attempt, position)]
+        return [attempt for attempt in self.list_attempts() if _is_spent(attempt, position)]
 
     def is_spent(self, position: int) -> bool:
         """Whether the node may forget something after an acknowledgement of ``position``."""
@@ -100,7 +100,7 @@ class Memory(msgspec.Struct):
             case EpochRaised():
                 self.epoch = record.epoch
             case Restarted():
-                for attempt in self.attempts():
+                for attempt in self.list_attempts():
                     if attempt.status == "running":
                         attempt.status = "interrupted"
             case Pruned():

@@ -186,7 +186,7 @@ class Journal:
 
     def open_attempts(self) -> list[Attempt]:
         """All remembered attempts, in the order in which they were accepted."""
-        return self.memory.attempts()
+        return self.memory.list_attempts()
 
     def list_unacknowledged(self) -> list[Unacknowledged]:
         """``open_attempts`` in the form for reports."""
@@ -238,7 +238,7 @@ class Journal:
         if attempt.status == "running":
             self._record(GivenUp(attempt.action, attempt.attempt, why))
 
-    def void(self, action: str, attempt: int, position: int) -> None:
+    def forbid_attempts(self, action: str, attempt: int, position: int) -> None:
         """Make all attempts up to ``attempt`` void: they can never start."""
         entry = self.memory.actions.get(action)
         if attempt > (entry.void if entry else 0):

@@ -337,7 +337,7 @@ class NodeServer:
         if told := self._reply_from_journal(start.action, start.attempt, start.position):
             if told.attempt != start.attempt and told.status not in ("void", "forgotten"):
                 # This attempt must not run later either, after the earlier one is forgotten.
-                journal.void(start.action, start.attempt, start.position)
+                journal.forbid_attempts(start.action, start.attempt, start.position)
                 if told.status != "finished":
                     told = self._reply("refused", f"Attempt {told.attempt} is {told.status}.", told.attempt)
             await journal.sync()
@@ -362,7 +362,7 @@ class NodeServer:
                 lambda starts: self._begin(starts, joint, kwargs),
             )
         if why or spec is None:
-            journal.void(start.action, start.attempt, start.position)
+            journal.forbid_attempts(start.action, start.attempt, start.position)
             self._gathering.break_up(start.action, why)
             await journal.sync()
             return msgspec.structs.replace(self._reply("refused", why), transient=transient)
@@ -441,7 +441,7 @@ class NodeServer:
     async def _on_ask(self, ask: Ask) -> ActionReply:
         told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         if ask.void and (told is None or (told.attempt and told.attempt != ask.attempt)):
-            self.journal.void(ask.action, ask.attempt, ask.position)
+            self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)
             self._gathering.break_up(ask.action, "the lab has asked for it meanwhile.")
         await self.journal.sync()
         # During the write, the action may have ended, or its acceptance may have failed.

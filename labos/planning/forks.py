@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 
 from labos.core.branches import Way, find_decided, may_leave_out
-from labos.core.effects import NOWHERE, Relid, Unlid
+from labos.core.effects import NOWHERE, Relid, Unlid, list_arrivals
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, find_results
@@ -157,7 +157,9 @@ def _list_outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) ->
     for motion in reversed(motions):
         if motion.lid:
             undone = (Relid if motion.lid == "off" else Unlid)(motion.target, motion.source)
-            found += carry(index, undone, uses=ModuleName(""), hand=NOWHERE, guarded=())
+            found += carry(
+                index, undone, uses=ModuleName(""), hand=NOWHERE, guarded=(), room=list_arrivals((undone,))
+            )
         elif motion.target:
             found.append(Motion(index, motion.target, motion.source, new=motion.new, back=True))
     return found

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.algebra import check_effect
-from labos.core.effects import Carrying, Claims, Consumes, Needs, Requires, list_carried, name_hand
+from labos.core.effects import Carrying, Claims, Consumes, Effect, Needs, Requires, list_carried, name_hand
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner, split_owner
 from labos.core.model import PlanStep
 from labos.core.rules import examine
@@ -193,14 +193,14 @@ class _Clearing:
         if spec.claim and spec.module:
             self.search.add_holders(spec.module, self.run)
 
-    def check_room(self, what: Carrying, place: StationName) -> None:
+    def check_room(self, what: Effect, place: StationName) -> None:
         if self.search.is_full(place):
             self.search.add_occupants(place, self.run)
 
     def check_labware(self, needs: Needs) -> None:
         """Nobody knows who might bring it."""
 
-    def value(self, requires: Requires) -> None:
+    def check_value(self, requires: Requires) -> None:
         """Nobody knows who might change it."""
 
     def check_setpoint(self, claims: Claims) -> None:

@@ -7,10 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.algebra import (
-    check_reaching,
-    check_standing,
-)
+from labos.core.algebra import check_reaching, check_rooms, check_standing
 from labos.core.binding import is_same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
@@ -85,6 +82,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
             return False
         asks = bool(motion.grabs) and not motion.recovers  # a recovery asks nobody
         if asks and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
+            return False
+        if motion.room and check_rooms(Mover(floor, actor), motion) is not None:
             return False
         return not motion.needs or all(find_usable_place(floor, actor, places) for places in motion.needs)
     mover = Mover(floor, actor)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labos.core.algebra import check_carrying
+from labos.core.algebra import check_carrying, check_rooms
 from labos.core.binding import is_same
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.reasons import NoWayOut
@@ -71,7 +71,11 @@ def _explain_obstacle(
     for key, value in motion.wants:
         if not is_same(floor.values.get(key), value):
             return f"needs {key.partition('/')[2]} = {value}, which nobody will have set"
+    met = Met(floor, walker, state, others)
     if not motion.target:
+        full = check_rooms(met, motion)
+        if full is not None:
+            return full
         for places in motion.needs:
             if not find_usable_place(floor, walker, places):
                 return f"finds nothing that it may use at {' or '.join(map(local, places))}"
@@ -79,7 +83,6 @@ def _explain_obstacle(
         grabbed = [key for key, _ in motion.grabs]
         used += [find_kept_module(key) for key in grabbed if find_kept_module(key)]
         return f"has to wait: {_describe_holders(state, floor, walker, used, grabbed, others)}"
-    met = Met(floor, walker, state, others)
     return check_carrying(met, motion) or met.describe_keeper(motion, [motion.uses])
 
 

@@ -128,10 +128,11 @@ def carry(
     uses: ModuleName,
     hand: StationName,
     guarded: Collection[StationName],
+    room: Sequence[StationName],
     wants: Settings = (),
 ) -> list[Motion]:
     """The motions of a step that carries something, by a module with this ``hand``. Only at ``guarded``
-    places, hands among them, anybody could be kept from reaching in."""
+    places, hands among them, anybody could be kept from reaching in. The whole step needs ``room``."""
     motions: list[Motion] = []
     for what in effects:
         motion = Motion(
@@ -152,7 +153,7 @@ def carry(
                 motion,
                 stands=_list_needed_places(effects),
                 entered=tuple(dict.fromkeys(p for each in effects for p in each.entered if p in guarded)),
-                room=tuple(list_arrivals(effects)),
+                room=tuple(room),
                 wants=wants,
                 hand=hand if hand in guarded and any(e.source != hand for e in effects) else NOWHERE,
             )
@@ -318,7 +319,8 @@ def list_motions_of_steps(
         lent = lent or bool(needs)
         wants = _drop_resting_values(step.module, find_requirements(step.effects), rest)
         sets = _drop_resting_values(step.module, after.variables, rest)
-        if grabs or needs or (wants and not moving) or (uses and not mine):
+        room = tuple(list_arrivals(step.effects))
+        if grabs or needs or ((wants or room) and not moving) or (uses and not mine):
             motions.append(
                 Motion(
                     index,
@@ -327,13 +329,14 @@ def list_motions_of_steps(
                     needs=needs,
                     keeps=keeps and bool(needs),
                     wants=() if moving else wants,
+                    room=() if moving else room,
                     recovers=step.recovers,
                 )
             )
         for places in needs:
             before.lend(places, claims, keeps=keeps)
         hand = name_hand(step.module)
-        motions += carry(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
+        motions += carry(index, *moving, uses=user, hand=hand, guarded=claims, room=room, wants=wants)
         for what in moving:
             before.carry(what, claims)
         if is_joint(joint, step):

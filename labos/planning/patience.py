@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from labos.core import reasons
 from labos.core.actions import ActionStatus
-from labos.core.effects import list_carried
+from labos.core.effects import Carrying
 from labos.core.ids import RunId
 from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, find_holds
@@ -111,8 +111,8 @@ def list_keys(state: LabState, step: PlanStep) -> frozenset[str]:
     found: list[str] = []
     if step.exclusive:
         found += [module_key(step.module), *map(zone_key, find_zones(state, step.module, step.effects))]
-    for what in list_carried(step.effects):
-        for place in what.entered if not what.stock else what.room:
+    for what in step.effects:
+        for place in what.entered if isinstance(what, Carrying) and not what.stock else what.room:
             spec = state.bench.stations[place].spec
             if spec.kind != "waste":
                 found.append(station_key(place))

@@ -9,8 +9,6 @@ from __future__ import annotations
 import heapq
 from typing import Any
 
-import msgspec
-
 from labos.core.actions import ActionStatus
 from labos.core.algebra import check_effect, compute_settings_after
 from labos.core.binding import is_same
@@ -19,10 +17,12 @@ from labos.core.effects import (
     Carrying,
     Claims,
     Consumes,
+    Effect,
     Needs,
     Requires,
     changes_labware,
     name_hand,
+    rename_places,
 )
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
@@ -74,7 +74,7 @@ class Scene:
             end = max(
                 now, action.requested_at + find_usual_time(state, step) + find_setup_under_way(state, action)
             )
-            effects = tuple(_with_planned_places(state, effect) for effect in action.effects)
+            effects = tuple(rename_places(e, bench.find_planned_place) for e in action.effects)
             end = FAR if action.status == ActionStatus.UNKNOWN else end
             self.take(run, action.step, step, effects, end)
 
@@ -181,19 +181,20 @@ class Scene:
             for zone in find_zones(self.state, step.module, effects):
                 self.zones.setdefault(zone, {})[who] = step.module
         for effect in effects:
+            owner = run_owner(run.id)
             if isinstance(effect, Carrying):
-                owner = run_owner(run.id) if effect.stock else self._find_owner_at(run, effect.source)
+                owner = owner if effect.stock else self._find_owner_at(run, effect.source)
                 for place in effect.entered:
                     spec = stations[place].spec if place in stations else None
                     if spec is not None and spec.module and not spec.stands_apart:
                         self.reached.setdefault(spec.module, {})[who] = True
-                for place in effect.room:
-                    if stations[place].spec.kind != "waste":
-                        self.standing.setdefault(place, []).append((owner, who))
                 if effect.stock:
                     self.drawn[effect.stock] = self.drawn.get(effect.stock, 0) + 1
             elif isinstance(effect, Needs):
                 self._borrow(run, step, effect, who, keeps=changes_labware(effects))
+            for place in effect.room:
+                if stations[place].spec.kind != "waste":
+                    self.standing.setdefault(place, []).append((owner, who))
         for setpoint, value in compute_settings_after(effects).claims.items():
             self.setpoints.setdefault((step.module, setpoint), {})[who[0]] = value, index
         for hold in self.state.runs.plan_of(run).holds:
@@ -244,9 +245,8 @@ class Scene:
         for arms in self.zones.values():
             arms.pop(who, None)
         for effect in effects:
-            if isinstance(effect, Carrying):
-                for place in (effect.emptied, effect.via):
-                    self._remove(run, place)
+            for place in effect.cleared:
+                self._remove(run, place)
         after = compute_settings_after(effects)
         for variable, value in after.variables.items():
             self.values[step.module, variable] = value, who
@@ -335,7 +335,7 @@ class Turn:
             return self.scene.find_holder(self.player, spec.module)
         return self.scene.find_keeper(self.player, spec.module) if spec.access else None
 
-    def check_room(self, what: Carrying, place: StationName) -> Who | None:
+    def check_room(self, what: Effect, place: StationName) -> Who | None:
         station = self.stations[place]
         self._arriving[place] = self._arriving.get(place, 0) + 1
         if station.spec.kind == "waste":
@@ -351,7 +351,7 @@ class Turn:
         there = [owner for place in places for owner in self.scene.list_owners_within_reach(place)]
         return None if any(owner in self.player.party for owner in there) else NOBODY
 
-    def value(self, requires: Requires) -> Who | None:
+    def check_value(self, requires: Requires) -> Who | None:
         if requires.of != "module":
             return None
         value, by = self.scene.values.get((self.step.module, requires.variable), (None, NOBODY))
@@ -366,15 +366,6 @@ class Turn:
 
     def check_amount(self, consumes: Consumes) -> Who | None:
         return None
-
-
-def _with_planned_places(state: LabState, effect: AnyEffect) -> AnyEffect:
-    """An effect as its plan has it: hotels instead of their shelves."""
-    if not isinstance(effect, Carrying):
-        return effect
-    fields = ("target",) if effect.stock else ("source", "target")
-    planned = {field: state.bench.find_planned_place(getattr(effect, field)) for field in fields}
-    return msgspec.structs.replace(effect, **planned)
 
 
 def _run_of(owner: str) -> str:

@@ -1,1 +1,1 @@
-"""The questions people ask of the log: pure functions over records."""
+"""Answers to the questions that people ask about the log: pure functions over its records."""

@@ -1,4 +1,4 @@
-"""Campaigns as the log tells them: all of them, and one row by row."""
+"""Campaigns as the log shows them: all of them, or one row by row."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ TYPES = ("campaign", *FAMILIES, "step", "resource")
 
 
 class CampaignHistory(msgspec.Struct):
-    """A campaign, who sees it, when it ended (UTC ns, 0 if it has not), and whether it is archived."""
+    """A campaign, the users who may see it, when it ended (UTC ns, 0 if it has not), and whether it is
+    archived."""
 
     campaign: Campaign
     visibility: Visibility = "lab"
@@ -42,8 +43,8 @@ class CampaignHistory(msgspec.Struct):
 
 
 class RowHistory(msgspec.Struct):
-    """``status``: not submitted, refused, or that of its run. ``results`` are those of its steps by key;
-    times in UTC ns."""
+    """``status``: not submitted, refused, or the status of its run. ``results`` are the results of its steps
+    by key; times in UTC ns."""
 
     row: int
     status: str = "not submitted"

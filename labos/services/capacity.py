@@ -1,9 +1,8 @@
-"""How many copies of a workflow may be under way at once, tried out on an otherwise empty bench.
+"""How many copies of a workflow may be in progress at once, found by trying it on an otherwise empty bench.
 
-The same decisions and the same safety as in the lab, without nodes and without waiting: every
-action succeeds at once. New copies are let in whenever one may; else the copy that has come
-furthest goes on by a step; none is let finish. Where a copy needs labware at its start, as much of
-it stands there as there is room.
+The decisions and the safety check are those of the lab, but there are no nodes and no waiting: every action
+succeeds at once. A new copy starts whenever one may. If none may, the copy that is furthest continues by one
+step; no copy may end. Where a copy needs labware at its start, the station is filled with it.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ from labos.planning.scheduler import Scheduler, list_ready_steps
 CAP = 32
 USER = "somebody"
 DAY_NS = 24 * 3600 * 1_000_000_000
-"""The clock leaps by a day a step, so that no waiting time is in the way."""
+"""The clock jumps by a day at each step, so that no waiting time delays a step."""
 
 Stock = Iterable[tuple[StationName, str, int]]
 
 
 class Capacity(msgspec.Struct, frozen=True):
-    """``copies`` may be under way at once (``capped``: perhaps more); ``why`` not one more, in
-    a sentence that names what the next one and those under way wait for."""
+    """``copies`` may be in progress at once (``capped``: perhaps more). ``why`` says in a sentence why there
+    cannot be one more: what the next copy and those in progress wait for."""
 
     copies: int
     capped: bool = False
@@ -58,10 +57,9 @@ def measure_capacity(
     others: Sequence[Plan] = (),
     cap: int = CAP,
 ) -> Capacity:
-    """Let in copies of a plan one by one until one is refused. ``stock`` is (station, labware
-    type, count); ``inputs`` are the stations where a run's labware must stand at its start;
-    ``others`` are plans that a copy may follow in place of ``plan``.
-    Raises Refused if the workcell cannot be set up like this."""
+    """Start copies of a plan one by one until one is refused. ``stock`` is (station, labware type, count);
+    ``inputs`` are the stations where a run's labware must stand at its start; ``others`` are plans that a
+    copy may follow in place of ``plan``. Raises Refused if the workcell cannot be set up in this way."""
     plan, *others = map(_approve, (plan, *others))
     bench = _PaperBench()
     bench.furnish(workcell, stock, inputs)
@@ -87,7 +85,7 @@ def _approve(plan: Plan) -> Plan:
 
 
 class _PaperBench:
-    """A lab on paper: a state, a scheduler and a clock that leaps."""
+    """A simulated lab: a state, a scheduler and a clock that jumps."""
 
     def __init__(self) -> None:
         self.state, self.scheduler = LabState(), Scheduler()
@@ -95,7 +93,7 @@ class _PaperBench:
         self._actions = 0
 
     def do(self, command: Command) -> None:
-        """Carry a command out. Raises Refused."""
+        """Carry out a command. Raises Refused."""
         answer = carry_out(self.state, command, self._fold, LABOS)
         if isinstance(answer, Rejection):
             raise Refused(answer.message, remedy=answer.remedy)
@@ -105,7 +103,7 @@ class _PaperBench:
         return event
 
     def furnish(self, workcell: Workcell, stock: Stock, inputs: tuple[StationName, ...]) -> None:
-        """Set everything up: nodes idle, stock in place, the rest empty, inputs there."""
+        """Set up the lab: nodes idle, stock in place, inputs at their stations, all other stations empty."""
         self.do(CreateLab(LabId("paper"), "paper"))
         self.do(StartKernel(1, "paper"))
         self.do(ApplyWorkcell(workcell))
@@ -126,7 +124,7 @@ class _PaperBench:
             self._fold(LabwareHandedOver(LabwareId(name), "", user_owner(USER)))
 
     def let_in(self) -> Wait | None:
-        """Start the oldest waiting copy; what it waits for if that cannot be done."""
+        """Start the oldest waiting copy; returns the reason to wait if it cannot start."""
         run = next(iter(self.state.runs.queued.values()))
         found = Wait(reasons.Gone())
         for option in sort_options(self.state, run, self.now):
@@ -139,7 +137,7 @@ class _PaperBench:
         return found
 
     def go_on(self) -> bool:
-        """One step of the copy that has come furthest and may go on; False if none may."""
+        """Carry out one step of the copy that is furthest and may continue; False if none may."""
         runs = sorted(self.state.runs.active.values(), key=lambda run: -_count_over(run))
         for run in runs:
             if _count_over(run) + 1 == len(run.steps):
@@ -162,12 +160,12 @@ class _PaperBench:
 
 
 def _count_over(run: RunState) -> int:
-    """How many of its steps keep nobody waiting any more."""
+    """The number of its steps for which nothing waits any more."""
     return sum(step.status in SETTLED for step in run.steps)
 
 
 def _imagine_result(plan: Plan, step: int) -> Any:
-    """A result with a value wherever later steps look for one."""
+    """A result with a value in each place from which later steps read one."""
     result: dict[str, Any] = {}
     for later in plan.steps:
         for value in later.args.values():

@@ -1,4 +1,4 @@
-"""Names for numbers: which workflow a run is, what its steps are called, who asked for it."""
+"""Names for ids: the workflow of a run, the names of its steps, the user who submitted it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PlanEntry(msgspec.Struct):
 
 
 class Catalogue(msgspec.Struct):
-    """What was said once in the log and is needed to read the rest of it."""
+    """Facts that the log states once and that are needed to read its other events."""
 
     pace: float = 1.0
     lab: str = ""
@@ -46,7 +46,7 @@ class Catalogue(msgspec.Struct):
     interventions: dict[str, InterventionRequested] = {}
 
     def learn(self, event: Event) -> None:
-        """Take in one event; most teach nothing."""
+        """Take in one event; most events add nothing."""
         match event:
             case PlanRecorded():
                 self.plans[event.plan] = PlanEntry(event.workflow, event.workcell)

@@ -1,4 +1,5 @@
-"""Checkpoints: the log's end, kept elsewhere, so that a cut tail or a rewritten log shows."""
+"""Checkpoints: the position and hash of the log's end, kept elsewhere. With them a log that was cut off or
+rewritten is detected."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ from labos.services.times import iso_time
 
 
 class Checkpoint(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Where a log ended at a time; ``hash`` as hexadecimal digits. ``seal`` is empty if no key was
-    given when it was written."""
+    """The end of a log at a time; ``hash`` as hexadecimal digits. ``seal`` is empty if no key was given when
+    the checkpoint was written."""
 
     lab: str
     position: int
@@ -23,7 +24,7 @@ class Checkpoint(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 def make_checkpoint(log: Log) -> Checkpoint:
-    """The log's end now."""
+    """A checkpoint of the log's present end."""
     head = log.head()
     return Checkpoint(head.lab, head.position, head.hash.hex(), iso_time(head.recorded_at))
 

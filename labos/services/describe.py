@@ -45,7 +45,7 @@ def describe(event: Event, head: Envelope, names: Catalogue | None = None) -> st
 
 
 def owner_name(owner: str) -> str:
-    """``run:R1`` as people say it."""
+    """``run:R1`` in words."""
     if not owner:
         return "nobody"
     if owner == "shared":
@@ -55,13 +55,13 @@ def owner_name(owner: str) -> str:
 
 
 def shorten_value(value: Any, limit: int = 60) -> str:
-    """A value as JSON, cut."""
+    """A value as JSON, shortened to ``limit`` characters."""
     text = json.dumps(sort_by_well(value), ensure_ascii=False)
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
 def step_name(run: str, index: int, names: Catalogue) -> str:
-    """``R1 #3 'Seal plate'``; just ``R1 #3`` where the plan is not known."""
+    """``R1 #3 'Seal plate'``; just ``R1 #3`` if the plan is not known."""
     step = names.find_step(run, index)
     key = f" {step.key!r}" if step is not None else ""
     return f"{run} #{index}{key}" if run else "no run"
@@ -102,7 +102,7 @@ def _name_subject(event: Event, names: Catalogue) -> str:
 
 
 def _name_action(event: Any, names: Catalogue) -> str:
-    """``sealer.seal``; just ``sealer`` where the step is not known."""
+    """``sealer.seal``; just ``sealer`` if the step is not known."""
     step = names.find_step(event.run, event.step)
     module = local(event.module)
     return f"{module}.{step.action}" if step is not None and event.run else module
@@ -120,7 +120,7 @@ def _when(value: Any, text: str) -> str:
 
 
 def _words_of(event: ErasureAsked | WordsErased) -> str:
-    """Whose words are erased."""
+    """The subject whose words are erased."""
     if event.user:
         return f"what {event.user} wrote"
     positions = ", ".join(map(str, event.records[:MOST_NAMED]))
@@ -128,7 +128,7 @@ def _words_of(event: ErasureAsked | WordsErased) -> str:
 
 
 def _name_place(target: str) -> str:
-    """Where starts are paused: of an experiment, or at a place."""
+    """The scope in which starts are paused: an experiment, or a place."""
     return "in the lab" if target == g.WHOLE_LAB else f"of {local(target)}"
 
 
@@ -145,7 +145,7 @@ def _describe_sight(event: b.StationObserved) -> str:
 
 
 MOST_NAMED = 5
-"""So many positions are named."""
+"""At most so many positions are named."""
 
 _DONE = {"all": "it was done", "none": "it was not done"}
 
@@ -413,4 +413,4 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.kind.replace('_', ' ')} {e.name!r}" + _when(e.facts, f": {shorten_value(e.facts)}")
     ),
 }
-"""The sentence of each kind of event, without its subject."""
+"""The sentence for each type of event, without its subject."""

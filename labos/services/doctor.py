@@ -1,4 +1,4 @@
-"""What ``labos doctor`` looks at, and what to do about each thing that is not as it should be."""
+"""The checks of ``labos doctor``, each with a remedy."""
 
 from __future__ import annotations
 
@@ -22,20 +22,23 @@ from labos.private import create_file
 from labos.services.times import show_time
 
 LITTLE_BYTES, LEAST_BYTES = 5 << 30, 500 << 20
-"""Free space that is little, and that is too little."""
+"""Bytes of free space: below the first, a warning; below the second, an error."""
 
 SLOW_SYNC_S, SLOWEST_SYNC_S = 0.02, 0.2
-"""How long a disk may take to make one small write durable: each action takes three of them."""
+"""How long a disk may take to make one small write durable (warning, error): each action takes three such
+writes."""
 
 SYNCS = 15
 CLOCK_OFF_S, CLOCK_WRONG_S = 0.5, 5.0
-"""A result whose time is 10 s from when it can have been is not believed without asking again."""
+"""Difference of clocks (warning, error): a result is not accepted without a question if its time is 10 s
+outside the possible time."""
 
 CA_LITTLE_NS = 90 * 86_400 * 10**9
-"""All certificates of a lab end with that of their authority: so long before, it is time for another one."""
+"""All certificates of a lab expire with the certificate of their authority: so long before, a warning asks
+for a new one."""
 
 REHEARSAL = "rehearsal.json"
-"""In the lab's folder: when a restore was last rehearsed."""
+"""A file in the lab's folder: when a restore was last rehearsed."""
 
 LONG_UNREHEARSED_NS = 100 * 86_400 * 10**9
 
@@ -43,8 +46,7 @@ State = Literal["ok", "warning", "fault"]
 
 
 class DoctorFinding(msgspec.Struct, frozen=True):
-    """One thing that was looked at. ``told`` says what was found, ``remedy`` what to do (empty if it is
-    well)."""
+    """One check. ``told`` says what was found, ``remedy`` what to do (empty if all is well)."""
 
     name: str
     state: State
@@ -53,10 +55,10 @@ class DoctorFinding(msgspec.Struct, frozen=True):
 
 
 MOST_NAMED = 5
-"""So many calibrations are named that expire."""
+"""At most so many calibrations that expire are named."""
 
 MOST_DRIFTS = 5
-"""So many actions are named that take longer or shorter than planned."""
+"""At most so many actions with a drift are named."""
 
 
 def check_space(folder: Path) -> DoctorFinding:
@@ -73,7 +75,7 @@ def check_space(folder: Path) -> DoctorFinding:
 
 
 def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
-    """When it was last shown that a backup comes back."""
+    """When a rehearsal last showed that a backup can be restored."""
     remedy = "labos restore FOLDER --rehearse"
     try:
         found = msgspec.json.decode((home / REHEARSAL).read_bytes())
@@ -87,7 +89,7 @@ def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
 
 
 def check_durations(found: Sequence[Drift]) -> DoctorFinding:
-    """Whether actions take about as long as was planned."""
+    """Whether actions take about as long as planned."""
     if not found:
         return DoctorFinding(
             "durations", "ok", "Actions take about as long as their drivers or workflows say."
@@ -102,7 +104,7 @@ def check_durations(found: Sequence[Drift]) -> DoctorFinding:
 
 
 def check_calibrations(state: LabState, now_ns: int) -> list[DoctorFinding]:
-    """Whether calibrations of modules have expired, or do so soon; nothing if none bears a last day."""
+    """Whether calibrations of modules have expired, or will soon; empty if no calibration has a last day."""
     dated = [
         (f"{local(name)}{f' ({what})' if what else ''}", one)
         for name, module in state.modules.by_name.items()
@@ -154,7 +156,7 @@ def check_sync(folder: Path) -> DoctorFinding:
 
 
 def check_permissions(paths: Iterable[Path]) -> DoctorFinding:
-    """Whether others than their owner can read what is private, and whether they are ours."""
+    """Whether private files can be read by others than their owner, and whether we are the owner."""
     if sys.platform == "win32":
         return DoctorFinding("permissions", "ok", "Windows: the rights of the user's own folder hold.")
     there = [path for path in paths if path.exists()]
@@ -178,7 +180,7 @@ def check_permissions(paths: Iterable[Path]) -> DoctorFinding:
 
 
 def check_certificates(authority: Authority, now_ns: int) -> list[DoctorFinding]:
-    """Whether the certificates of a secure bus are valid, and how long still. Raises LabosError if their list
+    """Whether the certificates of a secure bus are valid, and for how long. Raises LabosError if their list
     cannot be read."""
     admitted = authority.read_members().admitted
     found = [finding for entry in admitted if (finding := _check_certificate(entry, now_ns))]
@@ -207,8 +209,8 @@ def _check_certificate(entry: CertificateEntry, now_ns: int) -> DoctorFinding | 
 
 
 def check_nodes(heard: Iterable[Mapping[str, Any]], version: str) -> list[DoctorFinding]:
-    """What nodes answer (``GET /nodes?check=1``): do they answer, which version are they, how is their
-    clock?"""
+    """Checks the answers of nodes (``GET /nodes?check=1``): whether they answer, their version, and their
+    clock."""
     return [finding for one in heard for finding in _check_node(one, version)]
 
 

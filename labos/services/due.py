@@ -1,4 +1,4 @@
-"""Whether runs will be over when they are due, in words."""
+"""Whether runs will end by their due dates, in words."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from labos.services.runs import RunHistory
 from labos.services.times import show_time
 
 MOST_STEPS = 5_000
-"""So many steps are looked ahead: what comes later is not in sight."""
+"""At most so many steps are simulated; beyond them there is no forecast."""
 
 
 def tell_due(state: LabState, stories: Iterable[RunHistory], now: int) -> dict[str, str]:
-    """When those of these runs are due that are due at some time, and whether that was kept or, of those that
-    are alive, will be: for these the lab is carried on in virtual time, without rows that campaigns have not
-    submitted."""
+    """For each of these runs with a due date: the due date, and whether the run kept it or, if the run has
+    not ended, will keep it. For this the lab is simulated in virtual time, without rows that campaigns have
+    not submitted."""
     dated = [story for story in stories if story.due_at]
     alive = {story.id for story in dated if not story.over}
     found = {story.id: _tell_past(story) for story in dated if story.over}
@@ -40,7 +40,8 @@ def _tell_past(story: RunHistory) -> str:
 
 
 def tell_whether_kept(due_at: int, ends: TimeRange | None) -> str:
-    """Whether a run will be over when it is due, as a forecast sees its end (None: not in sight)."""
+    """Whether a run will end by its due date, according to a forecast of its end (None: beyond the
+    forecast)."""
     if ends is None:
         return "its end is not in sight"
     late_s = (ends.expected_at - due_at) / 1e9

@@ -1,4 +1,4 @@
-"""Experiments as the log tells them."""
+"""Experiments as the log shows them."""
 
 from __future__ import annotations
 

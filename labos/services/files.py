@@ -1,6 +1,7 @@
-"""Files that steps have returned: pictures, traces, raw data of readers.
+"""Files that steps have returned: images, traces, raw data of readers.
 
-A result names a file as ``{"file": name, "sha256": …, "bytes": …}``, at any depth; its content is a blob.
+A result names a file as ``{"file": name, "sha256": …, "bytes": …}``, at any depth; the file's content is a
+blob.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ _KINDS = (ActionSucceeded.TYPE, ActionReconciled.TYPE)
 
 
 class ResultFile(msgspec.Struct, frozen=True):
-    """A file of a step's result. ``time`` is when the step ended, by its device if that said so (UTC ns)."""
+    """A file in a step's result. ``time`` is when the step ended, by its device's clock if the device
+    reported it (UTC ns)."""
 
     run: str
     step: str
@@ -31,7 +33,8 @@ class ResultFile(msgspec.Struct, frozen=True):
 
 
 def list_files(log: Log, run: str = "", upto: int | None = None) -> list[ResultFile]:
-    """The files of a run's results, or of all runs, oldest first. Raises NotFound for an unknown run."""
+    """The files in a run's results, or in the results of all runs, oldest first. Raises NotFound for an
+    unknown run."""
     names = read_catalogue(log, upto)
     if run and run not in names.runs:
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")

@@ -1,4 +1,4 @@
-"""Which events concern a run, a module, a piece of labware, a user or an experiment."""
+"""Selects the events that concern a run, a module, a piece of labware, a user or an experiment."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from labos.spec.findings import near
 
 
 class LogFilter(msgspec.Struct, frozen=True):
-    """What to show; empty fields show everything. ``types`` are types or families, ``module`` is
-    a name with or without its workcell, times are UTC nanoseconds (``since`` counts, ``until``
-    is the first that does not)."""
+    """The events to show; empty fields select everything. ``types`` are types or families, ``module`` is a
+    name with or without its workcell. Times are UTC nanoseconds: ``since`` is the first that is shown,
+    ``until`` the first that is not."""
 
     types: tuple[str, ...] = ()
     run: str = ""
@@ -38,12 +38,12 @@ class LogFilter(msgspec.Struct, frozen=True):
 
     @property
     def simple(self) -> bool:
-        """Whether the store can answer all of it."""
+        """Whether the store can answer this filter by itself."""
         return not (self.run or self.module or self.labware or self.user or self.experiment)
 
 
 def check_types(types: Iterable[str]) -> None:
-    """Raises BadInput for what is neither a type nor a family of events."""
+    """Raises BadInput for a name that is neither a type nor a family of events."""
     families = {name.partition(".")[0] for name in TYPES}
     for kind in types:
         if kind.rstrip(".*") not in TYPES and kind.rstrip(".*") not in families:
@@ -51,7 +51,7 @@ def check_types(types: Iterable[str]) -> None:
 
 
 class FilteredLog:
-    """A filter at work on one log: remembers what it needs of the events that went by."""
+    """A filter applied to one log; it remembers what it needs of earlier events."""
 
     def __init__(self, log: Log, wanted: LogFilter) -> None:
         self.log, self.wanted = log, wanted
@@ -77,19 +77,19 @@ class FilteredLog:
         return iter(deque(pairs, wanted.last)) if wanted.last is not None else pairs
 
     def read_later(self, after: int, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
-        """What has been added behind a position, as ``read_matching`` would show it."""
+        """The events after a position, filtered as by ``read_matching``."""
         for record in self.log.read(after, upto):
             self.names.learn(decode_event(record))
             yield from self.match(record)
 
     def match(self, record: Record) -> Iterator[tuple[Event, Record]]:
-        """The record's event if it is wanted."""
+        """The record's event if the filter selects it."""
         if self._may_concern(record):
             event = decode_event(record)
             if self._is_about(event, record.head):
                 yield event, record
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------
 
     def _check(self) -> None:
         wanted, names = self.wanted, self.names
@@ -108,7 +108,7 @@ class FilteredLog:
             raise NotFound(f"There is no labware {wanted.labware!r} in this log.", remedy=remedy)
 
     def _check_module(self, name: str) -> None:
-        """Raises NotFound, for a station with its module."""
+        """Raises NotFound; accepts a station together with its module."""
         modules, stations = set[str](), set[str]()
         for record in self.log.select(LogQuery(types=(WorkcellApplied.TYPE, StationsApplied.TYPE))):
             event = decode_event(record)
@@ -134,12 +134,12 @@ class FilteredLog:
         return any(name in _list_labware(decode_event(record)) for record in records)
 
     def knows_user(self) -> bool:
-        """Whether the user that is asked for ever did anything in this log."""
+        """Whether the requested user has ever acted in this log."""
         anything = FilteredLog(self.log, LogFilter(user=self.wanted.user))
         return next(anything.read_matching(), None) is not None
 
     def _note_actions(self) -> None:
-        """Actions that touched the labware: what became of them does not name it again."""
+        """Note the actions that touched the labware: the events of their outcomes do not name it again."""
         query = LogQuery(types=(ActionRequested.TYPE,), mentions=self.wanted.labware)
         for record in self.log.select(query):
             self._note_action(decode_event(record))
@@ -149,7 +149,7 @@ class FilteredLog:
             self._actions.add(event.action)
 
     def _may_concern(self, record: Record) -> bool:
-        """A quick look at the stored bytes: false only for what surely does not match."""
+        """A fast check of the stored bytes: false only if the record certainly does not match."""
         head, wanted = record.head, self.wanted
         if wanted.types and not any(is_of_type(head.type, kind) for kind in wanted.types):
             return False
@@ -205,13 +205,14 @@ class FilteredLog:
 
 
 def is_of_type(type_: str, wanted: str) -> bool:
-    """Whether a type of events is of that name, or of the family of that name."""
+    """Whether an event type is ``wanted``, or belongs to the family ``wanted``."""
     family = wanted.rstrip(".*")
     return type_ == family or type_.startswith(f"{family}.")
 
 
 def _make_tokens(wanted: LogFilter) -> tuple[bytes, ...]:
-    """Byte strings: a payload that concerns the filter's narrowest name contains at least one of them."""
+    """Byte strings of which at least one is in each payload that concerns the filter's most selective
+    name."""
     for name, owner in ((wanted.run, "run"), (wanted.labware, ""), (wanted.experiment, "experiment")):
         if name:
             return (_quote(name), _quote(f"{owner}:{name}"))
@@ -234,7 +235,7 @@ def _list_runs(event: Event) -> set[str]:
 
 
 def _list_labware(event: Event) -> set[str]:
-    """The labware that an event names; not what stands in arguments, where P7 may be a well."""
+    """The labware that an event names. Arguments of actions do not count: P7 may be a well there."""
     named = getattr(event, "labware", ())
     matching_events = {named} if isinstance(named, str) else set(named)
     for effect in (*getattr(event, "effects", ()), *getattr(event, "motions", ())):
@@ -244,8 +245,8 @@ def _list_labware(event: Event) -> set[str]:
 
 
 def _names_module(event: Event, actor: str, wanted: str) -> bool:
-    """Whether an event is about a module, changes what stands at one of its stations, or is what
-    the module did to labware."""
+    """Whether an event is about a module, changes the content of one of its stations, or states what the
+    module did to labware."""
     names = [str(getattr(event, "module", ""))]
     if isinstance(event, WorkcellApplied):
         names += [spec.name for spec in event.modules]

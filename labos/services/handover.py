@@ -1,8 +1,8 @@
-"""What the next shift has to know: what runs, what waits for which person, what runs out next, and how long
-the lab went on by itself.
+"""The handover to the next shift: what runs, what waits for which person, what will be used up next, and how
+long the lab worked without intervention.
 
-Everything is worked out from the log at one moment; only what ended, and the time without human
-intervention, look back to where the shift began.
+Everything is computed from the log at one moment. Only the runs that ended, and the time without human
+intervention, are counted from the start of the shift.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from labos.services.waits import QUEUED_JUDGED, list_reasons
 
 
 class OpenRun(msgspec.Struct, frozen=True):
-    """A run that has not ended: what it does (``doing``), or why it does not go on (``waits``).
-    ``stuck`` if that takes a person or a device to come back."""
+    """A run that has not ended: what it does (``doing``), or why it does not continue (``waits``). ``stuck``
+    if it can continue only after a person acts or a device comes back."""
 
     run: str
     workflow: str
@@ -56,7 +56,8 @@ class RunEnded(msgspec.Struct, frozen=True):
 
 
 class OpenQuestion(msgspec.Struct, frozen=True):
-    """What waits for a person: planned work of the operator ``of``, or a question of the lab."""
+    """A question or task that waits for a person: planned work of the operator ``of``, or a question of the
+    lab."""
 
     id: str
     of: str
@@ -69,7 +70,8 @@ class OpenQuestion(msgspec.Struct, frozen=True):
 
 
 class UnavailableModule(msgspec.Struct, frozen=True):
-    """A module that cannot be used; ``until`` is when it is back by itself (UTC ns; 0: not at all)."""
+    """A module that cannot be used; ``until`` is when it becomes available by itself (UTC ns; 0: it does
+    not)."""
 
     module: str
     status: str
@@ -78,7 +80,7 @@ class UnavailableModule(msgspec.Struct, frozen=True):
 
 
 class ManualAccess(msgspec.Struct, frozen=True):
-    """Somebody reaches into a workcell."""
+    """A person who works in a workcell by hand."""
 
     workcell: str
     by: str
@@ -86,8 +88,8 @@ class ManualAccess(msgspec.Struct, frozen=True):
 
 
 class IdleLabware(msgspec.Struct, frozen=True):
-    """Labware that no run uses: a person has to know that it is there. ``maybe`` are the places where
-    it may be if nobody knows; ``given_by`` is who handed it over in this shift."""
+    """Labware that no run uses: a person has to know that it is there. ``maybe`` are its possible places if
+    its place is not known; ``given_by`` is the user who handed it over in this shift."""
 
     labware: str
     type: str
@@ -98,7 +100,7 @@ class IdleLabware(msgspec.Struct, frozen=True):
 
 
 class Shortage(msgspec.Struct, frozen=True):
-    """What the runs that are alive will not have enough of, and where it shows first."""
+    """Material of which the runs that have not ended will not have enough, and where it is missing first."""
 
     what: str
     run: str
@@ -108,7 +110,7 @@ class Shortage(msgspec.Struct, frozen=True):
 
 
 class ExpiredPack(msgspec.Struct, frozen=True):
-    """A pack that is out of date."""
+    """A pack after its expiry date."""
 
     module: str
     resource: str
@@ -140,14 +142,14 @@ class Handover(msgspec.Struct, frozen=True):
 
 
 def read_handover(log: Log, since: int, until: int) -> Handover:
-    """The account of a shift from ``since`` to ``until`` (UTC ns). Raises LogTooNew, LogDamaged."""
+    """The report on a shift from ``since`` to ``until`` (UTC ns). Raises LogTooNew, LogDamaged."""
     meter = Meter()
     book = RunBook(meter.names)
     given: dict[str, str] = {}
     begun = False
     for event, head in decode_events(log.read()):
         if not begun and head.recorded_at >= since:
-            # A lab that is younger than its shift began with its first event.
+            # If the lab is younger than its shift, the shift begins with the first event.
             begun, since = True, head.recorded_at if head.position == 1 else since
             meter.start_over(since)
         meter.add(event, head)
@@ -232,7 +234,8 @@ def _list_unavailable(state: LabState) -> Iterator[UnavailableModule]:
 
 
 def _is_left(item: Labware) -> bool:
-    """What no run owns, and all whose place is not known; a lid belongs to its plate."""
+    """Labware without a run as its owner, and all labware whose place is not known; a lid belongs to its
+    plate."""
     return bool(item.maybe) or not (item.owner.startswith("run:") or item.on)
 
 

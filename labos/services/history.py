@@ -14,8 +14,8 @@ NOW = Moment()
 
 
 def find_position_at(log: Log, moment: Moment = NOW) -> int:
-    """The last position that counts at a moment: everything recorded up to and at that time.
-    Raises BadInput for a moment before the log begins or behind its end."""
+    """The last position that was recorded up to and at a moment. Raises BadInput for a moment before the
+    beginning or after the end of the log."""
     head = log.head()
     if moment.position is not None:
         if not 1 <= moment.position <= head.position:
@@ -45,7 +45,7 @@ def list_stations(state: LabState) -> list[tuple[StationName, Station]]:
 
 
 def list_possibly_at(state: LabState, station: StationName) -> list[Labware]:
-    """Labware of uncertain place that may stand at a station."""
+    """Labware of uncertain place that may be at a station."""
     if station not in state.bench.haunted:
         return []
     return [item for item in state.bench.labware.values() if station in item.maybe]

@@ -13,11 +13,11 @@ from labos.core.recurrence import zone_or_utc
 from labos.core.state import LabState
 
 YEARS = 30
-"""For so long after the latest booking a time zone is described."""
+"""A time zone is described for so many years after the latest booking."""
 
 
 def encode_ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
-    """A calendar of these bookings. It is the same as long as they are."""
+    """A calendar of these bookings. As long as they do not change, its bytes do not change."""
     calendar = Calendar()
     calendar.add("prodid", "-//LabOS//bookings//EN")
     calendar.add("version", "2.0")

@@ -1,4 +1,4 @@
-"""What the lab has asked people, and what they answered, as the log tells it."""
+"""Questions of the lab to people, and their answers, as the log shows them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WITHDRAWN = "withdrawn"
 
 
 class PossibleAnswer(msgspec.Struct, frozen=True):
-    """What may be answered, what follows from it, and the command that says so."""
+    """A possible answer, its consequence, and the command that gives it."""
 
     name: str
     consequence: str
@@ -62,7 +62,7 @@ class InterventionHistory(msgspec.Struct):
 
     @property
     def about(self) -> tuple[str, ...]:
-        """What it is about, in names that other commands know."""
+        """The subjects of the question, by the names that other commands accept."""
         run = f"{self.run} ({self.workflow})" if self.workflow else self.run
         named = dict.fromkeys((run, self.module, *self.labware))
         return tuple(name for name in named if name) or (local(self.subject),)
@@ -93,7 +93,7 @@ def list_intervention_histories(log: Log) -> dict[str, InterventionHistory]:
 
 
 def describe_answer(log: Log, name: str) -> str:
-    """How a question was answered, as a sentence; empty if there never was one, or if it is open. Raises
+    """How a question was answered, as a sentence; empty if it does not exist, or if it is open. Raises
     LogTooNew, LogDamaged."""
     for event, head in decode_events(log.select(LogQuery(types=(InterventionResolved.TYPE,)))):
         if not isinstance(event, InterventionResolved) or event.intervention != name:
@@ -107,8 +107,8 @@ def describe_answer(log: Log, name: str) -> str:
 
 
 def describe_whereabouts(state: LabState, question: Intervention) -> str:
-    """Where the labware of a motion is now, as far as the lab knows: since it asked somebody may have seen
-    something. Empty if the question is about no motion."""
+    """Where the labware of a motion is now, as far as the lab knows: it may have been observed since the
+    question was asked. Empty if the question is not about a motion."""
     action = state.actions.open.get(ActionId(question.subject))
     is_unknown = isinstance(question.topic, UnknownAction) and action is not None
     effects = action.effects if action is not None and is_unknown else question.motions
@@ -140,7 +140,7 @@ def _begin_history(event: InterventionRequested, workflow: str, at: int) -> Inte
 
 
 def _command(event: InterventionRequested, choice: str) -> str:
-    """How this is answered. Planned work is confirmed, all else is resolved."""
+    """The command for this answer. Planned work is confirmed, every other question is resolved."""
     if event.kind != PlannedWork.KIND:
         return f"labos resolve {event.intervention} {choice}"
     return f"labos confirm {event.intervention}{'' if choice == 'done' else ' --not-done'}"

@@ -1,8 +1,8 @@
-"""What is left on the bench, from which lots, and what runs out first if all goes as planned.
+"""What is left on the bench, from which lots, and what will be used up first if all goes as planned.
 
-The runs that are alive are walked in the order in which they would go on: each takes its nominal
-time, laid out on the modules as they come free. Real labs are slower; the run at which something
-is used up is the same.
+The runs that have not ended are simulated in the order in which they would continue: each step takes its
+nominal duration and starts when its module is free. Real labs are slower, but the run that finds too little
+is the same.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from labos.core.wells import well_key
 from labos.planning.timetable import make_timetable
 
 ENOUGH_RUNS = 500
-"""Runs that are looked ahead to; beyond them nobody can say when."""
+"""At most so many runs are simulated; for later ones there is no forecast."""
 
 
 class LotLeft(msgspec.Struct, frozen=True):
-    """What is left of a lot; ``expired`` on the day of the question."""
+    """The rest of a lot; ``expired`` on the day of the query."""
 
     lot: str
     left: float
@@ -42,7 +42,7 @@ class Shortfall(msgspec.Struct, frozen=True):
 
 
 class ResourceLeft(msgspec.Struct, frozen=True):
-    """``promised`` is what all runs that are alive will still use up."""
+    """``promised`` is the amount that all runs that have not ended will still use up."""
 
     module: ModuleName
     resource: str
@@ -55,7 +55,7 @@ class ResourceLeft(msgspec.Struct, frozen=True):
 
 
 class Contents(msgspec.Struct, frozen=True):
-    """So many pieces of a type and lot, one upon the other."""
+    """A number of pieces of one type and lot, on top of each other."""
 
     type: str
     lot: str
@@ -63,7 +63,7 @@ class Contents(msgspec.Struct, frozen=True):
 
 
 class StackLeft(msgspec.Struct, frozen=True):
-    """A stack's nameless pieces, top to bottom; ``promised`` as of a resource."""
+    """A stack's pieces without ids, top to bottom; ``promised`` as for a resource."""
 
     station: StationName
     count: int
@@ -75,7 +75,8 @@ class StackLeft(msgspec.Struct, frozen=True):
 
 
 class WasteLeft(msgspec.Struct, frozen=True):
-    """The room in a waste; ``promised`` is what all runs that are alive will still throw away."""
+    """The room in a waste; ``promised`` is the number of pieces that all runs that have not ended will still
+    discard."""
 
     station: StationName
     room: int
@@ -92,8 +93,8 @@ class Inventory(msgspec.Struct, frozen=True):
 
 
 class Ahead(msgspec.Struct, frozen=True):
-    """A run as it would go on: when each step that is left would start (UTC ns, by its index), and what
-    it uses up in the order of that: the step's key, when, what, how much."""
+    """The future of a run: when each of its remaining steps would start (UTC ns, by index), and its uses in
+    order of time: the step's key, the time, the material and the amount."""
 
     run: RunState
     starts: dict[int, int]
@@ -171,7 +172,7 @@ def _list_wastes(state: LabState, promised: Promised, short: Shorts) -> Iterator
 
 
 def list_runs_ahead(state: LabState, now: int) -> Iterator[Ahead]:
-    """The runs that are alive in the order in which they would go on, with what they will use."""
+    """The runs that have not ended, in the order in which they would continue, with what they will use."""
     free: dict[ModuleName, float] = {}
     queued = sorted(state.runs.queued.values(), key=lambda run: (-run.priority, run.position))
     for run in [*state.runs.active.values(), *queued][:ENOUGH_RUNS]:
@@ -180,7 +181,7 @@ def list_runs_ahead(state: LabState, now: int) -> Iterator[Ahead]:
         steps = list_statuses(plan, run)
         left = [i for i, status in enumerate(steps) if status not in SETTLED]
         begun_s = min((table.slots[i].start_s for i in left), default=0.0)
-        # The whole run is shifted until each of its modules has come free.
+        # The whole run is delayed until each of its modules is free.
         shift_s = max(
             (free.get(plan.steps[i].module, 0.0) - (table.slots[i].start_s - begun_s) for i in left),
             default=0.0,
@@ -211,7 +212,7 @@ def _is_waste(state: LabState, place: StationName) -> bool:
 
 
 def list_shortfalls(found: Inventory) -> list[tuple[str, Shortfall]]:
-    """What runs out, the first first."""
+    """The shortages, the earliest first."""
     named = [(f"{r.module}:{r.resource}", r.runs_out) for r in found.resources]
     named += [(str(stack.station), stack.runs_out) for stack in found.stacks]
     named += [(str(waste.station), waste.runs_out) for waste in found.wastes]

@@ -1,4 +1,4 @@
-"""What the nodes' journals know more than a log: the sign of a tail that was cut off."""
+"""Finds what the nodes' journals contain and the log does not: the sign of a log whose end was cut off."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from labos.services.log import Log, decode_event
 
 
 class Surplus(msgspec.Struct, frozen=True):
-    """A journal that knows more than the log, and what."""
+    """A journal with entries that the log does not have."""
 
     journal: str
     knows: str
 
 
 def find_owners(folder: Path) -> dict[str, str]:
-    """The labs to which the journals in a folder belong, by ``workcell.module``. Damaged ones, and those
-    that belong to nobody yet, are left out."""
+    """The labs to which the journals in a folder belong, by ``workcell.module``. Damaged journals, and those
+    without a lab, are left out."""
     found: dict[str, str] = {}
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
@@ -36,8 +36,8 @@ def find_owners(folder: Path) -> dict[str, str]:
 
 
 def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
-    """A log without a single event is none that its nodes' journals have seen: it was lost, copied
-    without its write-ahead log, or another database is meant. Raises Refused."""
+    """If the log has no events but there are journals of a lab, the log is not that lab's: it was lost,
+    copied without its write-ahead log, or another database was meant. Raises Refused."""
     known = {} if log.head().position else find_owners(folder)
     if known:
         name, lab = next(iter(known.items()))
@@ -52,8 +52,8 @@ def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
 
 
 def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
-    """What journals know more than the log. They must have been read before the log: a request is in
-    the log before its node hears of it."""
+    """The entries of journals that the log does not have. The journals must have been read before the log, as
+    a request is in the log before its node receives it."""
     head = log.head()
     starts = _list_starts(log)
     found: list[Surplus] = []
@@ -62,7 +62,7 @@ def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
             found.append(Surplus(name, f"the lab {journal.lab}, and this log has no event of it"))
             continue
         if journal.lab and journal.lab != head.lab:
-            continue  # of another lab that lived in this folder
+            continue  # of another lab that used this folder
         if journal.epoch > head.epoch:
             found.append(Surplus(name, f"a kernel of epoch {journal.epoch}; the log's last has {head.epoch}"))
         if knows_more(journal.pruned, journal.pruned_by, head.position, starts):
@@ -75,9 +75,9 @@ def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
 
 
 def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundAction], int]]:
-    """What the journals in a folder know and the log of their lab does not, by module: actions, and the
-    position up to which it was told of things (0: the log holds all of that). Damaged ones are left out, as
-    their nodes refuse to start."""
+    """The entries of the journals in a folder that the log of their lab does not have, by module: actions,
+    and the position up to which the journal was acknowledged (0: the log is at least as long). Damaged
+    journals are left out, as their nodes refuse to start."""
     head, starts = log.head(), _list_starts(log)
     found: list[tuple[ModuleName, list[FoundAction], int]] = []
     for path in sorted(folder.glob("*.journal")):

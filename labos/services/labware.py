@@ -1,4 +1,4 @@
-"""The story of a piece of labware: where it stood from when to when, whose it was, who moved it."""
+"""The history of a piece of labware: its places and their times, its owners, and who moved it."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from labos.services.log import Log, decode_event
 
 
 class RecordReference(msgspec.Struct, frozen=True):
-    """Where in the log it stands, and the record's hash."""
+    """The position of a record in the log, and its hash."""
 
     position: int
     hash: str
 
 
 class LabwareStay(msgspec.Struct):
-    """One place from ``since`` to ``until`` (UTC ns; 0 while it lasts). ``places`` are several
-    while it is not known which; none once it is gone. ``by`` says who or what brought it."""
+    """The stay at one place from ``since`` to ``until`` (UTC ns; 0 while it lasts). ``places`` has several
+    entries if the place is uncertain, and none if the labware is gone. ``by`` is the cause of the move."""
 
     places: tuple[str, ...]
     since: int
@@ -37,7 +37,7 @@ class LabwareStay(msgspec.Struct):
 
 
 class LabwareChange(msgspec.Struct, frozen=True):
-    """Something else that became true of it: its owner or a variable."""
+    """Another change: of its owner or of a variable."""
 
     at: int
     what: str
@@ -47,7 +47,7 @@ class LabwareChange(msgspec.Struct, frozen=True):
 
 
 class LabwareHistory(msgspec.Struct):
-    """All that the log says of one piece of labware."""
+    """All facts of the log about one piece of labware."""
 
     id: str
     type: str
@@ -60,7 +60,7 @@ class LabwareHistory(msgspec.Struct):
 
     @property
     def place(self) -> str:
-        """Where it stands now, in words."""
+        """Its present place, in words."""
         if self.gone:
             return f"gone: {self.gone}"
         names = [local(place) or "gone" for place in self.stays[-1].places]
@@ -68,19 +68,19 @@ class LabwareHistory(msgspec.Struct):
 
 
 def read_labware_history(log: Log, labware: str, upto: int | None = None) -> LabwareHistory | None:
-    """One labware's story up to a position; None if the log does not know it until then."""
+    """One labware's history up to a position; None if the log does not name it before."""
     query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), mentions=labware, upto=upto)
     return fold_histories(log.select(query), read_catalogue(log, upto)).get(labware)
 
 
 def list_labware_histories(log: Log, upto: int | None = None) -> dict[str, LabwareHistory]:
-    """Every labware there ever was, in order of its first placement."""
+    """All labware of the log, in order of its first placement."""
     query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), upto=upto)
     return fold_histories(log.select(query), read_catalogue(log, upto))
 
 
 def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, LabwareHistory]:
-    """The stories that records tell; ``names`` gives runs and steps their names."""
+    """The histories that follow from records; ``names`` gives runs and steps their names."""
     told: dict[str, LabwareHistory] = {}
     acts: dict[str, str] = {}
     for record in records:
@@ -132,7 +132,7 @@ def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) 
 
 
 def _take_away(told: dict[str, LabwareHistory], event: b.BarcodeRead) -> None:
-    """A barcode is on one piece of labware at a time; what is gone keeps its own."""
+    """A barcode is on one piece of labware at a time; labware that is gone keeps its own."""
     for story in told.values():
         if story.barcode == event.barcode and story.id != event.labware and not story.gone:
             story.barcode = ""
@@ -153,7 +153,7 @@ def _act(event: ActionRequested, names: Catalogue) -> str:
 
 
 def _find_actor(event: b.LabwareEvent, record: Record, acts: dict[str, str], names: Catalogue) -> str:
-    """Who acted: the action that carried it, else the run, else the actor; with the user."""
+    """Who acted: the action that moved it, else the run, else the actor; with the user."""
     run = names.runs.get(event.run)
     user = f" ({run.user})" if run is not None else ""
     act = acts.get(str(getattr(event, "action", "")))

@@ -1,4 +1,4 @@
-"""What every question needs of the log, and how a stored record becomes an event."""
+"""The part of a log that every query needs, and how a stored record becomes an event."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ VERIFY = "Find the first bad position with: labos verify"
 
 
 class Log(Protocol):
-    """The reading half of an event store."""
+    """The reading part of an event store."""
 
     def head(self) -> Head: ...
 
@@ -34,7 +34,7 @@ class Log(Protocol):
     def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None: ...
 
     def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
-        """The words that stand beside it for these references."""
+        """The words that are stored beside the log for these references."""
 
 
 def decode_event(record: Record) -> Event:
@@ -53,7 +53,7 @@ def decode_events(records: Iterable[Record]) -> Iterator[tuple[Event, Envelope]]
 
 
 def fold_to(log: Log, position: int) -> LabState:
-    """The state after the event at a position, from the newest usable snapshot on. Raises
+    """The state after the event at a position; folding begins with the newest usable snapshot. Raises
     LogTooNew, LogDamaged."""
     state = LabState()
     found = log.load_snapshot(fold_fingerprint())

@@ -1,7 +1,7 @@
-"""Where the time went: every minute of a lab that had work is either at work or charged to a cause.
+"""Where the time was lost: while a lab has work, every minute counts as work or is charged to a cause.
 
-The definition is in ``docs/time-without-human-intervention.md``. The time of a scope is cut at every
-event; each piece goes on the account of the scope as a whole, once.
+The definition is in ``docs/time-without-human-intervention.md``. The time of a scope is divided at every
+event; each part is charged to the scope as a whole, once.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ from labos.services.standstill import Cause, Standstill
 from labos.services.twh import Meter, ScopeKind, TwhReport
 
 NO_KERNEL = Cause("error", "no kernel", "", "software")
-"""LabOS itself did not run: from the last event before to the start of the next kernel."""
+"""LabOS itself did not run: from the last event before its end to the next start of a kernel."""
 
 ABOUT_TO_START = Cause("other", "about to start")
-"""There are runs, none has begun, and nothing stops them."""
+"""There are runs, none has begun, and nothing prevents it."""
 
 BRIEF_S = 0.1
-"""Pauses between events that are shorter (lab seconds) are not worth a look at the whole bench: a turn of the
-kernel and its commit."""
+"""For pauses between events that are shorter (lab seconds: a turn of the kernel and its commit), the whole
+bench is not examined."""
 
 QUEUED_JUDGED = 12
-"""So many waiting runs are asked for their reason while nothing is under way."""
+"""While no run is in progress, the reason of at most so many waiting runs is determined."""
 
 
 class Loss(msgspec.Struct, frozen=True):
-    """Time lost to one cause; ``on_clock_ns`` of it while the clock ran, because nobody was asked."""
+    """Time lost to one cause. ``on_clock_ns`` is the part of it in which the clock ran, because no person was
+    asked."""
 
     cause: Cause
     lost_ns: int
@@ -43,7 +44,7 @@ class Loss(msgspec.Struct, frozen=True):
 
 
 class Interval(msgspec.Struct, frozen=True):
-    """A run, or the lab (empty), stood still from one moment to another (UTC ns)."""
+    """A run, or the lab (empty name), made no progress from one moment to another (UTC ns)."""
 
     run: str
     since: int
@@ -52,8 +53,8 @@ class Interval(msgspec.Struct, frozen=True):
 
 
 class LossAccount(msgspec.Struct):
-    """``span_ns = at_work_ns + the sum of what was lost``; ``clock_ns = at_work_ns`` + what was lost
-    on the clock. Losses from the largest to the smallest."""
+    """``span_ns = at_work_ns + the sum of what was lost``; ``clock_ns = at_work_ns`` + the losses while the
+    clock ran. The largest losses are first."""
 
     kind: ScopeKind
     name: str
@@ -68,13 +69,14 @@ class LossAccount(msgspec.Struct):
 
     @property
     def for_a_person_ns(self) -> int:
-        """What was lost while a person was waited for."""
+        """The losses in which the lab waited for a person."""
         return sum(loss.lost_ns for loss in self.losses if waits_for_a_person(loss.cause))
 
 
 class Losses(msgspec.Struct):
-    """Every scope's account, beside its time without intervention; ``intervals`` when runs, and the lab,
-    stood still; ``next_touches`` what a person is needed for next. ``end`` in UTC ns."""
+    """The account of each scope, beside its time without intervention. ``intervals`` are the times in which
+    runs, and the lab, made no progress; ``next_touches`` are the next tasks for a person. ``end`` in UTC
+    ns."""
 
     twh: TwhReport
     lab: LossAccount
@@ -87,7 +89,7 @@ class Losses(msgspec.Struct):
 
 
 def waits_for_a_person(cause: Cause) -> bool:
-    """Whether the time would go on until somebody does something."""
+    """Whether the wait ends only when a person acts."""
     return cause.asked or cause.kind in ("person", "resource", "planned") or cause.what == "in error"
 
 
@@ -118,7 +120,7 @@ class _Book:
 
 
 class LossBook:
-    """Keeps the accounts while events go by."""
+    """Updates the accounts with each event."""
 
     def __init__(self) -> None:
         self.meter = Meter()
@@ -136,7 +138,7 @@ class LossBook:
         self.standstill.add(event, head)
 
     def report(self, now: int | None = None) -> Losses:
-        """The accounts at ``now`` (UTC ns), by default at the last event."""
+        """The accounts at ``now`` (UTC ns), by default at the time of the last event."""
         self._charge_until(max(now or 0, self._at), None)
         for name in list(self._open):
             self._note(name, None)
@@ -157,7 +159,7 @@ class LossBook:
             self._at,
         )
 
-    # -- inside --------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------
 
     def _charge_until(self, now: int, overall: Cause | None) -> None:
         """Charge the time since the last event, in which nothing changed."""
@@ -205,20 +207,21 @@ class LossBook:
                 self._note("", cause)
 
     def _find_common_cause(self, members: list[RunState], causes: dict[str, Cause | None]) -> Cause | None:
-        """What several runs wait for; nothing if one goes on. Of several causes the one that began first."""
+        """The cause for which several runs wait; None if one of them continues. Of several causes the one
+        that began first."""
         found = [run for run in members if causes[run.id] is not None]
         if len(found) < len(members):
             return None
         return causes[min(found, key=lambda run: (self._since[run.id], run.position)).id]
 
     def _explain_not_begun(self, members: list[RunState], briefly: bool) -> Cause:
-        """Why none of the runs that wait has been let in."""
+        """The reason why none of the waiting runs has started."""
         judged = members[:QUEUED_JUDGED]
         found = [self.standstill.find_cause(run, briefly=briefly) for run in judged]
         return ABOUT_TO_START if None in found or found[0] is None else found[0]
 
     def _list_scopes(self, runs: list[RunState]) -> dict[tuple[ScopeKind, str], list[RunState]]:
-        """The runs under way in every scope that has any."""
+        """The runs in progress, by scope."""
         found: dict[tuple[ScopeKind, str], list[RunState]] = {}
         for run in runs:
             found.setdefault(("lab", ""), []).append(run)
@@ -234,7 +237,7 @@ class LossBook:
         return not (run.paused or asked or self._find_cell(run) in state.lab.access)
 
     def _note(self, name: str, cause: Cause | None) -> None:
-        """Remember since when a run (empty: the lab) has stood still, and for what."""
+        """Note when a run (empty: the lab) stopped making progress, and the cause."""
         known = self._open.get(name)
         if known is not None and known[1] != cause:
             self.intervals.append(Interval(name, known[0], self._at, known[1]))
@@ -250,7 +253,7 @@ class LossBook:
 
 
 def sum_losses(records: Iterable[Record], now: int | None = None) -> Losses:
-    """Where the time of every scope of a log went. Raises LogTooNew, LogDamaged."""
+    """The losses of every scope of a log. Raises LogTooNew, LogDamaged."""
     book = LossBook()
     for event, head in decode_events(records):
         book.add(event, head)

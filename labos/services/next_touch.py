@@ -1,7 +1,6 @@
-"""When the next human hand is needed, and for what: what waits for somebody now, and what is foreseen.
+"""When a person is needed next, and for what: what waits for a person now, and what is foreseen.
 
-What is foreseen is as good as the nominal durations that it is reckoned from; whatever goes wrong
-meanwhile comes before it.
+The forecast is only as good as the nominal durations on which it is based; a fault may need a person earlier.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from labos.services.times import iso_time
 
 
 class Touch(msgspec.Struct, frozen=True):
-    """``at`` in UTC ns; not later than now if somebody is waited for already. ``kind``: question, work,
-    access, module, supply. ``run`` is the one that needs it first, empty if none in particular."""
+    """``at`` in UTC ns; not later than now if something already waits for the person. ``kind``: question,
+    work, access, module, supply. ``run`` is the first run that needs it; empty if there is no such run."""
 
     at: int
     kind: str
@@ -31,7 +30,7 @@ class Touch(msgspec.Struct, frozen=True):
 
 
 def list_next_touches(state: LabState, now: int) -> list[Touch]:
-    """What a person is needed for, the first first; ``now`` in UTC ns."""
+    """The tasks for which a person is needed, earliest first; ``now`` in UTC ns."""
     walked = list(list_runs_ahead(state, now))
     left = count_inventory(state, now, iso_time(now)[:10])
     found = [
@@ -55,8 +54,7 @@ def _find_asked(state: LabState) -> Iterator[Touch]:
 
 
 def _list_modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
-    """Modules that runs need and that do not come back by themselves; each once, where it is needed
-    first."""
+    """Modules that runs need and that do not become available by themselves; each once, at its first use."""
     named: set[str] = set()
     for found in walked:
         plan = state.runs.plan_of(found.run)
@@ -79,7 +77,7 @@ def _list_supplies(left: Inventory) -> Iterator[Touch]:
 
 
 def _list_work(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
-    """Steps that a workflow plans for a person and that have not been asked for yet."""
+    """Steps that a workflow plans for a person and that have not been requested yet."""
     for found in walked:
         run = found.run
         plan = state.runs.plan_of(run)

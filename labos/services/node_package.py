@@ -1,6 +1,6 @@
-"""What a node needs on the computer of its instrument, packed into one archive.
+"""Packs everything that a node needs on the computer of its instrument into one archive.
 
-It holds a script that installs the node, the unit of systemd, its settings and, for a secure bus, its
+The archive holds a script that installs the node, its systemd unit, its settings and, for a secure bus, its
 certificate.
 """
 
@@ -22,11 +22,11 @@ ENDPOINT = re.compile(r"(?:tcp|tls)/[A-Za-z0-9.\-:\[\]]+:\d{1,5}")
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
 
 UNITS = ("labos-node@.service", "labos.sysusers.conf")
-"""Files of ``deploy/systemd`` that go along."""
+"""Files of ``deploy/systemd`` that are added."""
 
 
 def read_units() -> dict[str, str]:
-    """The text of each of UNITS: in the wheel, else in the checkout."""
+    """The text of each of UNITS: from the wheel, else from the checkout."""
     package = Path(__file__).resolve().parents[1]
     packaged = package / "_deploy"
     folder = packaged if packaged.is_dir() else package.parent / "deploy" / "systemd"
@@ -34,9 +34,9 @@ def read_units() -> dict[str, str]:
 
 
 class NodePackage(msgspec.Struct, frozen=True):
-    """A node that is to be installed. ``certificate`` is the folder of its own, if the bus is secure;
-    ``options`` go to ``labos node start``; ``requirement`` is what pip installs, from ``wheels`` if there are
-    any."""
+    """A node that will be installed. ``certificate`` is the folder of its certificate, if the bus is secure.
+    ``options`` are arguments of ``labos node start``. pip installs ``requirement``, from ``wheels`` if there
+    are any."""
 
     workcell: str
     name: str
@@ -53,7 +53,7 @@ class NodePackage(msgspec.Struct, frozen=True):
 
 def pack_node(package: NodePackage) -> bytes:
     """The archive (tar, gzip). The same files give the same bytes. Raises BadInput for a name or an address
-    that no unit can hold."""
+    that a systemd unit cannot contain."""
     _check(package)
     place = f"/etc/labos/certificates/{package.workcell}.{package.name}"
     options = f"--connect {package.connect}"

@@ -1,4 +1,5 @@
-"""What waits for an approval, in words, with what has changed since a submission of its name was approved."""
+"""Submissions that wait for an approval, and their differences from the last approved one of the same
+name."""
 
 from __future__ import annotations
 
@@ -18,22 +19,23 @@ from labos.ports import BlobReader, LogQuery
 from labos.services.log import Log, decode_event
 
 MOST_LINES = 200
-"""So many lines of a difference between two texts are shown."""
+"""At most so many lines of a difference between two texts are shown."""
 
 MOST_VALUES = 200
-"""So many values are compared that differ."""
+"""At most so many different values are compared."""
 
 
 class ChangedPart(msgspec.Struct, frozen=True):
-    """A part that was another one when something of this name was approved last. ``lines`` say how, as far as
-    that can be told: lines of a text that are gone (``-``) and new (``+``), or values with what they were."""
+    """A part that differs from the last approved submission of this name. ``lines`` show the difference if
+    possible: lines that were removed (``-``) and added (``+``), or values together with their earlier
+    ones."""
 
     part: str
     lines: tuple[str, ...] = ()
 
 
 def describe_waiting(state: LabState, subject: str) -> str:
-    """That a submission waits for an approval, why, and what to do; empty if it does not."""
+    """A sentence that a submission waits for an approval, why, and what to do; empty if it does not wait."""
     proposal = state.approvals.open.get(subject)
     if proposal is None:
         return ""
@@ -43,8 +45,8 @@ def describe_waiting(state: LabState, subject: str) -> str:
 
 
 def list_differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal) -> list[ChangedPart]:
-    """How a proposal differs from what was approved last of its name. Reads the log and texts that are kept
-    beside it."""
+    """The differences of a proposal from the last approved one of its name. Reads the log and texts that are
+    stored beside it."""
     if proposal.kind == "amendment":
         campaign = state.campaigns.open.get(CampaignId(proposal.subject))
         was = msgspec.to_builtins(campaign.terms) if campaign is not None else {}
@@ -80,7 +82,7 @@ def _find_first(log: Log, stream: str, kind: type[Event]) -> Event | None:
 
 
 def _read_text(blobs: BlobReader, digest: str) -> str | None:
-    """A text that is kept beside the log; of a campaign's definition that of its workflow."""
+    """A text that is stored beside the log; for the definition of a campaign, the text of its workflow."""
     try:
         text = blobs.get(digest).decode() if digest else ""
     except (LabosError, UnicodeDecodeError, OSError):
@@ -104,7 +106,7 @@ def _compare_texts(old: str | None, new: str | None) -> Iterator[str]:
 
 
 def compare(old: dict[str, Any] | None, new: dict[str, Any] | None) -> Iterator[str]:
-    """The values that differ, each with what it was."""
+    """The values that differ, each with its earlier value."""
     before, now = _flatten_table(old or {}), _flatten_table(new or {})
     for number, key in enumerate(k for k in {**before, **now} if before.get(k, _NONE) != now.get(k, _NONE)):
         if number == MOST_VALUES:

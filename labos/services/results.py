@@ -1,9 +1,8 @@
-"""Results by well: what steps measured, joined with the samples that were in the wells.
+"""Results by well: values that steps measured, joined with the samples that were in the wells.
 
-A result is a table by well if it is an object with ``wells``: well → number, text or true/false, or
-well → such values by quantity. ``quantity`` and ``unit`` beside it say what the values are. Without
-``wells``, an object whose keys are all wells is one too. A list, or a list under ``tables``, holds
-several.
+A result is a table by well if it is an object with ``wells``: well → number, text or true/false, or well →
+such values by quantity. ``quantity`` and ``unit`` beside it describe the values. Without ``wells``, an object
+whose keys are all wells is a table too. A list, or a list under ``tables``, holds several tables.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ _WELL = re.compile(r"([A-Z]{1,2})0*([1-9][0-9]?)")
 
 
 class Reading(msgspec.Struct, frozen=True):
-    """One value of one well. ``plate`` is empty where the step worked on no labware or on several;
-    ``time`` is when the step ended, by its device if that said so (UTC ns)."""
+    """One value of one well. ``plate`` is empty if the step worked on no labware or on several pieces;
+    ``time`` is when the step ended, by its device's clock if the device reported it (UTC ns)."""
 
     run: str
     step: str
@@ -53,14 +52,14 @@ class Reading(msgspec.Struct, frozen=True):
 
 
 class Readings(list[Reading]):
-    """What a run measured, well by well."""
+    """The values that a run measured, well by well."""
 
     def rows(self, show: Callable[[int], str] = iso_time) -> list[tuple[Any, ...]]:
-        """The values of ``COLUMNS`` of each, with times as ``show`` writes them (in UTC)."""
+        """The values of ``COLUMNS`` for each reading; ``show`` formats the times (in UTC)."""
         return [(*(getattr(each, name) for name in COLUMNS[:-1]), show(each.time)) for each in self]
 
     def to_csv(self, file: str | Path | TextIO | None = None) -> str:
-        """As CSV, which is returned and, if a file is named, written there; times in UTC."""
+        """The readings as CSV; if ``file`` is given, they are also written there. Times in UTC."""
         text = io.StringIO()
         out = csv.writer(text, lineterminator="\n")
         out.writerow(COLUMNS)
@@ -93,10 +92,9 @@ class ValueTable(msgspec.Struct, frozen=True):
 
 
 def read_readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> Readings:
-    """Every value by well that a run's steps returned, in the order of its steps' ends and of the
-    plates' wells. Samples are
-    those that the plate's sheet said last before the step ended, else the first that was said
-    after. Raises NotFound for a run that never was."""
+    """Every value by well that a run's steps returned, in the order of the steps' ends and of the plates'
+    wells. The samples are those of the last sample sheet of the plate before the step ended; if there was
+    none, those of the first sheet after. Raises NotFound for an unknown run."""
     names = read_catalogue(log, upto)
     if run not in names.runs:
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
@@ -127,7 +125,7 @@ def read_readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None
 
 
 def iterate_tables(result: Any) -> Iterator[ValueTable]:
-    """The tables by well in a step's result; none in most."""
+    """The tables by well in a step's result; most results have none."""
     if isinstance(result, list):
         for item in result:
             if isinstance(item, dict):
@@ -142,7 +140,7 @@ def iterate_tables(result: Any) -> Iterator[ValueTable]:
 
 
 def _split_by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[ValueTable]:
-    """One table for each quantity. What stands in no well, or is no value, is left out."""
+    """One table for each quantity. Values outside a well, and entries that are not values, are left out."""
     found: dict[str, dict[str, float | bool | str]] = {}
     units = about.get("units")
     units = units if isinstance(units, dict) else {}
@@ -165,7 +163,7 @@ def _match_well(name: str) -> str:
 
 
 def find_labware_of_action(event: ActionRequested) -> str:
-    """The labware that an action worked on, if it was one."""
+    """The labware on which an action worked, if the event is the end of an action on labware."""
     touched = {
         effect.plate if isinstance(effect, Unlid | Relid) else effect.labware
         for effect in event.effects

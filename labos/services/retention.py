@@ -1,5 +1,5 @@
-"""When old segments of the backup were last moved, and files that nothing names removed: a note in the lab's
-folder, which ``labos doctor`` reads."""
+"""When old segments of the backup were last moved, and when unused files were last removed: a note in the
+lab's folder, which ``labos doctor`` reads."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from labos.services.times import show_time
 
 NOTE = "retention.json"
 LONG_AGO_NS = 45 * 86_400 * 10**9
-"""It is done every month."""
+"""Both steps should be done every month."""
 
 Step = Literal["moved_at", "removed_at"]
 
 
 class Retention(msgspec.Struct, frozen=True):
-    """Times in UTC nanoseconds; 0: not yet."""
+    """Times in UTC nanoseconds; 0: never."""
 
     moved_at: int = 0
     removed_at: int = 0
 
 
 def note_retention(home: Path, step: Step, now_ns: int) -> None:
-    """Note that a step was done. Where nothing can be written, the doctor says in time that it was not."""
+    """Note that a step was done. If the note cannot be written, the doctor will later report the step as not
+    done."""
     found = _read(home) or Retention()
     noted = msgspec.structs.replace(found, **{step: now_ns})
     with contextlib.suppress(OSError):
@@ -36,7 +37,8 @@ def note_retention(home: Path, step: Step, now_ns: int) -> None:
 
 
 def check_retention(home: Path, now_ns: int) -> DoctorFinding | None:
-    """Whether both steps were done lately. None in a lab that never did one: it may keep everything."""
+    """Whether both steps were done recently. None for a lab that has never done one: it may intend to keep
+    everything."""
     found = _read(home)
     if found is None:
         return None
@@ -49,7 +51,7 @@ def check_retention(home: Path, now_ns: int) -> DoctorFinding | None:
 
 
 def _read(home: Path) -> Retention | None:
-    """What was noted; None for no note, or one that cannot be read."""
+    """The note; None if there is none, or if it cannot be read."""
     try:
         return msgspec.json.decode((home / NOTE).read_bytes(), type=Retention)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError):

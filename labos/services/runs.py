@@ -1,4 +1,4 @@
-"""The story of every run: its steps, when each was asked for and ended, how it came out."""
+"""The history of every run: its steps, when each was requested and ended, and the outcome."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ OVER = ("completed", "failed", "cancelled")
 
 
 class StepHistory(msgspec.Struct):
-    """``state``: pending, in flight, done, failed, unknown, skipped, or (of steps for emergencies that have
-    not come) asleep. Times in UTC ns, 0 if not yet."""
+    """``state``: pending, in flight, done, failed, unknown, skipped, or asleep (a step for an emergency that
+    has not occurred). Times in UTC ns, 0 if not yet."""
 
     index: int
     key: str
@@ -42,9 +42,9 @@ class StepHistory(msgspec.Struct):
 
 
 class RunHistory(msgspec.Struct):
-    """``status``: queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy``
-    are the times (from, to) in which some action of it was in flight. It should be over when it is ``due_at``
-    (UTC ns, 0: no such time)."""
+    """``status``: queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy`` are
+    the times (from, to) in which one of its actions was in flight. ``due_at`` is its due date (UTC ns, 0:
+    none)."""
 
     id: str
     workflow: str
@@ -70,7 +70,7 @@ class RunHistory(msgspec.Struct):
 
     @property
     def in_play(self) -> int:
-        """How many steps it has; those for emergencies count when they have come."""
+        """The number of its steps; steps for emergencies count only after the emergency has occurred."""
         return sum(step.state != "asleep" for step in self.steps)
 
     @property
@@ -79,14 +79,14 @@ class RunHistory(msgspec.Struct):
 
 
 class RunBook:
-    """Folds events into the stories of runs. ``keep`` limits it to one run."""
+    """Folds events into the histories of runs. ``keep`` limits it to one run."""
 
     def __init__(self, names: Catalogue, keep: str = "") -> None:
         self.names, self.keep = names, keep
         self.runs: dict[str, RunHistory] = {}
 
     def add(self, event: Event, head: Envelope) -> None:
-        """Take in one event; the catalogue must have learnt from it."""
+        """Take in one event; the catalogue must have taken it in before."""
         if isinstance(event, r.RunSubmitted):
             self._on_submitted(event, head.recorded_at)
         elif isinstance(event, a.ActionEvent):
@@ -130,8 +130,8 @@ def run_histories(log: Log) -> dict[str, RunHistory]:
 
 
 def run_history(log: Log, run: str, upto: int | None = None) -> RunHistory:
-    """One run, read from its own stream and the one that holds its plan: what else the log holds
-    costs nothing. Raises NotFound."""
+    """One run, read only from its own stream and the stream with its plan, so that the length of the log does
+    not matter. Raises NotFound."""
     own = list(decode_events(log.select(LogQuery(streams=(run,), upto=upto))))
     names = Catalogue()
     teach(names, own)
@@ -142,7 +142,7 @@ def run_history(log: Log, run: str, upto: int | None = None) -> RunHistory:
         query = LogQuery(streams=(submitted.planned_by,), types=("plan",), upto=upto)
         teach(names, decode_events(log.select(query)))
     if submitted.plan not in names.plans:
-        # Runs that were submitted before `planned_by` was noted.
+        # For runs that were submitted before `planned_by` was recorded.
         names = read_catalogue(log, upto)
     book = RunBook(names, keep=run)
     _tell(book, own)

@@ -1,4 +1,4 @@
-"""Which samples are in which wells, as sheets have said it."""
+"""Which samples are in which wells, according to sample sheets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labos.services.log import Log, decode_events
 
 
 class Registration(msgspec.Struct, frozen=True):
-    """What one sheet said of one plate; ``position`` is where in the log."""
+    """The content of one sheet for one plate; ``position`` is its position in the log."""
 
     labware: str
     sheet: str
@@ -26,8 +26,8 @@ class Registration(msgspec.Struct, frozen=True):
 def list_registrations(
     log: Log, blobs: BlobReader, labware: str, upto: int | None = None
 ) -> list[Registration]:
-    """What was said of a plate, in order; the last counts. Raises NotFound and LogDamaged for a
-    blob that is missing or changed."""
+    """The sheets of a plate, in order; the last one is valid. Raises NotFound and LogDamaged for a blob that
+    is missing or changed."""
     query = LogQuery(types=(SamplesRegistered.TYPE,), mentions=labware, upto=upto)
     found: list[Registration] = []
     for event, head in decode_events(log.select(query)):

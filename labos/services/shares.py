@@ -1,4 +1,4 @@
-"""The ledger: which share of the lab everybody is to have, and which they have had."""
+"""The ledger: the share of the lab that each user should have, and the share that each has used."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from labos.core.state import LabState
 
 
 class ShareAccount(msgspec.Struct, frozen=True):
-    """A user. ``wanted`` and ``had`` are parts of the whole; what was had counts half after a day.
-    ``lab_hours`` and ``consumables`` are those of the last seven days."""
+    """A user. ``wanted`` and ``had`` are parts of the whole; use counts half after a day. ``lab_hours`` and
+    ``consumables`` are those of the last seven days."""
 
     user: str
     group: str
@@ -25,7 +25,7 @@ class ShareAccount(msgspec.Struct, frozen=True):
 
 
 def make_ledger(state: LabState, now: int) -> list[ShareAccount]:
-    """Everybody who stands in the shares file or has used the lab, by group and name."""
+    """All users who are named in the shares file or have used the lab, by group and name."""
     shares = state.shares
     users = sorted({*shares.members, *shares.usage, *shares.had})
     groups: dict[str, list[str]] = {}

@@ -1,6 +1,7 @@
-"""A log as people read it: with the words that stand beside it put in, and a mark where they were erased.
+"""A log as people read it: its references are replaced by the words beside the log, or by a mark if the words
+were erased.
 
-Code that verifies, copies or folds a log to go on from it reads it as it is stored.
+Code that verifies, copies or folds a log reads it as it is stored.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from labos.ports import Head, LogQuery
 from labos.services.log import Log, Row
 
 PAGE = 500
-"""So many records at a time are looked up with their words."""
+"""The words of so many records are looked up in one query."""
 
 T = TypeVar("T")
 S = TypeVar("S", bound=msgspec.Struct)
 
 
 class WordsBeside(Protocol):
-    """Where words stand."""
+    """A store of words."""
 
     def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]: ...
 
 
 def read_texts(log: WordsBeside, references: Iterable[str]) -> dict[str, str]:
-    """The texts of references, without those that were erased. Raises StoreUnavailable."""
+    """The texts for references, without erased ones. Raises StoreUnavailable."""
     named = list(references)
     if not named:
         return {}
@@ -39,24 +40,24 @@ def read_texts(log: WordsBeside, references: Iterable[str]) -> dict[str, str]:
 
 
 def show_json(log: WordsBeside, data: bytes) -> bytes:
-    """JSON with the words put in. Raises StoreUnavailable."""
+    """JSON with its references replaced by words. Raises StoreUnavailable."""
     named = list_references(data)
     return put_into_json(data, read_texts(log, named)) if named else data
 
 
 def show_text(log: WordsBeside, text: str) -> str:
-    """Plain text with the words put in. Raises StoreUnavailable."""
+    """Plain text with its references replaced by words. Raises StoreUnavailable."""
     return put_into_text(text, read_texts(log, list_references(text.encode())))
 
 
 def show_struct(log: WordsBeside, value: S) -> S:
-    """A struct with the words put into all its texts. Raises StoreUnavailable."""
+    """A struct with the references in all its texts replaced by words. Raises StoreUnavailable."""
     data = msgspec.json.encode(value)
     return msgspec.json.decode(show_json(log, data), type=type(value)) if list_references(data) else value
 
 
 def show_records(log: WordsBeside, records: Sequence[Record]) -> list[Record]:
-    """Records with the words put into their payloads. Raises StoreUnavailable."""
+    """Records with the references in their payloads replaced by words. Raises StoreUnavailable."""
     named = [_list_references(record) for record in records]
     texts = read_texts(log, dict.fromkeys(name for names in named for name in names))
     return [
@@ -66,12 +67,12 @@ def show_records(log: WordsBeside, records: Sequence[Record]) -> list[Record]:
 
 
 def _list_references(record: Record) -> list[str]:
-    # SQLite lets a column hold a value of any type: the reader of the event says that it is damaged.
+    # SQLite lets a column hold a value of any type: the code that reads the event reports the damage.
     return list_references(record.payload) if isinstance(record.payload, bytes) else []
 
 
 class ShownLog:
-    """The same log, shown."""
+    """The same log, with words in place of references."""
 
     def __init__(self, log: Log) -> None:
         self._log = log
@@ -86,7 +87,7 @@ class ShownLog:
         return self._show(self._log.select(query))
 
     def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
-        """As the log's own, so each record is checked before its words are put in."""
+        """Like the log's own method, so each record is checked before its references are replaced."""
         for rows in _split_into_pages(self._log.replay(after, upto)):
             named = [name for row in rows for name in list_references(row[4])]
             texts = read_texts(self._log, dict.fromkeys(named))

@@ -1,4 +1,5 @@
-"""Signatures under runs, experiments and campaigns: what they bind to, and whether that still is so."""
+"""Signatures for runs, experiments and campaigns: which records were signed, and whether these are
+unchanged."""
 
 from __future__ import annotations
 
@@ -26,14 +27,14 @@ BEGINS: dict[str, Kind] = {
     ExperimentStarted.TYPE: "experiment",
     CampaignSubmitted.TYPE: "campaign",
 }
-"""The first event of what can be signed."""
+"""The first event of each kind of stream that can be signed."""
 ENDS: dict[Kind, frozenset[str]] = {
     "run": frozenset(RUN_ENDS),
     "experiment": frozenset({ExperimentEnded.TYPE}),
     "campaign": frozenset({CampaignCompleted.TYPE}),
 }
 AT_ONCE = 500
-"""Streams in one question to the database."""
+"""The number of streams in one query to the database."""
 SIGNED = (RunSigned.TYPE, RecordsSigned.TYPE)
 
 
@@ -60,8 +61,8 @@ class Signature(msgspec.Struct, frozen=True):
 
 
 class Signed(msgspec.Struct, frozen=True):
-    """What a signature binds to: the records of a run's own stream; of an experiment or a campaign those of
-    its own and of all its ``runs``. How many they are, and their digest."""
+    """The content of a signature: the records of a run's own stream; for an experiment or a campaign, the
+    records of its stream and of the streams of all its ``runs``. Their number and their digest."""
 
     kind: Kind
     runs: int
@@ -70,7 +71,7 @@ class Signed(msgspec.Struct, frozen=True):
 
 
 def record_of(log: Log, subject: str, kind: Kind) -> Signed:
-    """The record of something that has ended. Raises NotFound, Refused."""
+    """The record of a run, experiment or campaign that has ended. Raises NotFound, Refused."""
     found = _kind_of(log, subject)
     if found != kind:
         raise NotFound(f"There is no {kind} {subject!r}.", remedy=_name_list_command(kind))
@@ -84,13 +85,14 @@ def record_of(log: Log, subject: str, kind: Kind) -> Signed:
 
 
 def list_runs(log: Log, subject: str, upto: int | None = None) -> tuple[str, ...]:
-    """The runs of an experiment or of a campaign, in the order of the log, submitted up to a position."""
+    """The runs of an experiment or a campaign that were submitted up to a position, in the order of the
+    log."""
     submitted = log.select(LogQuery(types=(RunSubmitted.TYPE,), correlation=subject, upto=upto))
     return tuple(record.head.stream for record in submitted if record.head.stream != subject)
 
 
 def find_kind(log: Log, subject: str) -> Kind:
-    """What can be signed under this name. Raises NotFound."""
+    """The kind of the record that this name stands for. Raises NotFound."""
     found = _kind_of(log, subject)
     if found is None:
         raise NotFound(
@@ -100,7 +102,7 @@ def find_kind(log: Log, subject: str) -> Kind:
 
 
 def list_signatures(log: Log, subject: str = "") -> list[Signature]:
-    """The signatures under a run, an experiment or a campaign, or all there are, in the order of the log."""
+    """The signatures for a run, an experiment or a campaign, or all signatures, in the order of the log."""
     found: list[Signature] = []
     known: dict[str, Signed] = {}
     for record in log.select(LogQuery(types=SIGNED)):
@@ -112,13 +114,13 @@ def list_signatures(log: Log, subject: str = "") -> list[Signature]:
 
 
 def list_signatures_under(log: Log, subject: str) -> list[Signature]:
-    """The signatures under something. Raises NotFound if there never was one."""
+    """The signatures for a subject. Raises NotFound if the log does not have it."""
     find_kind(log, subject)
     return list_signatures(log, subject)
 
 
 def check_signatures(log: Log) -> VerifiedPart:
-    """Whether each signature is under what was signed."""
+    """Whether the signed records of each signature are unchanged."""
     found = list_signatures(log)
     broken = [each for each in found if not each.holds]
     faults = tuple(
@@ -131,7 +133,7 @@ def check_signatures(log: Log) -> VerifiedPart:
 
 
 def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:
-    """What was signed, what it is, and the event."""
+    """The subject that was signed, its kind, and the event."""
     event = decode(record.head.type, record.head.schema, record.payload)
     if isinstance(event, RunSigned):
         return event.run, "run", event
@@ -170,7 +172,7 @@ def _digest_subject(log: Log, subject: str, kind: Kind) -> Signed:
 
 
 def digest_records(kind: Kind, runs: int, records: Iterable[Record]) -> Signed:
-    """What is signed, of records in the order of the log."""
+    """The content of a signature for these records, which are in the order of the log."""
     envelopes = [record.envelope for record in records]
     return Signed(kind, runs, len(envelopes), make_digest_of_records(envelopes))
 
@@ -186,7 +188,7 @@ def _read_records(log: Log, streams: tuple[str, ...]) -> list[Record]:
 
 
 def _kind_of(log: Log, subject: str) -> Kind | None:
-    """What the first event of a stream begins."""
+    """The kind of a stream, by its first event."""
     for record in log.select(LogQuery(streams=(subject,))):
         if (kind := BEGINS.get(record.head.type)) is not None:
             return kind

@@ -1,8 +1,8 @@
-"""Why a run stands still: its waits followed, from run to run, to what somebody or something has to
-put right.
+"""Why a run makes no progress: follows its waits, from run to run, to the cause that a person or a device has
+to remove.
 
-The reasons of waits are no events: they are worked out from the folded state, by the same rules
-by which the kernel decides.
+The reasons of waits are not events: they are computed from the folded state, by the rules by which the kernel
+decides.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ class Cause(msgspec.Struct, frozen=True, order=True):
 
 
 Entry = Cause | tuple[RunId, ...]
-"""One thing that a run waits for: a cause, or other runs; no runs: it passes by itself."""
+"""One thing for which a run waits: a cause, or other runs. An empty tuple is a wait that ends by itself."""
 
 PASSES: Entry = ()
 
 CLASSES: dict[str, ErrorClass] = {"late_step": "experiment"}
-"""The class of a question's error, where it does not depend on what came before it; any other is
-seen from outside."""
+"""The error class of a question, if it does not depend on earlier events; every other question is an
+operational error."""
 
 
 class Standstill:
-    """Follows a log and tells, at each of its moments, what a run waits for in the end."""
+    """Follows a log and finds, at each moment, the final cause of a run's wait."""
 
     def __init__(self) -> None:
         self.state = LabState()
@@ -95,13 +95,13 @@ class Standstill:
         self._forget(event)
 
     def find_cause(self, run: RunState, *, briefly: bool = False) -> Cause | None:
-        """What a run that is alive waits for in the end; None if it goes on, or waits for one that does.
-        ``briefly``: it is not worth a look at the whole bench; who waits for his turn waits for what he
-        waited for before."""
+        """The final cause for which a run that has not ended waits; None if the run continues, or waits for
+        one that does. With ``briefly``, the whole bench is not examined: a run that waits for its turn has
+        the same cause as before."""
         self._briefly = briefly
         return self._find_final_cause(run, set())
 
-    # -- what is still true --------------------------------------------------------------------
+    # -- facts from earlier events ------------------------------------------------------------
 
     def _forget(self, event: Event) -> None:
         keys = find_touched_keys(self.state, event)
@@ -127,7 +127,7 @@ class Standstill:
             if not known and self._briefly:
                 return self._before.get(run.id, [PASSES])
             known = self._before[run.id] = known or list(self._iterate_steps(run))
-            if PASSES not in known:  # who may start keeps no key whose change would show that it may not
+            if PASSES not in known:  # no key shows when a run may not start any more
                 self._looked[run.id] = known
         return known
 
@@ -144,7 +144,7 @@ class Standstill:
             if not others:
                 if not entry:
                     return None
-                continue  # they wait for each other: what stops them is found elsewhere
+                continue  # they wait for each other: the cause is found from another entry
             behind = [self._find_final_cause(other, seen) for other in others]
             if None in behind:
                 return None
@@ -152,7 +152,8 @@ class Standstill:
         return found
 
     def _look(self, run: RunState) -> Iterator[Entry]:
-        """What is known at once: questions about a run, hands in its workcell, a pause; what is in flight."""
+        """The causes that need no examination of steps: questions about a run, a person in its workcell, a
+        pause, and actions in flight."""
         state = self.state
         asked = [question for question in state.interventions.open.values() if question.run == run.id]
         if asked:
@@ -172,7 +173,7 @@ class Standstill:
             yield PASSES
 
     def _iterate_steps(self, run: RunState) -> Iterator[Entry]:
-        """What the steps whose turn it is wait for."""
+        """The causes for which the ready steps wait."""
         waits = self._scheduler.list_waits(self.state, run, self.state.recorded_at)
         if not waits:
             yield PASSES
@@ -182,7 +183,7 @@ class Standstill:
             yield self._wait(run, wait)
 
     def _explain_flight(self, action: Action) -> Entry:
-        """An action in flight goes on, unless its node is away or nobody knows how it ended."""
+        """An action in flight continues, unless its node is away or its outcome is unknown."""
         if action.status == ActionStatus.UNKNOWN:
             return Cause("error", "unknown action", action.module, "operational", asked=True)
         module = self.state.modules.by_name.get(action.module)
@@ -232,7 +233,7 @@ class Standstill:
         match reason:
             case reasons.ModuleDown() | reasons.OutOfService() | reasons.NoModule() | reasons.ZoneBarred():
                 return self._explain_away(ModuleName(reason.module)) or PASSES
-            case reasons.BetterHere():  # it goes aside for a module that is down
+            case reasons.BetterHere():  # it makes way for a module that is down
                 return self._explain_away(ModuleName(reason.dead[0])) or PASSES
             case reasons.UsedUp() | reasons.Expired():
                 return Cause("resource", reason.resource, reason.module)
@@ -280,7 +281,7 @@ class Standstill:
             ):
                 return PASSES
             case (
-                # It waits for its owner, for the run it is kept for, or for the run that holds it.
+                # It waits for the owner, for the run of the reservation, or for the run that has the hold.
                 reasons.NotYours()
                 | reasons.InUse()
                 | reasons.Reserved()
@@ -303,7 +304,7 @@ class Standstill:
                 | reasons.AfterSuggested()
                 | reasons.ClockLater()
                 | reasons.Unsafe()
-                # Its own steps, or nobody in particular.
+                # It waits for its own steps, or for no particular run.
                 | reasons.After()
                 | reasons.NotPending()
                 | reasons.Cancelling()
@@ -325,7 +326,7 @@ class Standstill:
         return others
 
     def _charge_lost(self, where: str) -> Cause:
-        """Labware whose place nobody knows: charged to the action that lost it."""
+        """Labware of unknown place: charged to the action that lost it."""
         item = self.state.bench.labware.get(LabwareId(where))
         names = {item.id} if item else set()
         for other in self.state.bench.labware.values():
@@ -339,7 +340,7 @@ class Standstill:
         return Cause("error", "labware lost", "", "operational", asked=False)
 
     def _charge_left(self, item: LabwareId) -> Cause:
-        """Labware that no run will move away stands in the way."""
+        """Labware that no run will move away blocks a place."""
         for question in self.state.interventions.open.values():
             if item in question.labware:
                 return self._make_question_cause(question)
@@ -347,15 +348,15 @@ class Standstill:
         return Cause("person", "labware in the way", self._find_module_at(station))
 
     def _find_module_at(self, name: str) -> str:
-        """The module of a station, or the one of that name; empty if it is nobody's."""
+        """The module of a station, or the module of that name; empty if there is none."""
         station = self.state.bench.stations.get(StationName(name))
         if station is not None:
             return station.spec.module
         return name if name in self.state.modules.by_name else ""
 
     def _find_runs_named_in(self, words: Iterable[str]) -> tuple[tuple[RunId, ...], LabwareId | None]:
-        """The runs that words speak of: by name, at work on a module or at a station, as owners of labware;
-        and labware of nobody that lives."""
+        """The runs that names refer to: by their own name, by the module or station at which they work, or by
+        labware that they own; and labware that no active run owns."""
         state = self.state
         owners: dict[str, bool] = {}
         items: dict[str, LabwareId] = {}

@@ -1,4 +1,4 @@
-"""A log taken event by event, with what each one changed in the state."""
+"""Reads a log event by event, and lists the changes of the state by each event."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from labos.errors import LogDamaged
 from labos.services.log import VERIFY, decode_event
 
 PAST_COUNTERS = ("position", "recorded_at", "versions")
-"""What every event changes: not worth a line each time."""
+"""Fields that every event changes; they are not listed."""
 
 _ABSENT = "absent"
 
 
 class StateChange(msgspec.Struct, frozen=True):
-    """A place in the state, what stood there before and what stands there now; what is not there at
-    all is ``absent``."""
+    """A place in the state, its value before and its value now; a value that does not exist is ``absent``."""
 
     path: str
     before: Any
@@ -30,7 +29,7 @@ class StateChange(msgspec.Struct, frozen=True):
 
 
 class LogStep(msgspec.Struct, frozen=True):
-    """An event and what it changed."""
+    """An event and the changes that it made."""
 
     record: Record
     event: Event
@@ -71,7 +70,7 @@ def iterate_steps(
 
 
 def list_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[StateChange]:
-    """Where two states differ, without what every event changes."""
+    """The differences between two states, without the fields that every event changes."""
     for key in (*before, *(k for k in after if k not in before)):
         if key not in PAST_COUNTERS:
             yield from _list_changes_between(key, before.get(key, _ABSENT), after.get(key, _ABSENT))

@@ -1,4 +1,4 @@
-"""What a lab has done: per run, per module, per user."""
+"""Statistics of a lab: per run, per module, per user."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from labos.services.twh import Meter, TwhReport
 from labos.services.waits import WaitBook
 
 EVENTS_EXPLAINED = 20_000
-"""In longer logs the reasons of waits are left out: each costs a look at the whole bench."""
+"""In longer logs the reasons of waits are left out, as each needs an examination of the whole bench."""
 
 
 class WaitTime(msgspec.Struct, frozen=True):
-    """So much wall time was spent waiting for this."""
+    """The wall time that was spent on waiting for one cause."""
 
     why: str
     seconds: float
 
 
 class RunSummary(msgspec.Struct, frozen=True):
-    """Times in seconds. ``wall_s`` from start to end (or now), ``queued_s`` before the start;
-    ``working_s`` with some action in flight, ``waiting_s`` between steps."""
+    """Times in seconds. ``wall_s`` is from start to end (or now), ``queued_s`` before the start;
+    ``working_s`` with an action in flight, ``waiting_s`` between steps."""
 
     id: str
     workflow: str
@@ -70,7 +70,7 @@ class UserSummary(msgspec.Struct, frozen=True):
 
 
 class Summary(msgspec.Struct, frozen=True):
-    """A lab's account of itself; ``wall_s`` from the first run's start to the last event of one."""
+    """The statistics of a lab; ``wall_s`` is from the first run's start to the last event of a run."""
 
     lab: str
     pace: float
@@ -97,7 +97,7 @@ class _Flight(msgspec.Struct, frozen=True):
 
 
 class _Usage:
-    """Who and what was in use while events went by."""
+    """Counts which users and modules work while events are read."""
 
     def __init__(self) -> None:
         self.modules: dict[str, _Use] = {}
@@ -143,8 +143,8 @@ class _Usage:
 
 
 def summarise(records: Iterable[Record], now: int | None = None) -> Summary:
-    """The account of a log at ``now`` (UTC ns; by default at its last event). What runs
-    waited for is worked out unless the log is long. Raises LogTooNew, LogDamaged."""
+    """The statistics of a log at ``now`` (UTC ns; by default at its last event). The causes of waits are
+    computed unless the log is long. Raises LogTooNew, LogDamaged."""
     meter = Meter()
     book = RunBook(meter.names)
     usage = _Usage()
@@ -201,7 +201,7 @@ def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSu
 
 
 def measure_union_ns(spans: list[tuple[int, int]]) -> int:
-    """How long at least one of the spans lasts."""
+    """How long at least one of the spans was active."""
     total, reached = 0, 0
     for since, until in sorted(spans):
         total += max(until - max(since, reached), 0)

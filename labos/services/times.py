@@ -1,4 +1,4 @@
-"""Times as people write and read them; inside, they are UTC nanoseconds."""
+"""Reads and writes times for people; internally, times are UTC nanoseconds."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ EXAMPLES = "Write 2026-05-04T10:30 (local time), 2026-05-04T08:30Z, -2h, -90s or
 
 
 class Moment(msgspec.Struct, frozen=True):
-    """A position of the log, or a time; neither means the end of the log."""
+    """A position of the log, or a time; if neither is set, the end of the log."""
 
     position: int | None = None
     at_ns: int | None = None
 
 
 def parse_time(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
-    """ISO 8601 with a zone, without (then in ``zone``, by default the machine's), ``now``, or
-    relative to now as ``-2h``, ``-1d12h``, ``-90s``. Raises BadInput."""
+    """ISO 8601 with a time zone, or without (then in ``zone``, by default that of this computer), ``now``, or
+    relative to now: ``-2h``, ``-1d12h``, ``-90s``. Raises BadInput."""
     text = text.strip()
     if text == "now":
         return now_ns
@@ -49,13 +49,13 @@ def parse_time(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
 
 
 def parse_until(text: str, now_ns: int) -> int:
-    """A time as ``parse_time`` reads it, or how long from now: ``2h``, ``1d12h``. Raises BadInput."""
+    """A time in a form of ``parse_time``, or a span from now: ``2h``, ``1d12h``. Raises BadInput."""
     ahead = _RELATIVE.fullmatch(f"-{text.strip()}")
     return 2 * now_ns - parse_time(f"-{text.strip()}", now_ns) if ahead else parse_time(text, now_ns)
 
 
 def parse_due(text: str, now_ns: int) -> int:
-    """When a run should be over, a time to come as ``parse_until`` reads it; 0 for an empty text. Raises
+    """A due date in a form of ``parse_until``; it must be in the future. 0 for an empty text. Raises
     BadInput."""
     found = parse_until(text, now_ns) if text.strip() else 0
     if text.strip() and found <= now_ns:
@@ -64,14 +64,14 @@ def parse_due(text: str, now_ns: int) -> int:
 
 
 def parse_moment(text: str, now_ns: int) -> Moment:
-    """A whole number is a position, everything else a time. Raises BadInput."""
+    """A whole number is a position, every other text a time. Raises BadInput."""
     if text.strip().isdigit():
         return Moment(position=int(text))
     return Moment(at_ns=parse_time(text, now_ns))
 
 
 def show_time(ns: int, zone: tzinfo | None = None) -> str:
-    """For people: local time to the millisecond with its offset, as every command writes it:
+    """For people: local time to the millisecond with its offset, in the form that every command writes:
     ``2026-05-04 10:30:00.250+02:00``; empty for 0. ``parse_time`` reads it."""
     if not ns:
         return ""
@@ -86,12 +86,12 @@ def iso_time(ns: int) -> str:
 
 _MOMENTS = ("at", "since", "until")
 _FOREIGN = ("result", "value", "variables", "facts")
-"""Fields whose content is not ours to read."""
+"""Fields whose content has no known format."""
 
 
 def with_iso_times(plain: Any) -> Any:
-    """Plain data for programs: nanoseconds in fields that bear a moment (``…_at``, ``since``,
-    ``until``, pairs in ``busy``) as ``iso_time``, empty for 0."""
+    """Plain data for programs: nanoseconds in fields that hold times (``…_at``, ``since``, ``until``, pairs
+    in ``busy``) become the text of ``iso_time``, empty for 0."""
     if isinstance(plain, list | tuple):
         return [with_iso_times(item) for item in plain]
     if not isinstance(plain, dict):

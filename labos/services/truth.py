@@ -1,4 +1,4 @@
-"""A simulated bench held against the log: every plate where it is believed to be, nothing done twice."""
+"""Compares a simulated bench with the log: every plate is where the log says, and no work was done twice."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from labos.node.world import World, lid_of
 def list_differences(
     world: World, state: LabState, records: Sequence[Record], workcell: str = ""
 ) -> list[str]:
-    """Where the bench and the log disagree; empty if they agree in every plate. Of a lab with several
-    workcells each has a bench of its own."""
+    """The differences between bench and log; empty if they agree about every plate. Each workcell of a lab
+    has its own bench."""
     found = [f"{m.device} {m.facts['what']} at {m.place}" for m in world.crashes()]
     plates = find_plates_by_labware(world, records)
     places = world.places()
@@ -37,7 +37,7 @@ def list_differences(
             continue
         truth = places.pop(bench_name(station.spec), [])
         resting = [item for item in station.labware if item not in carried]
-        for stored in resting:  # where the device assigned the slot, and said which, unless it lost count
+        for stored in resting:  # where the device assigned the slot and reported it, unless it lost count
             slot = state.bench.labware[stored].variables.get("slot", "")
             own = f"{local(station.spec.module)}."
             plate = plates.get(stored, stored)
@@ -66,8 +66,8 @@ def list_differences(
 
 
 def _list_possible_places(state: LabState, item: Labware) -> list[str]:
-    """Where on the bench labware may be that an action in flight carries, nowhere (empty) if that takes it to
-    the waste; none if no action carries it."""
+    """The places on the bench where labware may be while an action in flight carries it; an empty name stands
+    for the waste. The list is empty if no action carries it."""
     if not item.moving or item.maybe:
         return []
     action = state.actions.open[ActionId(item.moving)]
@@ -78,7 +78,8 @@ def _list_possible_places(state: LabState, item: Labware) -> list[str]:
 
 
 def _take_under_way(way: list[str], name: str, plate: str, places: dict[str, list[str]]) -> list[str]:
-    """What is carried may be anywhere on its way; the log says no more. It is taken out of ``places``."""
+    """Labware that is being carried may be at any place on its way; the log does not say which. It is removed
+    from ``places``."""
     here = next((place for place, standing in places.items() if plate in standing), "")
     if here not in way:
         return [f"{plate} at {here or 'no place'}, log {name} on its way over {way}"]
@@ -92,8 +93,8 @@ def _take_under_way(way: list[str], name: str, plate: str, places: dict[str, lis
 def list_bench_contents(
     world: World, state: LabState, records: Sequence[Record]
 ) -> dict[StationName, list[str]]:
-    """What is to be seen at each station of a simulated bench, bottom to top: labware by the id that the log
-    gave it, else by its type; with its lid. What a waste has swallowed is not to be seen."""
+    """The visible content of each station of a simulated bench, bottom to top: labware by its id in the log,
+    else by its type; with its lid. The content of a waste is not visible."""
     names = {plate: name for name, plate in find_plates_by_labware(world, records).items()}
     places = world.places()
 
@@ -111,7 +112,7 @@ def list_bench_contents(
             stands = places.pop(bench_name(station.spec), [])
             stacked = station.spec.kind == "stack"
             found[name] = [world.kind(plate) if stacked else piece(plate) for plate in stands]
-    for name in found:  # slots that a device chooses itself are no stations of their own
+    for name in found:  # slots that a device chooses itself are not separate stations
         if local(name).endswith(".slots"):
             own = f"{local(state.bench.stations[name].spec.module)}."
             for place in [place for place in places if place.startswith(own)]:
@@ -120,23 +121,23 @@ def list_bench_contents(
 
 
 def bench_name(station: StationSpec) -> str:
-    """What the bench calls a station: an arm's hand is no place of its own there."""
+    """The name of a place on the bench: an arm's hand is not a separate place there."""
     return f"hand:{local(station.module)}" if station.kind == "gripper" else local(station.name)
 
 
 def list_plates_in(state: LabState, world: World) -> list[str]:
-    """The plates of the stacks: they have no names yet, nor have their lids."""
+    """The plates in the stacks: neither they nor their lids have ids yet."""
     stacks = [name for name, station in state.bench.stations.items() if station.spec.kind == "stack"]
     return [plate for name in stacks for plate in world.at(local(name))]
 
 
 WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_assay"}
-"""What devices record when they have finished, and the action it belongs to. A reading may belong to another
-action, of which it is one of many."""
+"""The work that devices record when they have finished, and the action to which it belongs. A reading may be
+one of many readings of another action."""
 
 
 def find_repeated_work(world: World, records: Sequence[Record], workcell: str = "") -> list[str]:
-    """Devices that finished some work more often than the log says that it ended."""
+    """Devices that finished some work more often than the log has ends of it."""
     done = Counter((m.device, WORK[m.verb]) for m in world.motions() if m.verb in WORK)
     names: dict[str, tuple[str, str]] = {}
     told: Counter[tuple[str, str]] = Counter()
@@ -156,8 +157,8 @@ def find_repeated_work(world: World, records: Sequence[Record], workcell: str = 
 
 
 def find_plates_by_labware(world: World, records: Sequence[Record]) -> dict[str, str]:
-    """Which plate each labware id stands for: both are counted as they come off the stacks, and as
-    people put them down elsewhere."""
+    """The plate for each labware id: both are numbered in the order in which they are taken from stacks, or
+    placed elsewhere by people."""
     taken: dict[str, list[str]] = {}
     put: dict[str, list[str]] = {}
     out: set[str] = set()

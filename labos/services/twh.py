@@ -1,4 +1,4 @@
-"""Time without human intervention, from events alone.
+"""Time without human intervention, computed from events alone.
 
 The definition is in ``docs/time-without-human-intervention.md``; in short: in each scope (run,
 experiment, workcell, lab) a clock runs while at least one of its runs has started, has not ended,
@@ -71,12 +71,12 @@ HEARD = frozenset(
         EmergencyStopped,
     )
 ).union(LEARNT)
-"""The types of events that make a difference; of all others only the time counts."""
+"""The types of events that change the figures; for all others only the time counts."""
 
 
 class Stretch(msgspec.Struct):
-    """Working time in ns without intervention, between two wall times; ``commands`` are the
-    actions completed in it."""
+    """Working time in ns without intervention, between two wall times; ``commands`` is the number of actions
+    completed in it."""
 
     since: int = 0
     until: int = 0
@@ -85,9 +85,9 @@ class Stretch(msgspec.Struct):
 
 
 class Twh(msgspec.Struct):
-    """What one scope has achieved. ``current`` is the stretch that has not been ended by an
-    intervention; ``working`` says whether its clock runs; ``planned`` counts planned touches;
-    ``clock_ns`` is the time on the clock in all stretches together."""
+    """The figures of one scope. ``current`` is the stretch that no intervention has ended yet; ``working``
+    says whether its clock runs; ``planned`` is the number of planned touches; ``clock_ns`` is the time on the
+    clock in all stretches together."""
 
     kind: ScopeKind
     name: str
@@ -145,12 +145,12 @@ class _Clock:
         self.current = Stretch()
 
     def note_planned_help(self, now: int) -> None:
-        """A person did what was planned: no stretch ends."""
+        """A person did planned work: no stretch ends."""
         self.advance(now)
         self.planned += 1
 
     def start_over(self, now: int) -> None:
-        """Count from here on only."""
+        """Delete all earlier counts."""
         self.advance(now)
         self.current, self.longest = Stretch(), Stretch()
         self.interventions = self.planned = self.clock_ns = 0
@@ -168,9 +168,9 @@ class _Clock:
 
 
 class Meter:
-    """Measures every scope while events go by. With ``keep``, only so many runs and experiments that have
-    ended, and so many plans, are remembered: for a kernel that measures for months. ``causes`` counts the
-    interventions that ended a stretch: by the kind of question, or by the type of what a person did."""
+    """Measures every scope while events are read. With ``keep``, only so many ended runs and experiments, and
+    so many plans, are kept in memory: for a kernel that measures for months. ``causes`` counts the
+    interventions that ended a stretch: by the kind of question, or by the type of a person's action."""
 
     def __init__(self, keep: int | None = None) -> None:
         self.names = Catalogue()
@@ -209,7 +209,7 @@ class Meter:
             case r.RunPaused() | r.RunResumed():
                 (self._paused.add if isinstance(event, r.RunPaused) else self._paused.discard)(event.run)
                 self._set(event.run, at)
-            case r.RunLeaving():  # a pause ends with the cancellation
+            case r.RunLeaving():  # the cancellation ends a pause
                 self._paused.discard(event.run)
                 self._set(event.run, at)
             case r.RunCompleted() | r.RunFailed() | r.RunCancelled():
@@ -245,12 +245,13 @@ class Meter:
                 if place:
                     self._on_planned_help(workcell_of(place), head)
             case ModuleTakenOut(failures=failures) if failures:
-                pass  # a quarantine: nobody did it
+                pass  # a quarantine: no person did it
             case LevelSet() | ModuleTakenOut() | ModulePutBack() | EmergencyStopped():
                 self._on_touch(workcell_of(event.module), head)
 
     def start_over(self, now: int) -> None:
-        """Measure from ``now`` (UTC ns) on only, as for one shift; what runs goes on running."""
+        """Measure only from ``now`` (UTC ns) on, as for one shift; runs in progress are still counted as in
+        progress."""
         for clock in self._list_all():
             clock.start_over(max(now, self._now))
 
@@ -271,13 +272,14 @@ class Meter:
         return self._lab.measure(at), {name: clock.measure(at) for name, clock in self._cells.items()}
 
     def pass_time(self, now: int) -> None:
-        """An event that changes nothing here was recorded at ``now`` (UTC ns): a kernel lived then."""
+        """An event without a change of the figures was recorded at ``now`` (UTC ns): a kernel was running
+        then."""
         self._now = now
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------
 
     def _forget_one(self, ended: str) -> None:
-        """Remember what has ended, in the place of what ended long ago."""
+        """Store an ended run or experiment, and remove the oldest one."""
         if self._keep is None:
             return
         self._ended.append(ended)
@@ -309,7 +311,8 @@ class Meter:
             clock.set(run, works, at)
 
     def _on_request(self, event: r.RunSubmitted, head: Envelope) -> None:
-        """To ask for work is no intervention; to bring a module out of its error is one."""
+        """A request for work is not an intervention; an action that brings a module out of its error is
+        one."""
         cell, plan = self.names.find_workcell(event.run), self.names.plan_of(event.run)
         if plan is not None and plan.steps and all(step.recovers for step in plan.steps):
             self._on_touch(cell, head)
@@ -325,7 +328,7 @@ class Meter:
             for clock in self._list_clocks(run):
                 clock.note_planned_help(head.recorded_at)
         elif question is not None and question.kind == Approval.KIND:
-            self._counted.add(head.id)  # to let work begin is as little an intervention as to ask for it
+            self._counted.add(head.id)  # the start of work is not an intervention, like the request for it
         elif (event.choice != "withdrawn" and _is_person(event.by)) or head.causation in self._seen:
             self._counted.add(head.id)
             if run:
@@ -341,7 +344,7 @@ class Meter:
             self._set(run, head.recorded_at)
 
     def _on_access(self, event: AccessRequested | AccessEnded, head: Envelope) -> None:
-        """A person reaches into a workcell by plan: its clocks stand, and no stretch ends."""
+        """A person does planned work in a workcell: its clocks stand still, and no stretch ends."""
         cell = event.name
         (self._held.add if isinstance(event, AccessRequested) else self._held.discard)(cell)
         self._counted.add(head.id)
@@ -353,7 +356,7 @@ class Meter:
                 clock.note_planned_help(head.recorded_at)
 
     def _on_touch(self, cell: str, head: Envelope) -> None:
-        """Somebody saw to a workcell. What follows from an answer or from setting it up is not
+        """A person acted on a workcell. Events that an answer or the set-up of the workcell caused are not
         counted again."""
         if head.causation in self._settings or head.causation in self._counted:
             return
@@ -365,7 +368,7 @@ class Meter:
             clock.end_stretch(head.recorded_at)
 
     def _on_planned_help(self, cell: str, head: Envelope) -> None:
-        """Somebody loaded, unloaded or refilled something in time: the clock goes on."""
+        """A person loaded, unloaded or refilled something in time: the clock continues."""
         if cell in self._held or head.causation in self._settings or head.causation in self._counted:
             return
         if cell not in self._busy_cells or not _is_person(head.actor) or head.causation in self._touches:
@@ -375,8 +378,8 @@ class Meter:
             clock.planned += 1
 
     def _list_all_of(self, cell: str) -> list[_Clock]:
-        """The lab, the workcell (every one, if it is not said which), its experiments and runs
-        that are alive."""
+        """The lab, the workcell (every one, if none is named), and its experiments and runs that have not
+        ended."""
         clocks: dict[int, _Clock] = {id(self._lab): self._lab}
         for name, clock in self._cells.items():
             if not cell or name == cell:
@@ -387,7 +390,7 @@ class Meter:
         return list(clocks.values())
 
     def _skip(self, before: int, at: int) -> None:
-        """No kernel lived between the last event and this one: no clock ran."""
+        """No kernel was running between the last event and this one: no clock ran."""
         for clock in self._list_all():
             clock.advance(before)
             clock.at = at
@@ -405,5 +408,5 @@ def measure(records: Iterable[Record], now: int | None = None) -> TwhReport:
 
 
 def _is_person(actor: str) -> bool:
-    """LabOS itself and modules (``workcell/module``) are no persons."""
+    """LabOS itself and modules (``workcell/module``) are not persons."""
     return actor not in ("", "labos") and "/" not in actor

@@ -1,6 +1,6 @@
-"""What ``labos verify`` looks at beside the chain: snapshot, end of the log, blobs, journals, benches.
+"""The checks of ``labos verify`` beside the chain: snapshot, end of the log, blobs, journals, benches.
 
-Each part says what was checked and how many, and what is wrong, in one sentence that names the place.
+Each check reports what was checked, how many things, and each fault in one sentence that names the place.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from labos.services.log import Log
 
 _DIGEST = re.compile(rb"[0-9a-f]{64}")
 _RESULT = frozenset({"file", "sha256", "bytes"})
-"""How a file stands in a result."""
+"""The fields of a file in a result."""
 
 
 class VerifiedPart(msgspec.Struct, frozen=True):
-    """One part that was looked at. ``checked`` counts the things that were; ``told`` says in a sentence what
-    was found, ``faults`` what is wrong; ``positions`` are those of the log that the faults are about."""
+    """One part that was checked. ``checked`` is the number of checked things; ``told`` is the result in a
+    sentence; ``faults`` are the faults, and ``positions`` their positions in the log."""
 
     name: str
     checked: int
@@ -43,7 +43,7 @@ class VerifiedPart(msgspec.Struct, frozen=True):
 
 
 class Snapshot(Protocol):
-    """What stands in the table of snapshots."""
+    """A row of the table of snapshots."""
 
     @property
     def position(self) -> int: ...
@@ -77,8 +77,8 @@ class Blobs(Protocol):
 
 
 def check_database(store: VerifiableStore) -> VerifiedPart:
-    """Whether the database finds its own tables and indices whole. The chain does not cover the indices, by
-    which queries find their records. Raises StoreUnavailable."""
+    """Whether the database reports its own tables and indices as intact. The chain does not cover the
+    indices, which queries use. Raises StoreUnavailable."""
     if flaw := store.flaw():
         fault = f"The database finds its own tables or indices damaged: {flaw}."
         return VerifiedPart("database", 1, fault, (fault,))
@@ -86,7 +86,7 @@ def check_database(store: VerifiableStore) -> VerifiedPart:
 
 
 def check_snapshot(store: VerifiableStore) -> VerifiedPart:
-    """Whether the snapshot is genuine, and what the log folds to. The log must be whole."""
+    """Whether the snapshot is genuine and equals the folded log. The log must be intact."""
     found = store.read_snapshot_row()
     if found is None:
         return VerifiedPart("snapshot", 0, "There is no snapshot.")
@@ -113,7 +113,7 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
 
 
 def check_end(store: VerifiableStore) -> VerifiedPart:
-    """Whether the log is known to have been longer."""
+    """Whether there is a trace that the log was longer."""
     known, position = store.known_position, store.head().position
     if not known:
         return VerifiedPart("end", 0, "Nothing is known of how far the log once reached.")
@@ -130,9 +130,9 @@ def check_end(store: VerifiableStore) -> VerifiedPart:
 
 
 def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
-    """Whether each blob that the log names is there and is what its name says; those that nothing names are
+    """Whether each blob that the log names exists and has the right digest; blobs that no event names are
     counted. Raises StoreUnavailable."""
-    stored = set(blobs.names())  # before the log: a blob is there before the event that names it
+    stored = set(blobs.names())  # read before the log: a blob exists before the event that names it
     named, mentioned = _list_digests(log)
     faults, positions = [], []
     for digest, position in named.items():
@@ -150,7 +150,7 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
     for digest in sorted(others):
         try:
             blobs.get(digest)
-        except NotFound:  # somebody has taken it away meanwhile
+        except NotFound:  # another process has removed it meanwhile
             continue
         except LogDamaged:
             faults.append(
@@ -163,14 +163,14 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
 
 
 def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
-    """The blobs that no event of the log names, in whatever field. Raises StoreUnavailable."""
-    stored = set(blobs.names())  # before the log: a blob is there before the event that names it
+    """The blobs that no event of the log names in any field. Raises StoreUnavailable."""
+    stored = set(blobs.names())  # read before the log: a blob exists before the event that names it
     named, mentioned = _list_digests(log)
     return sorted(stored - named.keys() - mentioned)
 
 
 def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Journal]]:
-    """Whether the nodes' journals can be read, their checksums included; returns those that can."""
+    """Whether the nodes' journals can be read, with their checksums; also returns the journals that can."""
     found: dict[str, Journal] = {}
     faults = []
     files = sorted(folder.glob("*.journal"))
@@ -185,7 +185,7 @@ def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Journal]]:
 
 
 def check_benches(folder: Path) -> VerifiedPart:
-    """Whether the records of simulated benches can be read. They bear no checksums: a letter that changed in
+    """Whether the records of simulated benches can be read. They have no checksums: a changed character in
     one is not found here."""
     files = sorted(folder.glob("*.db"))
     motions, faults = 0, []
@@ -216,8 +216,8 @@ def _count_motions(path: Path) -> int:
 
 
 def _list_digests(log: Log) -> tuple[dict[str, int], set[str]]:
-    """The blobs that the log needs, by the position that first names each, and everything else in it that
-    looks like the name of one."""
+    """The blobs that the log needs, by the position that first names each, and all other texts in it that
+    look like the name of a blob."""
     named: dict[str, int] = {}
     mentioned: set[str] = set()
     for position, kind, _, _, payload in log.replay():
@@ -231,14 +231,15 @@ def _list_digests(log: Log) -> tuple[dict[str, int], set[str]]:
 
 
 def find_needed_blobs(kind: str, payload: bytes) -> list[str]:
-    """The blobs that an event of a type needs, by its stored payload."""
+    """The blobs that an event of a type needs, according to its stored payload."""
     with contextlib.suppress(msgspec.DecodeError):
         return _list_needed(kind, msgspec.json.decode(payload))
     return []
 
 
 def _list_needed(kind: str, payload: Any) -> list[str]:
-    """The same: workflows and files of runs, sample sheets, files of results, reports of calibrations."""
+    """For ``find_needed_blobs``: workflows and files of runs, sample sheets, files of results, reports of
+    calibrations."""
     found: list[Any] = []
     match kind:
         case RunSubmitted.TYPE:

@@ -1,6 +1,6 @@
-"""What runs waited for: the reasons are not events, so they are worked out again.
+"""The reasons for which runs waited: they are not events, so they are computed again.
 
-Before every pause of the log, the reason that held then is charged with the pause.
+Each pause between events is charged to the reason that was valid at its beginning.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler
 
 NOTICED_NS = 1_000_000
-"""Shorter pauses between events are not worth a reason."""
+"""For shorter pauses between events, no reason is computed."""
 
 QUEUED_JUDGED = 12
-"""So many waiting runs are asked for their reason; those behind them wait for their turn."""
+"""The reason is determined for at most so many waiting runs; those behind them wait for their turn."""
 
 BEHIND = "runs that were submitted before go first"
 READY = "it may start and is about to"
 
 
 class WaitReason(msgspec.Struct, frozen=True):
-    """Why a run does not go on: the step, a sentence, and what a person can do about it."""
+    """Why a run does not continue: the step, a sentence, and what a person can do about it."""
 
     step: int
     why: str
@@ -43,7 +43,7 @@ class WaitReason(msgspec.Struct, frozen=True):
 
 
 class WaitBook:
-    """Charges reasons with time while events go by, in wall nanoseconds."""
+    """Charges time to reasons while events are read, in wall nanoseconds."""
 
     def __init__(self) -> None:
         self.state = LabState()
@@ -81,8 +81,8 @@ class WaitBook:
 def list_reasons(
     state: LabState, run: RunState, now: int, scheduler: Scheduler | None = None, *, causes: bool = True
 ) -> list[WaitReason]:
-    """Why a run does not go on now; empty if something of it may start, or is in flight where a node is.
-    With ``causes``, also what is in the way of a run that safety keeps out."""
+    """Why a run does not continue now; empty if one of its steps may start, or is in flight at a node that is
+    present. With ``causes``, also the obstacles for a run that the safety check holds back."""
     scheduler = scheduler or Scheduler()
 
     def words(wait: Wait) -> str:
@@ -101,7 +101,7 @@ def list_reasons(
 
 
 def _name_unknown(state: LabState, wait: Wait) -> Wait:
-    """A module whose last action ended unknown is busy until somebody has answered."""
+    """A module whose last action has an unknown outcome is busy until a person has answered."""
     busy = wait.reason.module if isinstance(wait.reason, ModuleBusy) else ""
     for action in state.actions.open.values() if busy else ():
         question = state.interventions.find_about(action.id) if action.module == busy else None
@@ -111,7 +111,7 @@ def _name_unknown(state: LabState, wait: Wait) -> Wait:
 
 
 def _list_absent_nodes(state: LabState, run: RunState) -> Iterable[WaitReason]:
-    """Steps in flight whose nodes are away: only they know how their actions ended."""
+    """Steps in flight whose nodes are away: only the nodes know how the actions ended."""
     steps = state.runs.plan_of(run).steps
     for index, step in enumerate(run.steps):
         module = state.modules.by_name.get(steps[index].module) if step.status == IN_FLIGHT else None

@@ -1,4 +1,4 @@
-"""What ``labos verify`` looks at beside the log: whether words are those that were written."""
+"""The check of ``labos verify`` for words: whether they are unchanged since they were written."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class WordsStore(Log, Protocol):
 
 
 def check_words(store: WordsStore) -> VerifiedPart:
-    """Whether each text beside the log is the one that was written, and whether each that is gone was erased
-    by an event: of this log, or of a newer one that it is an older copy of, as the lab's folder knows. Raises
-    StoreUnavailable, BadInput."""
+    """Whether each text beside the log is unchanged, and whether an event explains each missing text. The
+    event is in this log, or in a newer copy of it that the lab's folder knows of. Raises StoreUnavailable,
+    BadInput."""
     named, erased = _count_references(store)
     elsewhere = store.erasures()
     found: list[tuple[int, str]] = []
@@ -66,7 +66,7 @@ def check_words(store: WordsStore) -> VerifiedPart:
 
 
 def _count_references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
-    """The references that stand in fields of words, and those that events say were erased; each with the
+    """The references in fields of words, and the references that events list as erased; each with its
     position."""
     named: dict[str, int] = {}
     erased: dict[str, int] = {}

@@ -44,7 +44,7 @@ def compile_stations(
     compiler.add_locations()
     compiler.reach_hotels()
     compiler.override()
-    compiler.fit({name: tuple(kind.grips) for name, kind in types.items() if kind.grips})
+    compiler.fit_grips({name: tuple(kind.grips) for name, kind in types.items() if kind.grips})
     compiler.keep_off_stacks([name for name, kind in sorted(types.items()) if not kind.stackable])
     compiler.fit_out_shelves()
     return compiler.make_index()
@@ -170,7 +170,7 @@ class _StationCompiler:
                 continue  # reported before, or its module is not active
             self._put(self._override(place, self.stations[name], entry))
 
-    def fit(self, held: Mapping[str, tuple[str, ...]]) -> None:
+    def fit_grips(self, held: Mapping[str, tuple[str, ...]]) -> None:
         """Limit the grips for labware types at all taught places to those by which the type can be held."""
         for labware, grips in held.items():
             for station in list(self.stations.values()):

@@ -33,9 +33,9 @@ def load_description(source: Source | str | Path) -> DescriptionFile:
     report = FindingList(source.file)
     file = expect_valid(DescriptionFile, source, report)
     remarks = Remarks(source, report)
-    _Check(file, None, remarks).all()
+    _Check(file, None, remarks).check_all()
     for name, entry in file.variants.items():
-        _Check(apply_variant(file, name), (name, entry), remarks).all()
+        _Check(apply_variant(file, name), (name, entry), remarks).check_all()
     report.raise_if_failed()
     return file
 
@@ -127,7 +127,7 @@ class _Check:
     ) -> None:
         self.file, self.entry, self.remarks = file, entry, remarks
 
-    def all(self) -> None:
+    def check_all(self) -> None:
         for path, based in self._list_based():
             known = [ASSUMED, DERIVED, *self.file.sources]
             if based.basis not in known:

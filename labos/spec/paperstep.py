@@ -13,6 +13,7 @@ from labos.core.effects import (
     Claims,
     Consumes,
     Draws,
+    Effect,
     Needs,
     Requires,
     Sets,
@@ -245,7 +246,7 @@ class StepOnPaper:
     def _was_taught(self, place: StationName) -> bool:
         return self.step.module in self.paper.stations[place].reach
 
-    def check_room(self, what: Carrying, place: StationName) -> None:
+    def check_room(self, what: Effect, place: StationName) -> None:
         """Pieces that fit one by one also have to fit together: see ``_check_room_for_all``."""
 
     def _check_room_for_all(self) -> None:
@@ -283,7 +284,7 @@ class StepOnPaper:
             self.paper.taken.append((places[0].name, Piece("", fresh=False)))
         return None
 
-    def value(self, requires: Requires) -> None:
+    def check_value(self, requires: Requires) -> None:
         piece = self.subject
         if requires.of == "module":
             variables = self.paper.variables.setdefault(self.step.module, {})

@@ -153,11 +153,6 @@ class Sight:
             self._left[name] = [other for other in self._left[name] if other != place] or [GONE]
         self._conclude()
 
-    def full(self, place: StationName) -> None:
-        """Note that nothing stands there except known labware: the place has room for no other."""
-        if not self.count_room(place):
-            self.add_empty(place)
-
     def _conclude(self) -> None:
         """Labware with one possible place left is there. If it fills this place, the place is impossible for
         other labware. At a place with an observer, labware is there only when it was seen there."""

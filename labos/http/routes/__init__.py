@@ -1,4 +1,4 @@
-"""Every operation of the API, once: its routes, its description and its reference page are made from this."""
+"""Every operation of the API, once: its route, its description and its reference page are derived from it."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ OPERATIONS: tuple[Operation, ...] = (
     *log.OPERATIONS,
     *finding.OPERATIONS,
     *words.OPERATIONS,
-    *forecasts.OPERATIONS,  # before runs: /runs/forecast is no run
-    *planning.OPERATIONS,  # before runs: /runs/check is no run
+    *forecasts.OPERATIONS,  # before runs: /runs/forecast is not a run
+    *planning.OPERATIONS,  # before runs: /runs/check is not a run
     *runs.OPERATIONS,
     *campaigns.OPERATIONS,
     *signatures.OPERATIONS,

@@ -1,4 +1,4 @@
-"""Who asks: signing in and out, tokens of programs, and who users are."""
+"""Users: signing in and out, tokens of programs, names and passwords."""
 
 from __future__ import annotations
 

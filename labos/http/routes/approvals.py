@@ -1,4 +1,4 @@
-"""What waits for an approval, and the policy that says what does."""
+"""Submissions that wait for an approval, and the policy that requires approvals."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ class OfProposal(msgspec.Struct, frozen=True):
 
 class ProposalView(msgspec.Struct, frozen=True):
     """A run, campaign or experiment (``subject``) that waits for an approval, or a change of a campaign
-    (``amendment``). ``digest`` stands for all its ``parts``, and is what is approved. ``by`` has handed it in
-    for ``user``. ``demand`` is what it asks of the lab by its plan. ``before`` was approved last of the same
-    ``name``, when the parts ``changed`` were others. ``terms`` are a campaign's as they would be."""
+    (``amendment``). ``digest`` covers all its ``parts``; the approval is for this digest. ``by`` submitted it
+    for ``user``. ``demand`` is the work and material that its plan needs. ``before`` is the last approved
+    submission with the same ``name``, from which the parts ``changed`` differ. ``terms`` are the terms of a
+    campaign after the approval."""
 
     subject: str
     kind: str
@@ -93,8 +94,8 @@ class PolicyView(msgspec.Struct, frozen=True):
 
 
 class ApprovalTerms(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """What is left out stays as it was asked for. The terms are those of campaigns and of their changes;
-    the priority also that of a run or an experiment."""
+    """Fields that are left out stay as requested. The terms are those of campaigns and of their changes; the
+    priority is also that of a run or an experiment."""
 
     digest: Annotated[
         Name,
@@ -180,7 +181,7 @@ async def approve_proposal(call: Call, path: OfProposal, body: ApprovalTerms) ->
 
 
 def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[int | None, Terms | None]:
-    """What the operator wants otherwise than it was asked for. Raises BadInput."""
+    """The changes that the operator makes to the requested terms. Raises BadInput."""
     if proposal.kind in ("run", "experiment") and (body.deadline, body.runs, body.lab_time_s) == (None,) * 3:
         return body.priority, None
     wanted = Amendment(
@@ -233,7 +234,7 @@ def _make_view(state: LabState, proposal: Proposal) -> ProposalView:
 
 
 def _find_terms(state: LabState, proposal: Proposal) -> Terms | None:
-    """The terms of a campaign as they would be; None for what has none."""
+    """The terms of a campaign after the approval; None for a submission without terms."""
     campaign = state.campaigns.open.get(CampaignId(proposal.subject))
     return proposal.terms or (campaign.terms if campaign is not None else None)
 

@@ -1,4 +1,5 @@
-"""What people say of the bench: what they put there, took away and saw; and what the lab asks them."""
+"""Reports of people about the bench: labware that they placed, took away and saw; and the lab's questions to
+them."""
 
 from __future__ import annotations
 

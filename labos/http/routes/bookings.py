@@ -1,4 +1,4 @@
-"""Bookings: who has a module or a workcell to themselves, and when."""
+"""Bookings: which user or group may use a module or a workcell, and when."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
 async def export_calendar(call: Call, query: LinkQuery) -> Response:
     """All bookings as iCalendar (RFC 5545). A calendar program subscribes to it with a token of scope
     `viewer` in the address."""
-    from labos.services.ical import encode_ical  # a large library, which most labs never use
+    from labos.services.ical import encode_ical  # a large library, which few labs need
 
     bookings = select_bookings(call.service, query.target)
     await call.kernel.flush()

@@ -1,4 +1,4 @@
-"""Campaigns and shares: a workflow for each row of a table, and who may have how much of the lab."""
+"""Campaigns and shares: a workflow for each row of a table, and each user's share of the lab."""
 
 from __future__ import annotations
 

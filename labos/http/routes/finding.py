@@ -1,4 +1,4 @@
-"""The search index: what can be found by words."""
+"""The search index: finds entries by words."""
 
 from __future__ import annotations
 

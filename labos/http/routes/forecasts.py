@@ -1,4 +1,4 @@
-"""Forecasts: when what is submitted starts and ends, and what something that is not would bring."""
+"""Forecasts: start and end of everything that is submitted, and the effects of a new submission."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForec
 
 
 def hide_others(forecast: LabForecast, call: Call) -> LabForecast:
-    """A forecast without what is expected of campaigns that the user does not see; that they delay, and
-    are delayed, is not said either."""
+    """A forecast without the campaigns that the user does not see; runs that they delay or that delay them
+    are not named either."""
     hidden = call.hidden
     if not hidden:
         return forecast
@@ -100,7 +100,7 @@ _CAMPAIGN = (
 )
 
 FORECAST_S = 180.0
-"""How long a lab may take for a forecast."""
+"""How many seconds the lab may take for a forecast."""
 
 OPERATIONS = (
     Operation(

@@ -1,4 +1,4 @@
-"""The lab as a whole: whether it works, what is alive in it, what its nodes answer."""
+"""The lab as a whole: its health, its state, and its nodes."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from labos.http.words import STORED
 from labos.ports import LogQuery
 
 CONNECTION = "labos.connection"
-"""Where a request's scope has its connection."""
+"""The key in a request's scope with its connection."""
 
 
 async def list_events(call: Call, query: EventsQuery) -> Response:
@@ -58,7 +58,7 @@ async def follow_events(call: Call, query: EventFilter) -> Response:
     if known.isascii() and known.isdecimal() and int(known[:20]) <= WHOLE_NUMBERS[1]:
         wanted = msgspec.structs.replace(wanted, after=int(known))
     if await _hand_over(call, wanted, stored=query.stored):
-        return Response()  # nobody hears it: the connection is somebody else's now
+        return Response()  # not sent: the connection belongs to the other process now
     stream = _stream(call, wanted, stored=query.stored)
     return StreamingResponse(stream, headers=dict(STREAM_HEADERS), media_type=STREAM_TYPE)
 
@@ -83,7 +83,7 @@ async def get_file(call: Call, path: OfFile) -> Response:
 
 
 async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
-    """Whether the process for followers has taken the connection."""
+    """Whether the process for followers has taken over the connection."""
     viewers, connection = call.service.viewers, call.request.scope.get(CONNECTION)
     if viewers is None or connection is None:
         return False

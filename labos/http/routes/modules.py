@@ -1,4 +1,4 @@
-"""Modules and workcells: what is done to them, and who reaches in."""
+"""Modules and workcells: actions of people on them, and access."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Before something is submitted: what modules can do, and what a workflow would ask of the lab."""
+"""Queries before a submission: the actions of modules, and the demand of a workflow."""
 
 from __future__ import annotations
 

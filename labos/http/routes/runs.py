@@ -1,4 +1,4 @@
-"""Runs and experiments: what scientists and their applications ask for."""
+"""Runs and experiments: submissions of scientists and their applications."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Electronic signatures under runs, experiments and campaigns."""
+"""Electronic signatures for runs, experiments and campaigns."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def _declare(
     signatures: str,
     example: dict[str, Any],
 ) -> tuple[Operation, Operation]:
-    """To sign such a record, and to list who has. ``signatures`` is the client's method for the list."""
+    """The operations that sign such a record, and that list its signatures. ``signatures`` is the client's
+    method for the list."""
     path = f"/{kind}s/{{{kind}}}/signatures"
     record = f"the record of {'an' if kind == 'experiment' else 'a'} {kind}"
     return (

@@ -1,4 +1,4 @@
-"""Who signs in, and with what: passwords, tokens of programs, sessions of browsers, identity providers."""
+"""Signing in: users and their passwords, tokens of programs, sessions of browsers, identity providers."""
 
 from labos.services.accounts.accounts import Accounts, Credential, Need, allows
 from labos.services.accounts.secrets import HOME, SESSION, TOKEN, make_digest, make_secret

@@ -1,4 +1,4 @@
-"""Signing in, and knowing again who has signed in."""
+"""Signs users in, and identifies a user by the credential that a later request shows."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from labos.services.accounts.tries import Tries
 
 Need = Literal["viewer", "submitter", "operator", "admin"]
 NEEDS: tuple[Need, ...] = ("viewer", "submitter", "operator", "admin")
-"""From the least to the most."""
+"""From the lowest to the highest."""
 
 SESSION_S = 12 * 3600.0
 TOKEN_DAYS, MOST_DAYS = 90, 366
 FRESH_S = 5.0
-"""So long a credential is known without asking the database. What is revoked in this process counts at
-once."""
+"""For so many seconds a credential is accepted without a query to the database. If it is revoked in this
+process, that has an effect at once."""
 USED_EVERY_S = 60.0
-"""How exact the time is at which a token was last used."""
+"""The time at which a token was last used is exact to so many seconds."""
 MOST_KNOWN = 10_000
 MOST_TOKENS = 100
-"""Tokens of one user that are good at once."""
+"""The largest number of valid tokens of one user."""
 
 _SECOND = 1_000_000_000
 _log = structlog.get_logger(__name__)
@@ -38,8 +38,8 @@ R = TypeVar("R")
 
 
 class Credential(msgspec.Struct, frozen=True):
-    """Who somebody is by what they have shown. ``key`` names it for those who wait for its end, and is no
-    secret; ``until`` is when it ends by itself (UTC ns)."""
+    """The identity that a secret has proved. ``key`` identifies it for those who wait for its end, and is not
+    secret; ``until`` is when it expires (UTC ns)."""
 
     user: str
     how: Literal["token", "session"]
@@ -53,13 +53,13 @@ Which = Callable[[Credential], bool]
 
 
 def allows(scope: Need, need: Need) -> bool:
-    """Whether a credential of a scope is good for what needs so much."""
+    """Whether a credential with this scope is enough for what needs ``need``."""
     return NEEDS.index(scope) >= NEEDS.index(need)
 
 
 class Accounts:
-    """``is_active`` tells whether there is such a user who may act. ``on_end`` are called when credentials
-    are taken back, with a function that tells which."""
+    """``is_active`` tells whether a user exists and may act. The functions in ``on_end`` are called when
+    credentials are revoked, with a predicate that tells which ones."""
 
     def __init__(self, store: AccountStore, clock: Clock, is_active: Callable[[str], bool]) -> None:
         self._store, self._clock, self._is_active = store, clock, is_active
@@ -68,12 +68,12 @@ class Accounts:
         self._used: dict[str, float] = {}
         self.on_end: list[Callable[[Which], None]] = []
         self.on_try: list[Callable[[str], None]] = []
-        """Called with the outcome of each try to sign in: `right`, `wrong` or `too_many`."""
+        """Called with the outcome of each attempt to sign in: `right`, `wrong` or `too_many`."""
 
-    # -- who it is -----------------------------------------------------------------------------
+    # -- identity ------------------------------------------------------------------------------
 
     async def find(self, secret: str) -> Credential:
-        """Whose secret it is. Raises NotSignedIn."""
+        """The credential that belongs to a secret. Raises NotSignedIn."""
         digest = make_digest(secret)
         known, fresh_until = self._known.get(digest, (None, 0.0))
         now = self._clock.monotonic()
@@ -116,7 +116,7 @@ class Accounts:
         """Raises NotSignedIn for a wrong password, TooManyTries."""
         wait = self._tries.wait_s(user, address, self._clock.monotonic())
         known = self._is_active(user)
-        # Who types a password into the field for the name must not find it in a log.
+        # A user may type a password into the field for the name: it must not appear in a log.
         named = user if known else "unknown"
         if wait > 0:
             self.tell_try("too_many")
@@ -132,7 +132,7 @@ class Accounts:
         self.tell_try("right")
 
     async def begin_session(self, user: str, how: str, before: str = "") -> tuple[str, Session]:
-        """The secret of a new session, and the session. One that the browser had ``before`` ends."""
+        """The secret of a new session, and the session. The browser's earlier session, ``before``, ends."""
         if before:
             await self.end_session(before)
         secret, now = make_secret(SESSION), self._clock.now_ns()
@@ -148,7 +148,7 @@ class Accounts:
     # -- tokens --------------------------------------------------------------------------------
 
     async def make_token(self, user: str, label: str, scope: Need, days: float) -> tuple[str, Token]:
-        """A new token, which nobody can be told again, and what is known of it. Raises BadInput."""
+        """A new token, whose secret cannot be shown again, and its record. Raises BadInput."""
         if not 0 < days <= MOST_DAYS:
             raise BadInput(
                 f"A token cannot be good for {days:g} days.", remedy=f"Say up to {MOST_DAYS} days."
@@ -168,7 +168,7 @@ class Accounts:
         return await self._ask(self._store.tokens, user)
 
     async def revoke_token(self, id_: str, user: str = "") -> Token:
-        """Revoke a token, of a ``user`` if one is named. Raises NotFound."""
+        """Revoke a token; with ``user``, only if it belongs to that user. Raises NotFound."""
         found = next((t for t in await self.tokens(user) if t.id == id_), None)
         if found is None:
             whose = f"{user} has" if user else "There is"
@@ -180,7 +180,7 @@ class Accounts:
     # -- users ---------------------------------------------------------------------------------
 
     async def set_password(self, user: str, password: str) -> None:
-        """A new password; all sessions of the user end. Raises BadInput."""
+        """Set a new password; all sessions of the user end. Raises BadInput."""
         check_password(password, user)
         await self._keep_password(user, password)
         await self._ask(self._store.end_sessions, user)
@@ -200,7 +200,7 @@ class Accounts:
         await self._ask(self._store.set_person, person)
 
     async def erase(self, user: str) -> None:
-        """Forget who a user is, and all that they sign in with; events that bear the id remain."""
+        """Erase the user's name and everything with which they sign in; events with the user's id remain."""
         await self._ask(self._store.erase, user)
         self._forget(lambda credential: credential.user == user)
 
@@ -211,8 +211,8 @@ class Accounts:
         await self._ask(self._store.link, issuer, subject, user)
 
     async def check_again(self, keys: Collection[str]) -> None:
-        """Ask the database whether the credentials with these keys are still good: another process may have
-        taken them back. Listeners for the end of one are told."""
+        """Ask the database whether the credentials with these keys are still valid: another process may have
+        revoked them. The functions in ``on_end`` are called for those that are not."""
         for digest, (known, _) in list(self._known.items()):
             if known.key not in keys:
                 continue
@@ -224,10 +224,11 @@ class Accounts:
             if not is_good:
                 self._forget(partial(_has_key, known.key))
 
-    # -- inside --------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------
 
     def end_of_user(self, user: str) -> None:
-        """The user may not act any more: streams that were opened with a credential of theirs are cut off."""
+        """The user may not act any more: streams that were opened with one of their credentials are
+        closed."""
         self._forget(lambda credential: credential.user == user)
 
     def _forget(self, which: Which) -> None:
@@ -238,7 +239,7 @@ class Accounts:
             tell(which)
 
     def tell_try(self, outcome: str) -> None:
-        """Somebody has tried to sign in, here or with an identity provider."""
+        """Report an attempt to sign in, at the lab or with an identity provider."""
         for tell in self.on_try:
             tell(outcome)
 

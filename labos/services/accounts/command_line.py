@@ -1,8 +1,9 @@
-"""Signing in from a command line with an identity provider: by a browser on the same computer that comes back
-to it (RFC 8252), or by a code that is typed into a browser elsewhere (device grant, RFC 8628).
+"""Signing in from a command line with an identity provider: through a browser on the same computer, which the
+provider redirects back to the command line (RFC 8252), or with a code that the user types into a browser
+elsewhere (device grant, RFC 8628).
 
-The lab is the provider's client, not the command line: the PKCE verifier, a client's secret and what the
-provider says of people stay here.
+The lab is the provider's client, not the command line: the PKCE verifier, the client's secret and the
+provider's claims about users stay in the lab.
 """
 
 from __future__ import annotations
@@ -30,15 +31,16 @@ from labos.services.accounts.oidc import (
 )
 
 MOST_DEVICES = 100
-"""Codes that people are typing in at once."""
+"""The largest number of device codes that wait for users at the same time."""
 LONGEST_S = 1_800.0
-"""So long a code is waited for, whatever the provider says."""
+"""A device code expires after so many seconds at the latest, even if the provider allows more."""
 GRANT = "urn:ietf:params:oauth:grant-type:device_code"
 PENDING = ("authorization_pending", "slow_down")
 
 
 class Shown(msgspec.Struct, frozen=True):
-    """What a provider tells a device to show. ``interval`` and ``expires_in`` in seconds."""
+    """The code and the address that a device shows to its user. ``interval`` and ``expires_in`` in
+    seconds."""
 
     device_code: str
     user_code: str
@@ -49,7 +51,7 @@ class Shown(msgspec.Struct, frozen=True):
 
 
 class DeviceSignIn(msgspec.Struct):
-    """Somebody who types a code in. It is asked for again not before ``next`` (monotonic s)."""
+    """A user is typing in a device code. The provider is asked again not before ``next`` (monotonic s)."""
 
     browser: str
     shown: Shown
@@ -59,13 +61,14 @@ class DeviceSignIn(msgspec.Struct):
 
 
 class RetryAfter(msgspec.Struct, frozen=True):
-    """Nobody has typed the code in yet: ask again after so many seconds."""
+    """The user has not typed in the code yet: ask again after so many seconds."""
 
     seconds: float
 
 
 class CommandLineSignIn:
-    """Over one provider. Raises NotFound where its file says nothing of command lines."""
+    """Signs in from a command line with one provider. Raises NotFound if the provider's file has no entry for
+    command lines."""
 
     def __init__(self, provider: Provider) -> None:
         self.provider = provider
@@ -73,7 +76,7 @@ class CommandLineSignIn:
 
     @property
     def most_days(self) -> float:
-        """The longest that a token is good which somebody gets here."""
+        """The longest validity, in days, of a token that is issued here."""
         told = self.provider.told.command_line
         return told.days if told is not None else 0.0
 
@@ -92,12 +95,13 @@ class CommandLineSignIn:
         )
 
     async def begin(self, port: int) -> AuthorizationRequest:
-        """Where a browser goes; it comes back to a port of the computer on which it runs. Raises NotFound,
-        NotSignedIn."""
+        """The address for the user's browser; the browser returns to a port of the computer on which it runs.
+        Raises NotFound, NotSignedIn."""
         return await self.provider.begin(self._make_client(port))
 
     async def begin_device(self) -> tuple[AuthorizationRequest, Shown]:
-        """What is to be typed in, and where. Raises NotFound, NotSignedIn, TooManyTries."""
+        """Begin a device grant: the code that the user has to type in, and the address where. Raises
+        NotFound, NotSignedIn, TooManyTries."""
         client, now = self._make_client(), self.provider.clock.monotonic()
         known = await self.provider.discover()
         if not known.device_authorization_endpoint:
@@ -126,7 +130,8 @@ class CommandLineSignIn:
         return AuthorizationRequest(address, state, browser), shown
 
     async def finish(self, answer: Mapping[str, str], browser: str) -> ProviderClaims | RetryAfter:
-        """Who has signed in. Raises NotSignedIn."""
+        """The provider's claims about the user who has signed in, or when to ask again. Raises
+        NotSignedIn."""
         device = self._devices.get(answer.get("state", ""))
         if device is None:
             return await self.provider.finish(answer, browser, by_command_line=True)
@@ -148,13 +153,13 @@ class CommandLineSignIn:
             try:
                 found = await http.post(known.token_endpoint, data=form)
             except httpx.HTTPError:
-                return RetryAfter(device.interval)  # RFC 8628, 3.5: it is asked again
+                return RetryAfter(device.interval)  # RFC 8628, 3.5: ask again
         if found.status_code == 400 and (error := _find_error(found.content)) in PENDING:
             if error == "slow_down":
                 device.interval += 5.0
                 device.next += 5.0
             return RetryAfter(device.interval)
-        # From here on it is good no more: two command lines cannot get a token by one code.
+        # From here on the code is used up: two command lines cannot get a token with the same code.
         if self._devices.pop(state, None) is None:
             raise make_refusal("nobody went there from here, or too long ago")
         if found.status_code != 200:
@@ -168,8 +173,9 @@ class CommandLineSignIn:
 
 
 def make_return_url(lab: str, port: int) -> str:
-    """Where a browser comes back to the command line that signs in to a lab. The lab's name is a part of it:
-    a command line that was led to another lab's sign-in does not wait there (RFC 9700, 4.4)."""
+    """The address at which a browser returns to the command line that signs in to a lab. The lab's name is a
+    part of it: if an attacker has led the command line to another lab's sign-in, nothing waits at that
+    address (RFC 9700, 4.4)."""
     return f"http://127.0.0.1:{port}/login/{urlsplit(lab).netloc.lower().replace(':', '-')}"
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 TIMEOUT_S = 10.0
 KNOWN_S = 3600.0
-"""So long what a provider says of itself is believed without asking again."""
+"""For so many seconds the provider's metadata and keys are used without a new request."""
 PENDING_S = 600.0
 MOST_PENDING = 1_000
 LEEWAY_S = 60
@@ -41,7 +41,7 @@ ALGORITHMS = (
     "EdDSA",
     "Ed25519",
 )
-"""Signatures by a key that the provider alone has."""
+"""Signature algorithms with a private key that only the provider has."""
 AGAIN = "Begin again; if it fails again, ask who looks after the lab."
 
 _log = structlog.get_logger(__name__)
@@ -51,7 +51,7 @@ T = TypeVar("T")
 
 
 class ProviderClient(msgspec.Struct, frozen=True):
-    """As what a lab is known to the provider, and where that sends people back to."""
+    """The lab's registration with the provider, and the address to which the provider sends users back."""
 
     id: str
     secret: str
@@ -59,8 +59,8 @@ class ProviderClient(msgspec.Struct, frozen=True):
 
 
 class Pending(msgspec.Struct, frozen=True):
-    """Somebody who is at the provider's page now. ``browser`` is what their browser, or their command line,
-    shows when it comes back."""
+    """A user who is at the provider's page now. ``browser`` is the secret that the user's browser or command
+    line presents when it returns."""
 
     browser: str
     nonce: str
@@ -70,7 +70,7 @@ class Pending(msgspec.Struct, frozen=True):
 
 
 class ProviderClaims(msgspec.Struct, frozen=True):
-    """What a provider says of somebody."""
+    """The provider's claims about a user."""
 
     subject: str
     name: str = ""
@@ -79,7 +79,7 @@ class ProviderClaims(msgspec.Struct, frozen=True):
 
 
 class ProviderMetadata(msgspec.Struct, frozen=True):
-    """What is needed of what a provider says of itself."""
+    """The part of the provider's metadata that LabOS needs."""
 
     issuer: str
     authorization_endpoint: str
@@ -92,7 +92,8 @@ class ProviderMetadata(msgspec.Struct, frozen=True):
 
 
 class AuthorizationRequest(msgspec.Struct, frozen=True):
-    """Where somebody goes to sign in, what brings them back (``state``), and what they show then."""
+    """The address at which a user signs in, the ``state`` by which the return is recognised, and the secret
+    that the browser presents then."""
 
     address: str
     state: str
@@ -100,7 +101,7 @@ class AuthorizationRequest(msgspec.Struct, frozen=True):
 
 
 class ProviderTokens(msgspec.Struct, frozen=True):
-    """What a provider gives for a code."""
+    """The tokens that a provider issues for a code."""
 
     id_token: str
     access_token: str = ""
@@ -124,7 +125,7 @@ class Provider:
         self._keys: KeySet | None = None
 
     async def begin(self, client: ProviderClient | None = None) -> AuthorizationRequest:
-        """Send somebody to the provider: a browser, or as another ``client``. Raises NotSignedIn if the
+        """Send a user to the provider: with a browser, or as another ``client``. Raises NotSignedIn if the
         provider does not answer."""
         client = client or self._browsers
         known = await self.discover()
@@ -150,8 +151,9 @@ class Provider:
     async def finish(
         self, answer: Mapping[str, str], browser: str, *, by_command_line: bool = False
     ) -> ProviderClaims:
-        """The person whom the provider has sent back. What came with the browser is good once, and on the way
-        only on which it was sent. Raises NotSignedIn."""
+        """The claims about the user whom the provider has sent back. An answer is accepted once, only from
+        the browser that began the sign-in, and only in the way (browser or command line) in which it began.
+        Raises NotSignedIn."""
         pending = self._pending.pop(answer.get("state", ""), None)
         if pending is None or self.clock.monotonic() - pending.since >= PENDING_S:
             raise make_refusal("nobody went there from here, or too long ago")
@@ -177,7 +179,7 @@ class Provider:
         client: ProviderClient,
         nonce: str = "",
     ) -> ProviderClaims:
-        """The person whom the provider's tokens for ``client`` name. Raises NotSignedIn."""
+        """The claims about the user whom the provider's tokens for ``client`` name. Raises NotSignedIn."""
         claims = await self._verify(http, known, tokens.id_token, client.id, nonce)
         return await self._with_user_info(http, known, tokens, claims)
 
@@ -225,8 +227,8 @@ class Provider:
     async def _verify(
         self, http: httpx.AsyncClient, known: ProviderMetadata, token: str, client: str, nonce: str
     ) -> dict[str, Any]:
-        """The claims of an id token, checked as OpenID Connect Core 1.0, 3.1.3.7 says; one that no browser
-        has asked for bears no ``nonce``."""
+        """The claims of an id token, checked according to OpenID Connect Core 1.0, 3.1.3.7; an id token that
+        no browser has requested has no ``nonce``."""
         from joserfc import jwt
         from joserfc.errors import JoseError
 
@@ -242,7 +244,7 @@ class Provider:
             nonce={"essential": True, "value": nonce} if nonce else {},
         )
         fresh = self._keys is None
-        for _ in range(1 if fresh else 2):  # it may have changed its keys since
+        for _ in range(1 if fresh else 2):  # the provider may have changed its keys since
             keys = await self._fetch_keys(http, known)
             try:
                 found = jwt.decode(token, keys, algorithms=allowed)
@@ -261,7 +263,7 @@ class Provider:
     async def _with_user_info(
         self, http: httpx.AsyncClient, known: ProviderMetadata, tokens: ProviderTokens, claims: dict[str, Any]
     ) -> ProviderClaims:
-        """Name and groups, which some providers tell only who asks for them."""
+        """The claims with name and groups: some providers send these only on a separate request."""
         if known.userinfo_endpoint and self.told.groups_claim not in claims:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
             more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
@@ -278,7 +280,7 @@ class Provider:
 
 
 async def ask_provider(http: httpx.AsyncClient, method: str, url: str, kind: type[T], **options: Any) -> T:
-    """What a provider answers. Raises NotSignedIn."""
+    """The provider's answer. Raises NotSignedIn."""
     try:
         answer = await http.request(method, url, **options)
     except httpx.HTTPError as error:
@@ -296,12 +298,12 @@ async def ask_provider(http: httpx.AsyncClient, method: str, url: str, kind: typ
 
 
 def make_auth(client: ProviderClient) -> httpx.BasicAuth | None:
-    """How a client that has a secret shows it."""
+    """The way in which a client with a secret authenticates itself."""
     return httpx.BasicAuth(client.id, client.secret) if client.secret else None
 
 
 def make_refusal(why: str) -> NotSignedIn:
-    """The refusal, which is written down too."""
+    """The refusal; it is also written to the program's log."""
     _log.warning("sign_in_refused", by="identity provider", why=why)
     return NotSignedIn(f"The identity provider has not signed anybody in: {why}.", remedy=AGAIN)
 

@@ -1,6 +1,6 @@
-"""Passwords: what one has to be like, and how it is kept (argon2id).
+"""Passwords: which are accepted, and how they are stored (argon2id).
 
-A hash takes 64 MiB and some 0.2 s: they are made one at a time, beside the event loop.
+A hash takes 64 MiB and some 0.2 s: they are computed one at a time, in a thread beside the event loop.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SHORTEST, LONGEST = 10, 200
 
 
 def check_password(password: str, user: str) -> None:
-    """Raises BadInput for one that is too easy to guess, or too long."""
+    """Raises BadInput for a password that is too easy to guess, or too long."""
     remedy = f"Take {SHORTEST} characters at least: four words, for instance."
     if not SHORTEST <= len(password) <= LONGEST:
         raise BadInput(f"The password has {len(password)} characters.", remedy=remedy)
@@ -37,13 +37,13 @@ class Passwords:
             return await asyncio.to_thread(self._hasher.hash, password)
 
     async def is_right(self, hash_: str, password: str) -> bool:
-        """Whether a password belongs to a hash. An empty hash, of nobody, takes as long as a wrong
-        password."""
+        """Whether a password belongs to a hash. An empty hash (the user does not exist) takes as long as a
+        wrong password."""
         async with self._turn:
             return await asyncio.to_thread(self._compare, hash_, password)
 
     def is_old(self, hash_: str) -> bool:
-        """Whether it was made with other parameters than one would be now."""
+        """Whether the hash was computed with other parameters than those of today."""
         return self._hasher.check_needs_rehash(hash_)
 
     def _compare(self, hash_: str, password: str) -> bool:

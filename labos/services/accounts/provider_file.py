@@ -1,4 +1,5 @@
-"""The file that says which identity provider people may sign in with, and what its groups mean here."""
+"""The file that names the identity provider for signing in, and maps the provider's groups to roles in the
+lab."""
 
 from __future__ import annotations
 
@@ -34,8 +35,9 @@ class GrantedRole(Part):
 
 
 class CommandLine(Part):
-    """As what the provider knows `labos login`: a client whose way back is ``http://127.0.0.1/login/…``, at
-    any port, and which may have the device grant. ``days`` is the most that a token is good which it gets."""
+    """The provider's registration of `labos login`: a client with the redirect address
+    ``http://127.0.0.1/login/…``, at any port, that may also use the device grant. ``days`` is the longest
+    validity of its tokens."""
 
     client_id: str = Field(min_length=1)
     client_secret: Secret | None = None
@@ -44,10 +46,10 @@ class CommandLine(Part):
 
 class ProviderFile(Part):
     """``issuer`` is the provider's own name, a URL. ``lab`` is the address under which browsers reach the
-    lab. ``command_line``: people may sign in from it, too. ``new_users``: everybody whom the provider knows
-    may look, under an id that the lab makes; else an admin says who is who (`labos user link`). ``groups``
-    and ``roles`` say what the values of ``groups_claim`` mean here; at each sign-in exactly those that are
-    named are given and taken."""
+    lab. With ``command_line``, users may also sign in from a command line. With ``new_users``, everybody whom
+    the provider knows may view the lab, under an id that the lab makes; without it, an admin links each user
+    first (`labos user link`). ``groups`` and ``roles`` map the values of ``groups_claim`` to groups and roles
+    of this lab. Each sign-in grants and revokes exactly the groups and roles that are named here."""
 
     labos: Literal[1] = 1
     issuer: SecureUrl

@@ -1,5 +1,5 @@
-"""Secrets that programs and browsers show: 256 random bits behind a prefix by which people, and programs that
-look for leaked secrets, know what they have found."""
+"""Secrets of programs and browsers: 256 random bits after a prefix. By the prefix, people and programs that
+search for leaked secrets recognise them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ TOKEN, SESSION, HOME = "labos_token_", "labos_session_", "labos_home_"
 
 
 def make_secret(prefix: str) -> str:
-    """43 letters, digits, ``-`` and ``_`` behind the prefix."""
+    """The prefix and 43 letters, digits, ``-`` and ``_``."""
     return prefix + secrets.token_urlsafe(32)
 
 
 def make_digest(secret: str) -> bytes:
-    """What is kept of a secret. It is random, so that no slower hash is needed."""
+    """The digest that is stored in place of a secret. A secret is random, so no slower hash is needed."""
     return hashlib.sha256(secret.encode()).digest()
 
 
 def make_id() -> str:
-    """The public name of a token: it tells nothing about it."""
+    """The public id of a token; nothing about the token follows from it."""
     return secrets.token_hex(4)

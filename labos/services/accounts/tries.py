@@ -1,4 +1,4 @@
-"""How often somebody may try to sign in."""
+"""Limits how often somebody may try to sign in."""
 
 from __future__ import annotations
 
@@ -6,23 +6,22 @@ from collections import OrderedDict, deque
 
 WITHIN_S = 60.0
 OF_USER = 5
-"""Tries in a minute for one user from one address."""
+"""Attempts in a minute for one user from one address."""
 OF_ADDRESS = 20
 OF_ALL = 60
-"""Tries in a minute in all: each costs 0.2 s of a processor, and the kernel needs its share."""
+"""Attempts in a minute in all: each costs 0.2 s of a processor, which the kernel needs too."""
 MOST_KEYS = 10_000
 
 
 class Tries:
-    """Counts tries, successful ones too, in the last minute. Times are seconds of any clock that never goes
-    back."""
+    """Counts attempts in the last minute, successful ones too. Times are seconds of any monotonic clock."""
 
     def __init__(self) -> None:
         self._seen: OrderedDict[tuple[str, ...], deque[float]] = OrderedDict()
 
     def wait_s(self, user: str, address: str, now: float) -> float:
-        """Note a try; returns 0 if it may be made, else how long to wait. One that may not be made does not
-        count."""
+        """Note an attempt; returns 0 if it may be made, else how many seconds to wait. An attempt that may
+        not be made is not counted."""
         keys = ((), OF_ALL), ((address,), OF_ADDRESS), ((user, address), OF_USER)
         wait = max(self._wait(key, most, now) for key, most in keys)
         if wait <= 0:
@@ -37,7 +36,8 @@ class Tries:
         return times[-most] + WITHIN_S - now if len(times) >= most else 0.0
 
     def _find_times(self, key: tuple[str, ...]) -> deque[float]:
-        """The times of a key; of too many keys the one that was used least recently is forgotten."""
+        """The times of a key's attempts; if there are too many keys, the one used least recently is
+        removed."""
         found = self._seen.setdefault(key, deque())
         self._seen.move_to_end(key)
         if len(self._seen) > MOST_KEYS:

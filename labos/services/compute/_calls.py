@@ -1,4 +1,4 @@
-"""A computation with its attempts: a worker that dies is followed by another."""
+"""A computation and its attempts: if its worker dies, another one tries again."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from labos.services.compute._sent import ComputesOnce, MemoryRecord, PlaceUnavai
 from labos.services.compute._work import Measured, digest_code, digest_value, encode, make_name, measure
 
 MOST_WAITING = 64
-"""So many computations are waited for at once; others stand in line."""
+"""At most so many computations are in progress at once; the others wait."""
 
 _DEATHS = frozenset({"BrokenProcessPool", "KilledWorker", "WorkerLost", "ManagerLost", "CancelledError"})
-"""How the places call it that a worker died with its computation."""
+"""The names of the errors by which the places report that a worker died during a computation."""
 
 
 class Attempts(msgspec.Struct, frozen=True):
-    """How often a computation is tried: ``after_death`` of its worker, and ``after_error`` of its own."""
+    """How often a computation is tried again: ``after_death`` of its worker, and ``after_error`` of the
+    function itself."""
 
     after_death: int = 2
     after_error: int = 0
 
 
 class Computed(msgspec.Struct, frozen=True):
-    """A computation that came to its end: what is told of it to the log."""
+    """A computation that has ended, with the facts for the log."""
 
     function: str
     code: str
@@ -62,7 +63,7 @@ class ComputeFailed(LabosError):
 
 
 class Computing:
-    """Computes functions at places, which are opened when they are first needed. For many threads."""
+    """Computes functions at places, which are opened at their first use. May be used by many threads."""
 
     def __init__(self, places: Mapping[str, Any] | None = None, attempts: Attempts | None = None) -> None:
         self._configured = dict(places or {})
@@ -83,10 +84,10 @@ class Computing:
         unavailable: Callable[[], None] = lambda: None,
         sent: Callable[[int], SendingRecord] = lambda attempt: MemoryRecord(),
     ) -> Future[Any]:
-        """Begin a computation; its future gives what ``then`` makes of it, and raises ComputeFailed after
-        ``failed`` was told of it, PlaceUnavailable after ``unavailable`` was. ``sent`` gives what the log has
-        of an attempt at a place that asks before it sends again. Raises NotFound, BadInput."""
-        self._find_executor(where)  # a place that cannot be had is said at once
+        """Begin a computation. Its future has the result of ``then``; it raises ComputeFailed after a call of
+        ``failed``, and PlaceUnavailable after a call of ``unavailable``. ``sent`` returns the log's record of
+        an attempt, for a place that checks this record before it sends again. Raises NotFound, BadInput."""
+        self._find_executor(where)  # an error about the place is raised at once
         given = dict(named or {})
         arguments = digest_value({"args": list(args), "named": given})
 
@@ -104,7 +105,8 @@ class Computing:
         return self._waiting.submit(compute)
 
     def close(self, *, drop: bool = False, wait: bool = True) -> None:
-        """Ends the places when all is computed. ``drop``: what has not begun is given up."""
+        """Close the places when all computations have ended. With ``drop``, computations that have not begun
+        are dropped."""
         self._waiting.shutdown(wait, cancel_futures=drop)
         with self._lock:
             opened, self._open = list(self._open.values()), {}
@@ -129,7 +131,7 @@ class Computing:
                     measured = executor.compute_once(attempt, measure, (function, args, named), {})
                 else:
                     measured = executor.submit(measure, function, args, named).result()
-                encode(measured.value)  # what cannot be written down is no result
+                encode(measured.value)  # a value that cannot be encoded cannot be a result
             except PlaceUnavailable:
                 raise
             except (Exception, CancelledError) as error:
@@ -154,7 +156,7 @@ class Computing:
             return self._open[where]
 
     def _forget(self, where: str, executor: Executor, error: BaseException) -> None:
-        """A pool takes nothing more after one of its workers died: the next attempt opens another."""
+        """A pool accepts nothing more after one of its workers died: the next attempt opens another pool."""
         if not isinstance(error, BrokenProcessPool):
             return
         with self._lock:

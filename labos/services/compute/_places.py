@@ -18,7 +18,7 @@ def _open_local(configuration: Any) -> Executor:
 
 
 def _open_pool(configuration: Any) -> Executor:
-    """Processes of this computer. They are started afresh and not forked: the application has threads."""
+    """Processes on this computer. They are spawned and not forked, as the application has threads."""
     workers = configuration or min(os.cpu_count() or 1, 61)
     return ProcessPoolExecutor(
         workers, mp_context=multiprocessing.get_context("spawn"), initializer=_follow_parent
@@ -26,8 +26,8 @@ def _open_pool(configuration: Any) -> Executor:
 
 
 def _follow_parent() -> None:
-    """A worker ends when its program does, however that ends: it holds an end of its own of the pipe by
-    which it would hear of it, and a program that is killed cannot say so."""
+    """A worker ends when its parent ends, whatever the reason. The worker itself holds the writing end of the
+    pipe that would report the parent's end, and a parent that is killed cannot send anything."""
     parent = multiprocessing.parent_process()
 
     def follow() -> None:
@@ -39,7 +39,7 @@ def _follow_parent() -> None:
 
 
 def _open_parsl(configuration: Any) -> Executor:
-    """``configuration`` is a `parsl.config.Config`, of this computer or of a cluster."""
+    """``configuration`` is a `parsl.config.Config`, for this computer or for a cluster."""
     try:
         from parsl.concurrent import ParslPoolExecutor
     except ImportError:
@@ -58,7 +58,7 @@ def _open_dask(configuration: Any) -> Executor:
         raise _report_missing("Dask", "dask") from None
     if not isinstance(configuration, Client):
         raise BadInput("Dask needs to be told where to compute.", remedy="Give a distributed.Client.")
-    # pure: two calls with the same arguments are two computations.
+    # Not pure: two calls with the same arguments are two computations.
     client: Any = configuration
     opened: Executor = client.get_executor(pure=False)
     return opened
@@ -86,7 +86,7 @@ PLACES: dict[str, Callable[[Any], Executor]] = {
 
 
 def open_place(where: str, configuration: Any = None) -> Executor:
-    """Raises NotFound for a place that nobody knows, BadInput for one that is not configured."""
+    """Raises NotFound for an unknown place, BadInput for one that is not configured."""
     if where not in PLACES:
         raise NotFound(
             f"There is no place {where!r} to compute at.", remedy=f"There are: {', '.join(PLACES)}."

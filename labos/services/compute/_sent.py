@@ -1,4 +1,4 @@
-"""What is remembered of a computation that a service elsewhere carries out, so that it is sent there once."""
+"""The record of a computation that is sent to an external service, so that it is sent there only once."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from labos.errors import LabosError
 
 
 class PlaceUnavailable(LabosError):
-    """A place does not answer, or lets nobody in. Nothing is said of it in the log: the same may be asked
-    again."""
+    """A place does not answer, or refuses access. Nothing about it is recorded in the log: the same
+    computation may be requested again."""
 
 
 class SendingRecord(Protocol):
-    """What the log has of one computation, by names such as ``sending`` and ``sent``. ``mark`` is its own,
-    and the same when the program is started again; ``of`` is whose it is, such as the experiment."""
+    """The log's record of one computation, by names such as ``sending`` and ``sent``. ``mark`` identifies the
+    computation and stays the same when the program is started again; ``of`` is its owner, such as the
+    experiment."""
 
     @property
     def mark(self) -> str: ...
@@ -27,19 +28,19 @@ class SendingRecord(Protocol):
     def find_own(self, name: str) -> Mapping[str, Any] | None: ...
 
     def keep(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
-        """Write it down, once; returns what is written down."""
+        """Record facts, once; returns the facts that are recorded."""
 
     def find_shared(self, name: str) -> Mapping[str, Any] | None:
-        """The same for all computations of the experiment."""
+        """The facts that all computations of the experiment share."""
 
     def keep_shared(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]: ...
 
     def all_known(self, fact: str) -> set[str]:
-        """What is written down as a fact of any computation of the experiment."""
+        """The values that this fact has in any computation of the experiment."""
 
 
 class MemoryRecord:
-    """Remembers nothing beyond the process."""
+    """A record in memory, which is lost when the process ends."""
 
     def __init__(self) -> None:
         self._kept: dict[str, dict[str, Any]] = {}
@@ -58,10 +59,10 @@ class MemoryRecord:
 
 
 class ComputesOnce(ABC):
-    """An executor that asks before it sends again."""
+    """An executor that checks before it sends again."""
 
     @abstractmethod
     def compute_once(
         self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> Any:
-        """What a function returns. Raises its error, PlaceUnavailable."""
+        """Returns the result of the function. Raises the function's error, PlaceUnavailable."""

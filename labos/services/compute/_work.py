@@ -1,4 +1,4 @@
-"""What runs at the worker, and the digests by which a computation is known."""
+"""The code that runs at the worker, and the digests that identify a computation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from labos.errors import BadInput
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """What a function returned, where it ran, and how long."""
+    """The value that a function returned, where it ran, and how long it took."""
 
     value: Any
     host: str
@@ -30,7 +30,7 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 def measure(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]) -> Measured:
-    """Call a function, and say where that was. It is imported by name at the worker."""
+    """Call a function, and report where it ran. The worker imports this function by name."""
     begun = perf_counter()
     value = function(*args, **named)
     seconds = perf_counter() - begun
@@ -38,14 +38,14 @@ def measure(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str
 
 
 class Returned(msgspec.Struct, frozen=True):
-    """What came of a function: what it returned, or the name and text of its error."""
+    """The outcome of a function: its value, or the name and text of its error."""
 
     measured: Any = None
     error: str = ""
     text: str = ""
 
     def value(self) -> Any:
-        """What it returned. Raises an error of the same name and text as the function has raised."""
+        """The value. Raises an error with the name and text of the function's error."""
         if self.error:
             raise type(self.error, (Exception,), {})(self.text)
         return self.measured
@@ -54,7 +54,8 @@ class Returned(msgspec.Struct, frozen=True):
 def return_marked(
     mark: str, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
 ) -> tuple[str, Returned]:
-    """Call a function at a worker that does not know who asks; returns the mark by which it was asked."""
+    """Call a function at a worker that does not know the caller; returns the mark that came with the call,
+    and the outcome."""
     try:
         return mark, Returned(function(*args, **named))
     except Exception as error:
@@ -62,7 +63,7 @@ def return_marked(
 
 
 def do_nothing() -> None:
-    """What a group of tasks may begin with."""
+    """A function for the first task of a group; it does nothing."""
 
 
 def make_name(function: Callable[..., Any]) -> str:
@@ -72,8 +73,9 @@ def make_name(function: Callable[..., Any]) -> str:
 
 
 def digest_code(function: Callable[..., Any]) -> str:
-    """SHA-256 of the file in which a function is written, as others of that file may be called by it; of its
-    bytecode where there is no file, as in a notebook; empty for what is not written in Python."""
+    """SHA-256 of the file that contains a function, because the function may call others of that file. If
+    there is no file, as in a notebook: of its bytecode. Empty for a function that is not written in
+    Python."""
     try:
         source = inspect.getsourcefile(inspect.unwrap(function))
         if source is not None:
@@ -86,7 +88,7 @@ def digest_code(function: Callable[..., Any]) -> str:
 
 
 def _encode_code(code: CodeType) -> bytes:
-    """Instructions, names and constants; no addresses, which differ from process to process."""
+    """Instructions, names and constants; no addresses, because these differ between processes."""
     parts = [code.co_code, repr(code.co_names).encode(), repr(code.co_varnames).encode()]
     for constant in code.co_consts:
         inner = _encode_code(constant) if isinstance(constant, CodeType) else repr(constant).encode()
@@ -100,15 +102,15 @@ def digest_value(value: Any) -> str:
 
 
 def encode(value: Any) -> tuple[str, bytes]:
-    """A value as bytes, and their form: json or pickle. Raises BadInput for what has neither."""
+    """A value as bytes, and their form: json or pickle. Raises BadInput for a value that has neither."""
     if _is_json(value):
         try:
             return "json", encode_canonical(value)
         except (TypeError, ValueError, OverflowError, RecursionError):
-            pass  # numbers that are not finite, and the like
+            pass  # numbers that are not finite, for example
     try:
         return "pickle", pickle.dumps(value, protocol=5)
-    except Exception as error:  # __reduce__ of anybody's class
+    except Exception as error:  # __reduce__ of any class
         raise BadInput(
             f"A value of type {type(value).__name__} cannot be sent to another process: {error}.",
             remedy="Give and return numbers, text, lists, tables or arrays.",
@@ -116,7 +118,8 @@ def encode(value: Any) -> tuple[str, bytes]:
 
 
 def _is_json(value: Any) -> bool:
-    """Whether JSON keeps the value as it is: a tuple, a set or an array would come back as something else."""
+    """Whether JSON keeps the value unchanged: a tuple, a set or an array would be read back as another
+    type."""
     if value is None or isinstance(value, bool | int | float | str):
         return type(value) in (type(None), bool, int, float, str)
     if type(value) is list:

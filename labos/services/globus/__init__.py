@@ -1,7 +1,7 @@
-"""What Globus does for an experiment: computes, carries flows out, transfers files, and keeps a search index.
+"""Globus services for experiments: computation, flows, file transfer, and a search index.
 
-What is sent to Globus is sent once, also when an answer is lost or the program is killed: see
-`SendingRecord`. The SDK of Globus (extra ``globus``) is imported when it is first needed.
+Each request is carried out by Globus only once, also if an answer is lost or the program is killed: see
+`SendingRecord`. The Globus SDK (extra ``globus``) is imported when it is first used.
 """
 
 from labos.services.globus._asking import (

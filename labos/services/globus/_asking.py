@@ -1,4 +1,5 @@
-"""How Globus is asked: what its errors mean, and how something is sent once although answers are lost."""
+"""Requests to Globus: the meaning of its errors, and how a request is carried out once although answers are
+lost."""
 
 from __future__ import annotations
 
@@ -19,9 +20,9 @@ NOT_LET_IN = (401, 403)
 
 
 class GlobusTimes(msgspec.Struct, frozen=True):
-    """How long Globus is waited for. It is asked every ``first_s`` seconds, then more seldom, every
-    ``longest_s`` at the most. When it has not answered for ``silence_s``, it is given up. When an answer was
-    lost, it is asked ``settle_s`` later what has arrived."""
+    """Waiting times for Globus. A status is requested every ``first_s`` seconds at the beginning, then less
+    often, at least every ``longest_s``. After ``silence_s`` without an answer, Globus counts as unreachable.
+    After a lost answer, LabOS waits ``settle_s`` and then asks which requests have arrived."""
 
     first_s: float = 0.5
     longest_s: float = 10.0
@@ -30,8 +31,8 @@ class GlobusTimes(msgspec.Struct, frozen=True):
 
 
 class GlobusAccess:
-    """How a program is let in: an ``app`` (`globus_sdk.UserApp`, `ClientApp`) or an ``authorizer`` of
-    `globus_sdk`. ``base_url`` is another address of the service. Raises BadInput if there is none."""
+    """How a program authenticates: with an ``app`` (`globus_sdk.UserApp`, `ClientApp`) or an ``authorizer``
+    of `globus_sdk`. ``base_url`` replaces the address of the service. Raises BadInput if there is neither."""
 
     def __init__(
         self, what: str, *, app: Any = None, authorizer: Any = None, base_url: str | None = None
@@ -51,19 +52,19 @@ class GlobusAccess:
         except ImportError:
             raise report_missing_sdk() from None
         made = getattr(globus_sdk, kind)(*args, **self._access)
-        if self._base_url is not None:  # one of the classes takes no `base_url`
+        if self._base_url is not None:  # one of the classes has no parameter `base_url`
             made.base_url = self._base_url
-        # A token that has run out is renewed by this one repetition; we are patient in our own way.
+        # The SDK's one repetition renews an expired token; all other repetitions are ours.
         made.retry_config.max_retries = 1
         return made
 
 
 class GlobusError(PlaceUnavailable):
-    """Globus has not done what it was asked for."""
+    """Globus has not carried out a request."""
 
 
 class GlobusRefused(GlobusError):
-    """Globus does not let the program in, or takes no such request."""
+    """Globus refuses the program's access, or does not accept the request."""
 
 
 class GlobusUnreachable(GlobusError):
@@ -71,7 +72,7 @@ class GlobusUnreachable(GlobusError):
 
 
 class GlobusFailed(GlobusError):
-    """What Globus has begun came to a bad end."""
+    """A task that Globus had begun has failed."""
 
 
 def report_missing_sdk() -> BadInput:
@@ -104,8 +105,8 @@ _LATER = "Start the program again later: it goes on where it was, and sends noth
 
 
 def wait_for(what: str, patience: GlobusTimes, look: Callable[[], T | None]) -> T:
-    """What ``look`` finds, sooner or later. Raises GlobusRefused, and GlobusUnreachable after a long
-    silence."""
+    """The first result of ``look``, which is called until there is one. Raises GlobusRefused, and
+    GlobusUnreachable after a long time without an answer."""
     pause, heard = patience.first_s, time.monotonic()
     while True:
         try:
@@ -124,9 +125,9 @@ def wait_for(what: str, patience: GlobusTimes, look: Callable[[], T | None]) -> 
 def send_once(
     what: str, client: Any, patience: GlobusTimes, send: Callable[[], T], find: Callable[[], T | None]
 ) -> T:
-    """Send something that Globus would do twice if it came twice. The SDK's own repetitions are off. When no
-    answer comes, ``find`` says what has arrived; only if nothing has, it is sent again. Raises GlobusRefused,
-    GlobusUnreachable."""
+    """Send a request that Globus would carry out twice if it arrived twice. The SDK's own repetitions are
+    switched off. If no answer comes, ``find`` returns what has arrived; only if nothing has, the request is
+    sent again. Raises GlobusRefused, GlobusUnreachable."""
     from globus_sdk import GlobusAPIError
 
     pause, begun = patience.first_s, time.monotonic()
@@ -150,7 +151,7 @@ def send_once(
 
 @contextmanager
 def _stop_repetitions(client: Any) -> Iterator[None]:
-    # The SDK's own `tune` does not take the setting back after an error.
+    # After an error, the SDK's own `tune` does not restore the setting.
     config = client.retry_config
     before, config.max_retries = config.max_retries, 0
     try:
@@ -160,7 +161,7 @@ def _stop_repetitions(client: Any) -> Iterator[None]:
 
 
 def _find_pause(cause: BaseException | None) -> float:
-    """Seconds that an answer with status 429 or 503 asks for."""
+    """The seconds to wait that an answer with status 429 or 503 demands."""
     headers = getattr(cause, "headers", None) or {}
     told = str(headers.get("Retry-After", ""))
     return float(told) if told.isdecimal() else 0.0

@@ -1,9 +1,9 @@
 """Globus Compute as a place where functions are computed: an executor that sends each task once.
 
-A submission bears no key of ours by which the service would know it again when its answer was lost. But
-each task belongs to a group, and a group can be asked for its tasks. So all tasks of an experiment go into
-one group, one after the other, each written down before and after it is sent; one that is in the group and
-not written down is the one whose answer was lost. It says itself whose it is: a task returns its mark.
+A submission has no key of ours by which the service could recognise it if its answer was lost. But each task
+belongs to a group, and a group can list its tasks. So all tasks of an experiment are sent to one group, one
+after the other, and each is recorded before and after it is sent. If a task is in the group but not in the
+record, its answer was lost. The task itself shows to which computation it belongs: it returns its mark.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SERVICE = "Globus Compute"
 MOST_WAITING = 64
 
 WORKER_DEATHS = ("WorkerLost", "ManagerLost")
-"""How an endpoint calls it that a worker died with its task."""
+"""The names of the errors by which an endpoint reports that a worker died during a task."""
 
 
 class WorkerLost(Exception):
@@ -43,7 +43,7 @@ class WorkerLost(Exception):
 
 
 class GlobusEndpoint:
-    """An endpoint of Globus Compute: its id, and how the program is let in (see `GlobusAccess`)."""
+    """An endpoint of Globus Compute: its id, and how the program authenticates (see `GlobusAccess`)."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class GlobusEndpoint:
 
 
 class GlobusExecutor(ComputesOnce, Executor):
-    """Computes at an endpoint. For many threads."""
+    """Computes at an endpoint. May be used by many threads."""
 
     def __init__(self, endpoint: str, asked: Any, sending: Any, forms: Any, patience: GlobusTimes) -> None:
         self._endpoint, self._asked, self._sending = endpoint, asked, sending
@@ -79,7 +79,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         self._threads = ThreadPoolExecutor(MOST_WAITING, thread_name_prefix="globus")
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """As of every executor: what was sent is forgotten with the process."""
+        """As for every executor: the record of what was sent ends with the process."""
         return self._threads.submit(self.compute_once, MemoryRecord(), fn, args, kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -88,7 +88,7 @@ class GlobusExecutor(ComputesOnce, Executor):
     def compute_once(
         self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> Any:
-        """What a function returns. Raises its error, WorkerLost, GlobusError."""
+        """Returns the result of the function. Raises the function's error, WorkerLost, GlobusError."""
         known = sent.find_own("sent")
         if known is None:
             task = self._find_task_in_doubt(sent) if sent.find_own("sending") is not None else ""
@@ -104,15 +104,15 @@ class GlobusExecutor(ComputesOnce, Executor):
         return returned.value()
 
     def _find_task_in_doubt(self, sent: SendingRecord) -> str:
-        """The task that a program which was killed has sent under this mark, without hearing of it; empty if
-        there is none. A task says its mark when it ends."""
+        """The task with this mark that was sent by a program which was killed before the answer; empty if
+        there is none. A task returns its mark when it ends."""
         with self._lock:
             strays = self._find_group(sent).strays
         for task in sorted(strays):
             try:
                 mark, _ = self._fetch_result(task)
             except WorkerLost:
-                continue  # nothing is left of it
+                continue  # the task no longer exists
             if mark == sent.mark:
                 return task
         return ""
@@ -125,7 +125,7 @@ class GlobusExecutor(ComputesOnce, Executor):
     def _send(
         self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> dict[str, Any]:
-        """One after the other, so that at most one task is in doubt."""
+        """Tasks are sent one after the other, so that at most one is in doubt."""
         group = self._find_group(sent)
         sent.keep("sending", {"endpoint": self._endpoint, "task_group": group.id})
         batch = self._make_batch(return_marked, sent.mark, function, args, named)
@@ -141,7 +141,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         return self._adopt(sent, task)
 
     def _find_group(self, sent: SendingRecord) -> _Group:
-        """The group of an experiment's tasks, which begins with one that does nothing."""
+        """The group of an experiment's tasks; its first task does nothing."""
         if (group := self._groups.get(sent.of)) is not None:
             return group
         name = f"task group at {self._endpoint}"
@@ -167,7 +167,7 @@ class GlobusExecutor(ComputesOnce, Executor):
             self._functions[function] = str(answer["function_uuid"])
         try:
             payload = self._forms.pack_buffers([self._forms.serialize(args), self._forms.serialize({})])
-        except Exception as error:  # __reduce__ of anybody's class
+        except Exception as error:  # __reduce__ of any class
             raise BadInput(
                 f"An argument cannot be sent to {SERVICE}: {error}.",
                 remedy="Give numbers, text, lists, tables or arrays.",
@@ -175,7 +175,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         return {"create_queue": False, "tasks": {self._functions[function]: [payload]}}
 
     def _fetch_result(self, task: str) -> tuple[str, Returned]:
-        """The mark of a task and what came of it. Raises WorkerLost, GlobusFailed, GlobusError."""
+        """The mark of a task and its outcome. Raises WorkerLost, GlobusFailed, GlobusError."""
 
         def look() -> dict[str, Any] | None:
             found: dict[str, Any] = self._asked.get_task(task).data
@@ -193,8 +193,8 @@ class GlobusExecutor(ComputesOnce, Executor):
 
 
 class _Group:
-    """Tasks of an experiment: ``own`` are written down; ``strays`` were there before this program began, and
-    are not."""
+    """Tasks of an experiment: ``own`` are recorded; ``strays`` were in the group before this program began,
+    and are not recorded."""
 
     def __init__(self, id_: str, own: set[str], strays: set[str]) -> None:
         self.id, self.own, self.strays = id_, own, strays

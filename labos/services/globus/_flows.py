@@ -1,4 +1,4 @@
-"""Flows that Globus carries out: each is started once, and waited for."""
+"""Flows that Globus carries out: each is started once, and its end is awaited."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from labos.services.globus._asking import GlobusAccess, GlobusRefused, GlobusTim
 
 SERVICE = "Globus Flows"
 MOST_RUNS = 500
-"""So many of a flow's last runs are looked through for the one whose answer was lost."""
+"""At most so many of a flow's last runs are searched for the run whose answer was lost."""
 
 ENDS = ("SUCCEEDED", "FAILED", "ENDED")
 
 
 class GlobusFlow:
-    """A flow that stands in Globus Flows: its id, and how the program is let in (see `GlobusAccess`). A run
-    that fails is started again until it was started ``attempts`` times."""
+    """A flow in Globus Flows: its id, and how the program authenticates (see `GlobusAccess`). A run that
+    fails is started again, at most ``attempts`` times in all."""
 
     def __init__(
         self,
@@ -43,18 +43,18 @@ class GlobusFlow:
 
     @cached_property
     def starts(self) -> Any:
-        """The client that may start it."""
+        """The client with the right to start it."""
         return self._access.open("SpecificFlowClient", self.flow)
 
     @cached_property
     def looks(self) -> Any:
-        """The client that may look at its runs."""
+        """The client with the right to read its runs."""
         return self._access.open("FlowsClient")
 
 
 class GlobusRun(msgspec.Struct, frozen=True):
-    """A run of a flow that has ended. ``status``: SUCCEEDED, FAILED, or ENDED (cancelled); ``states`` are
-    what its log says of each state, in order; ``output`` is what it gave, ``why`` it failed."""
+    """A run of a flow that has ended. ``status``: SUCCEEDED, FAILED, or ENDED (cancelled); ``states`` are the
+    entries of its log for each state, in order; ``output`` is its result, ``why`` the reason of a failure."""
 
     id: str
     status: str
@@ -64,8 +64,8 @@ class GlobusRun(msgspec.Struct, frozen=True):
 
 
 def run_once(flow: GlobusFlow, sent: SendingRecord, given: Mapping[str, Any]) -> GlobusRun:
-    """Start a flow, or find the run that was started before; wait for its end. The run bears a tag of ours,
-    by which it is found if the answer was lost. Raises GlobusRefused, GlobusUnreachable."""
+    """Start a flow, or find the run that was started before; wait for its end. The run has a tag of ours, by
+    which it is found if the answer was lost. Raises GlobusRefused, GlobusUnreachable."""
     tag = f"labos-{hashlib.sha256(sent.mark.encode()).hexdigest()[:32]}"
     known = sent.find_own("sent")
     if known is None:

@@ -14,8 +14,8 @@ SERVICE = "Globus Search"
 
 
 class GlobusIndex:
-    """An index of Globus Search: its id, who may see what is published (``["public"]``, say, or URNs of users
-    and groups), and how the program is let in (see `GlobusAccess`)."""
+    """An index of Globus Search: its id, who may see the publications (``["public"]``, for example, or URNs
+    of users and groups), and how the program authenticates (see `GlobusAccess`)."""
 
     def __init__(
         self,
@@ -37,14 +37,14 @@ class GlobusIndex:
 
     @cached_property
     def client(self) -> Any:
-        """The client that may write to it."""
+        """The client with the right to write to it."""
         return self._access.open("SearchClient")
 
 
 def ingest_once(index: GlobusIndex, sent: SendingRecord, subject: str, content: Mapping[str, Any]) -> str:
-    """Put an entry into the index and wait until it can be found; returns the task. Its subject is the same
-    whenever it is sent, so an entry that comes twice takes its own place. Raises GlobusFailed,
-    GlobusRefused, GlobusUnreachable."""
+    """Put an entry into the index and wait until it can be found; returns the task. An entry has the same
+    subject each time it is sent, so a second copy replaces the first. Raises GlobusFailed, GlobusRefused,
+    GlobusUnreachable."""
     known = sent.find_own("sent")
     if known is None:
         entry = {"subject": subject, "visible_to": index.visible_to, "content": dict(content)}

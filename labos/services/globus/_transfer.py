@@ -1,4 +1,4 @@
-"""Files that Globus carries from one collection to another: each is submitted once."""
+"""Files that Globus copies from one collection to another: each is submitted once."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ SCHEME = "globus"
 
 
 class GlobusPlace(msgspec.Struct, frozen=True):
-    """A file of a collection."""
+    """A file in a collection."""
 
     collection: str
     path: str
 
     @classmethod
     def parse(cls, url: str) -> GlobusPlace:
-        """That of ``globus://<collection>/<path>``. Raises BadInput."""
+        """The file that ``globus://<collection>/<path>`` names. Raises BadInput."""
         parts = urlsplit(url)
         if parts.scheme != SCHEME or not parts.netloc or len(parts.path) < 2:
             raise BadInput(
@@ -43,7 +43,7 @@ class GlobusPlace(msgspec.Struct, frozen=True):
 
 
 class GlobusCarrier:
-    """Globus Transfer, and how the program is let in there (see `GlobusAccess`)."""
+    """Globus Transfer, and how the program authenticates (see `GlobusAccess`)."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class GlobusCarrier:
 
 
 class Moved(msgspec.Struct, frozen=True):
-    """A file that has arrived: ``sha256`` is empty if neither was it given nor does Globus tell it."""
+    """A file that has arrived: ``sha256`` is empty if it was not given and Globus does not report it."""
 
     task: str
     bytes: int
@@ -78,8 +78,8 @@ def transfer_once(
     sha256: str = "",
     label: str = "",
 ) -> Moved:
-    """Have Globus copy a file and compare the checksums, and wait until it has. The submission has an id that
-    is written down before: Globus carries it out once, however often it is submitted. Raises GlobusFailed,
+    """Let Globus copy a file and compare the checksums, and wait for the end. The id of the submission is
+    recorded first: Globus carries it out once, however often it is submitted. Raises GlobusFailed,
     GlobusRefused, GlobusUnreachable."""
     try:
         from globus_sdk import MISSING, TransferData

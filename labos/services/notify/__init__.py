@@ -1,8 +1,8 @@
-"""Tells people of what needs them: a follower of the log with an outbox of its own.
+"""Notifies people: follows the log and keeps an outbox of its own.
 
-``contacts`` says who is told, when and how; ``notices`` reads events; ``schedule`` plans who hears
-of a notice when; ``outbox`` keeps what is to be sent and what was; ``channels`` sends; ``notifier``
-puts them together. Nothing of it writes to the log or stands in the kernel's way.
+``contacts`` says who is notified, when and how; ``notices`` reads events; ``schedule`` plans which contact
+receives a notice when; ``outbox`` stores what will be sent and what was sent; ``channels`` sends;
+``notifier`` puts these parts together. No part writes to the log or delays the kernel.
 """
 
 from labos.services.notify.contacts import Book, Contact, load_contacts

@@ -1,4 +1,4 @@
-"""How a message leaves: by SMTP or as a webhook. Calls block and raise Undelivered."""
+"""Sends messages: by SMTP or as a webhook. Calls block and raise Undelivered."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TIMEOUT_S = 10.0
 
 
 class Notification(msgspec.Struct, frozen=True):
-    """``id`` is the same at every attempt: by it a receiver knows a second copy."""
+    """``id`` is the same at every attempt: by it a receiver recognises a second copy."""
 
     id: str
     lab: str
@@ -43,7 +43,8 @@ def send(book: Book, contact: Contact, message: Notification) -> None:
 
 
 def make_way_key(contact: Contact) -> str:
-    """What several messages share when their server cannot be reached."""
+    """The name of the server, which is the same for all messages that cannot be sent if this server is
+    unreachable."""
     return contact.webhook or "smtp"
 
 
@@ -55,7 +56,7 @@ def mail(smtp: Smtp, address: str, message: Notification) -> EmailMessage:
     letter["Subject"] = message.subject
     letter["Date"] = format_datetime(datetime.fromtimestamp(message.notice.at // 10**9, UTC))
     letter["Message-ID"] = f"<{message.id}@{message.lab or 'labos'}.labos>"
-    # RFC 3834: holiday replies are not wanted.
+    # RFC 3834: automatic replies, such as those during holidays, are not wanted.
     letter["Auto-Submitted"] = "auto-generated"
     if message.notice.urgent:
         letter["Importance"] = "high"
@@ -65,7 +66,7 @@ def mail(smtp: Smtp, address: str, message: Notification) -> EmailMessage:
 
 
 def make_body(message: Notification) -> dict[str, Any]:
-    """The message as a webhook's JSON."""
+    """The message as the JSON of a webhook."""
     notice = message.notice
     return {
         "id": message.id,
@@ -108,7 +109,7 @@ def _connect(smtp: Smtp) -> smtplib.SMTP:
 
 
 def _describe_error(error: Exception, address: str) -> str:
-    """What went wrong, without the address that it went wrong for."""
+    """A description of the error, without the address of the contact."""
     return _describe_server_error(error).replace(address, "the address").rstrip(".")
 
 
@@ -128,7 +129,7 @@ def _post(contact: Contact, message: Notification) -> None:
     headers = {"Idempotency-Key": message.id, "User-Agent": "labos"}
     if contact.token is not None:
         headers["Authorization"] = f"Bearer {contact.token.value()}"
-    # Only the host is named in errors: the path of a webhook is often its password.
+    # Only the host is named in errors: the path of a webhook often contains its password.
     host = httpx.URL(contact.webhook).host
     try:
         answer = httpx.post(contact.webhook, json=make_body(message), headers=headers, timeout=TIMEOUT_S)

@@ -1,7 +1,7 @@
-"""The contacts file: who is told of what, when, and by which way.
+"""The contacts file: who is notified of what, when, and by which channel.
 
-Names and addresses stay in this file. Passwords are never written in it: it says in which
-environment variable or file they are.
+Names and addresses stay in this file. It never contains passwords: it names the environment variable or file
+in which they are.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ ContactName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_\-]*$", max
 
 
 class Secret(Part):
-    """Where a password is: in an environment variable, or alone in a file."""
+    """Where a password is: in an environment variable, or as the only content of a file."""
 
     env: str = ""
     file: str = ""
@@ -72,7 +72,7 @@ class Secret(Part):
         return self
 
     def value(self) -> str:
-        """The secret itself. Raises Undelivered if it is not there."""
+        """The secret itself. Raises Undelivered if it does not exist."""
         if self.env:
             found = os.environ.get(self.env, "")
         else:
@@ -88,7 +88,7 @@ class Secret(Part):
 
 
 class Smtp(Part):
-    """The mail server. ``security`` none is for a server on this machine, or one without password."""
+    """The mail server. ``security`` none is for a server on this computer, or one without a password."""
 
     host: str
     port: int = Field(default=587, ge=1, le=65535)
@@ -99,8 +99,8 @@ class Smtp(Part):
 
 
 class Quiet(Part):
-    """Hours in which what is not urgent is held until they end. ``urgent`` messages pass, or are
-    held too."""
+    """Hours in which messages that are not urgent are held until the hours end. ``urgent`` says whether
+    urgent ones are sent or held too."""
 
     start: TimeOfDay
     end: TimeOfDay
@@ -108,7 +108,7 @@ class Quiet(Part):
 
 
 class Contact(Part):
-    """Somebody who is told: by e-mail or by a webhook. ``about`` are the topics they care for."""
+    """A person or group to notify: by e-mail or by a webhook. ``about`` are the topics they want."""
 
     email: Annotated[str, AfterValidator(_check_address)] = ""
     webhook: Annotated[str, AfterValidator(_check_web_address)] = ""
@@ -123,15 +123,15 @@ class Contact(Part):
 
 
 class EscalationLevel(Part):
-    """Who is told next when nobody has answered for so long."""
+    """The contacts that are notified next if nobody has answered for a given time."""
 
     notify: list[str] = Field(min_length=1)
     after: Annotated[Seconds, Field(ge=0)] = 0.0
 
 
 class Book(Part):
-    """The contacts file. Without ``escalation`` everybody is told at once. ``module_grace`` is how
-    long a module may be away before anybody is told."""
+    """The contacts file. Without ``escalation`` all contacts are notified at once. ``module_grace`` is how
+    long a module may be away before anybody is notified."""
 
     labos: Literal[1] = 1
     timezone: Annotated[str, AfterValidator(_check_zone)] | None = None
@@ -145,7 +145,7 @@ class Book(Part):
         return self.escalation or [EscalationLevel(notify=list(self.contacts))]
 
     def find_zone(self, contact: Contact) -> tzinfo | None:
-        """The contact's time zone, else the lab's; None for the machine's."""
+        """The contact's time zone, else the lab's; None for the time zone of this computer."""
         name = contact.timezone or self.timezone
         return ZoneInfo(name) if name else None
 
@@ -163,7 +163,7 @@ def load_contacts(source: Source | str | Path) -> Book:
 
 
 def _check(book: Book, source: Source, report: FindingList) -> None:
-    """What no single value shows."""
+    """Checks that concern several values together."""
 
     def error(message: str, path: Path_, remedy: str) -> None:
         report.error(message, source.place(path), field=source.name_field(path), remedy=remedy)

@@ -1,4 +1,4 @@
-"""What an event has to tell people, if anything."""
+"""The notice for people that follows from an event, if any."""
 
 from __future__ import annotations
 
@@ -38,16 +38,14 @@ TYPES = tuple(
 """The events that a notifier reads."""
 
 MILD = ("failed_run", "lost_experiment", "approval")
-"""Questions that can wait: what they are about has ended, and holds nothing but its own labware, or has not
-begun."""
+"""Questions that can wait: their subject has ended and holds only its own labware, or it has not begun."""
 
 KERNEL = "kernel"
 
 
 class Notice(msgspec.Struct, frozen=True):
-    """Something that people are told. ``event`` is the id of the event it follows from, ``key``
-    what an answer to it bears (empty: it asks nothing), ``urgent`` whether the lab, or a part of
-    it, stands still until somebody comes."""
+    """A text for people. ``event`` is the id of the event that caused it; ``key`` is the key of its answer
+    (empty: it asks nothing); ``urgent``: the lab, or a part of it, stands still until a person acts."""
 
     event: str
     position: int
@@ -60,8 +58,9 @@ class Notice(msgspec.Struct, frozen=True):
 
 
 class SettledNotice(msgspec.Struct, frozen=True):
-    """What a notice told of is settled: nobody else need hear of it. ``all``: so is everything
-    whose key begins with this one; ``quietly``: only if nobody has heard of it so far."""
+    """The subject of an earlier notice is settled: no other person has to be notified. ``all``: this holds
+    for every notice whose key begins with this one; ``quietly``: only for notices that have not been sent
+    yet."""
 
     key: str
     why: str
@@ -70,7 +69,7 @@ class SettledNotice(msgspec.Struct, frozen=True):
 
 
 def read_event(event: Event, head: Envelope) -> Notice | SettledNotice | None:
-    """The notice that follows from an event, or what it settles."""
+    """The notice that follows from an event, or the notice that it settles."""
     match event:
         case InterventionRequested():
             return _make_question_notice(event, head)
@@ -113,7 +112,7 @@ def quarantine_key(module: str) -> str:
 
 
 def report_kernel_death(event: str, position: int, at: int, why: str) -> Notice:
-    """The kernel has stopped by itself; ``event`` is that of its start."""
+    """The kernel has stopped by itself; ``event`` is the event of its start."""
     text = (
         f"The kernel has stopped: {why}\n\nNo step starts until it runs again. "
         "Instruments finish what they are doing.\n\nStart it with: labos up"
@@ -122,7 +121,7 @@ def report_kernel_death(event: str, position: int, at: int, why: str) -> Notice:
 
 
 def report_kernel_gone(head: Envelope, before: int, epoch: int) -> Notice:
-    """A kernel has started after one that did not end in order."""
+    """A kernel has started after an earlier one that did not shut down properly."""
     text = (
         f"The kernel (epoch {before}) ended without closing the lab. Another one (epoch {epoch}) has "
         "started and goes on from the log; it asks where it cannot know."

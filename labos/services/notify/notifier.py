@@ -1,4 +1,4 @@
-"""Follows the log, fills the outbox, sends what is due; in a thread of its own."""
+"""Follows the log, fills the outbox and sends the messages that are due, in its own thread."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FIRST_PAUSE_S = 30
 LONGEST_PAUSE_S = 1800
 GIVEN_UP_S = 3 * 86_400
 IDLE_S = 60.0
-"""Without any sign, the log is looked at so often."""
+"""The log is read at least every so many seconds, also without a signal."""
 
 Told = tuple[Notice, Sequence[Due]] | SettledNotice
 
@@ -44,10 +44,10 @@ _log = structlog.get_logger(__name__)
 
 
 class Notifier:
-    """``turn`` does what is to be done now; ``start`` does it in a thread until ``close``.
+    """``turn`` does everything that is due now; ``start`` repeats it in a thread until ``close``.
 
-    ``log`` is a reader of its own: nothing here makes the kernel wait. ``hang_up`` breaks off what it
-    waits for.
+    ``log`` is a reader of its own, so the kernel never waits. ``hang_up`` interrupts the reader's pending
+    request.
     """
 
     def __init__(
@@ -72,25 +72,25 @@ class Notifier:
         self._ended = False
         self._thread: threading.Thread | None = None
 
-    # -- life --------------------------------------------------------------------------------
+    # -- start and end -----------------------------------------------------------------------
 
     def start(self) -> None:
         self._thread = threading.Thread(target=self._send_until_closed, name="labos-notifier", daemon=True)
         self._thread.start()
 
     def wake(self) -> None:
-        """There is something to read. May be called from any thread, and never waits."""
+        """There are new events. May be called from any thread, and never waits."""
         self._awake.set()
 
     def on_kernel_stopped(self, why: str) -> None:
-        """The kernel has failed. Perhaps because its database is frozen: then that is to be told, and not
-        waited for."""
+        """The kernel has failed. Its database may be unreachable, so the notice is sent without waiting for
+        it."""
         self._dead = why or "for a reason that it did not give"
         self._hang_up()
         self._awake.set()
 
     def on_kernel_closed(self) -> None:
-        """The kernel has ended in order, its nodes with it."""
+        """The kernel has shut down properly, and its nodes too."""
         self._dead = ""
         now = self.clock.now_ns()
         self.outbox.take_in(
@@ -102,21 +102,22 @@ class Notifier:
         self._dead = ""
 
     def begin_close(self) -> None:
-        """The lab is being closed: nodes that leave now do so in order."""
+        """The lab is being shut down: nodes that leave now are expected to."""
         self.closing = True
 
     def close(self, patience_s: float = 5.0) -> None:
-        """Send what is due, for so long at the most; what is left is sent when a lab runs again."""
+        """Send the messages that are due, for at most ``patience_s``; the others are sent when the lab runs
+        again."""
         if not self._dead:
             self._note_closed()
         self.closing = self._ended = True
         self._awake.set()
         if self._thread is not None:
-            self._thread.join(patience_s)  # it may wait for a server; the process need not
+            self._thread.join(patience_s)  # it may wait for a server; the process does not have to
 
     @property
     def busy(self) -> bool:
-        """Whether the thread has not ended: it waits for a server."""
+        """Whether the thread has not ended, because it waits for a server."""
         return self._thread is not None and self._thread.is_alive()
 
     def _note_closed(self) -> None:
@@ -146,11 +147,12 @@ class Notifier:
     # -- a turn ------------------------------------------------------------------------------
 
     def turn(self) -> int | None:
-        """Read what is new, send what is due; returns when something is due next (UTC ns)."""
+        """Read the new events and send the messages that are due; returns when the next message is due (UTC
+        ns)."""
         try:
             self.read()
         except StoreError as error:
-            # What is known already goes out all the same: this may be why the kernel stopped.
+            # Notices in the outbox are sent all the same: this error may be why the kernel stopped.
             _log.warning("log_not_read", why=str(error))
         if self._dead:
             self._tell_of_death()
@@ -158,7 +160,7 @@ class Notifier:
         return self.outbox.find_next_time()
 
     def read(self) -> None:
-        """Take the log's news into the outbox. Raises StoreError."""
+        """Put the notices of new events into the outbox. Raises StoreError."""
         head = self.log.head()
         if head.lab != self._names[0] and head.position:
             self._names = (head.lab, self._find_lab_name())
@@ -178,7 +180,7 @@ class Notifier:
             self.outbox.keep(position=position)
 
     def _read_first(self, upto: int) -> None:
-        """The first time of all: what was settled long ago is told to nobody."""
+        """The first reading of a log: nobody is notified of what was settled long ago."""
         waiting: dict[str, Notice] = {}
         epoch = 0
         for record in self.log.select(LogQuery(upto=upto, types=TYPES)):
@@ -212,13 +214,14 @@ class Notifier:
             self.outbox.take_in([(item, plan(self.book, item, now))], now, position=head.position)
 
     def _is_known(self, notice: Notice) -> bool:
-        """Whether people know already, or it is only that the lab is being closed."""
+        """Whether people have been notified already, or the event only shows that the lab is being shut
+        down."""
         if notice.topic == "modules" and self.closing:
             return True
         return bool(notice.key) and self.outbox.is_open(notice.key)
 
     def _tell_restart(self, event: KernelStarted, head: Envelope, now: int) -> list[Told]:
-        """A new kernel finds out by itself which nodes live; and it is one that runs."""
+        """A new kernel finds out by itself which nodes are alive; and it shows that a kernel runs again."""
         told: list[Told] = [
             SettledNotice(module_key(""), "a new kernel looks for its nodes", all=True, quietly=True)
         ]
@@ -229,8 +232,8 @@ class Notifier:
         return [*told, SettledNotice(KERNEL, "the kernel runs again")]
 
     def _tell_of_death(self) -> None:
-        """The kernel has stopped; told once for each of its starts, also if nothing can be written
-        any more: a full disk may be why it stopped."""
+        """The kernel has stopped. People are notified once for each start of a kernel, also if the outbox
+        cannot be written: a full disk may be why the kernel stopped."""
         now = self.clock.now_ns()
         notice = report_kernel_death(*self._started, now, self._dead)
         dues = plan(self.book, notice, now)
@@ -252,14 +255,14 @@ class Notifier:
     # -- sending -----------------------------------------------------------------------------
 
     def send_due(self) -> None:
-        """Try what is due once; a server that cannot be reached is tried once for all."""
+        """Try to send every message that is due; if a server cannot be reached, it is tried only once."""
         unreachable: dict[str, str] = {}
         for delivery in self.outbox.list_due(self.clock.now_ns()):
             if delivery.contact not in self.book.contacts:
                 why = "the contacts file has no such contact any more"
                 self.outbox.mark_failed(delivery, why, self.clock.now_ns(), None, tried=False)
             elif delivery.id in self._sent:
-                self._note_sent(delivery)  # it could not be noted before
+                self._note_sent(delivery)  # the delivery could not be recorded before
             else:
                 why = self._send(delivery, unreachable)
                 if why:
@@ -268,7 +271,7 @@ class Notifier:
                     self._note_sent(delivery)
 
     def _send(self, delivery: Delivery, unreachable: dict[str, str]) -> str:
-        """Send one message; returns why it was not taken, if it was not."""
+        """Send one message; returns the reason if it was not accepted."""
         contact = self.book.contacts[delivery.contact]
         way = channels.make_way_key(contact)
         if way in unreachable:
@@ -288,7 +291,8 @@ class Notifier:
         self._sent.discard(delivery.id)
 
     def _make_message(self, delivery: Delivery) -> channels.Notification:
-        """The message with people's words put in; the outbox has references, as they may be erased."""
+        """The message with the texts of people's words. The outbox has only references, as words may be
+        erased."""
         notice = delivery.notice
         try:
             notice = show_struct(self.log, notice)
@@ -304,13 +308,13 @@ class Notifier:
 
 
 def pause_ns(failures: int) -> int:
-    """How long to wait after so many failures: 30 s, twice as long each time, half an hour at most."""
+    """The pause after so many failures: 30 s, twice as long each time, half an hour at most."""
     doubled: int = FIRST_PAUSE_S << min(max(failures - 1, 0), 10)
     return min(doubled, LONGEST_PAUSE_S) * SECOND
 
 
 def test_message(lab: str, contact: str, clock: Clock) -> channels.Notification:
-    """A message by which a contact is tried."""
+    """A message with which a contact is tested."""
     now = clock.now_ns()
     text = "This is a test of LabOS' notifications. Nothing is the matter."
     notice = Notice(f"test-{now}", 0, now, "test", "", "a test message", text)

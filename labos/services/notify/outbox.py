@@ -1,8 +1,8 @@
-"""What is to be sent, and what was: a small SQLite file beside the log.
+"""The messages to send and those that were sent: a small SQLite file beside the log.
 
-A file of its own, because a second writer on the log's database would make the kernel wait. What
-the log told and how far it was read are written in one transaction, so a restart neither loses a
-notice nor makes one twice. It holds names of contacts as the contacts file has them, no addresses.
+It is a separate file, because a second writer in the log's database would delay the kernel. Notices and the
+position up to which the log was read are written in one transaction, so a restart neither loses a notice nor
+repeats one. The file holds the names of contacts from the contacts file, but no addresses.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from labos.services.notify.notices import Notice, SettledNotice
 from labos.services.notify.schedule import Due
 
 KEPT_NS = 90 * 86_400 * 1_000_000_000
-"""What is over is forgotten after 90 days."""
+"""Notices that are settled are deleted after 90 days."""
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS note (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
@@ -39,9 +39,9 @@ State = Literal["waiting", "sent", "withdrawn", "given_up"]
 
 
 class Delivery(msgspec.Struct, frozen=True):
-    """A message to one contact. ``due_at`` is when it may first be sent, ``try_at`` when it is
-    tried next, ``done_at`` when it was sent or ended otherwise (UTC ns, 0 for not yet); ``id`` is
-    the same at every attempt."""
+    """A message to one contact. ``due_at`` is the earliest time to send it, ``try_at`` the time of the next
+    attempt, ``done_at`` when it was sent or withdrawn (UTC ns, 0 for not yet); ``id`` is the same at every
+    attempt."""
 
     notice: Notice
     contact: str
@@ -59,7 +59,7 @@ class Delivery(msgspec.Struct, frozen=True):
 
 
 class Outbox:
-    """The file. One notifier writes it; anybody may read it. Calls raise StoreUnavailable."""
+    """The file. One notifier writes it; every process may read it. Calls raise StoreUnavailable."""
 
     def __init__(self, path: Path, *, create: bool = True) -> None:
         self.path = path
@@ -80,11 +80,11 @@ class Outbox:
     def close(self) -> None:
         self._db.close()
 
-    # -- what the log told -------------------------------------------------------------------
+    # -- notices of the log -------------------------------------------------------------------
 
     def note(self, name: str) -> int | None:
-        """A number that was kept: ``position`` (the log is read up to there), ``epoch`` (the last
-        kernel's), ``closed`` (the last epoch that ended in order)."""
+        """A stored number: ``position`` (the log was read up to there), ``epoch`` (that of the last kernel),
+        ``closed`` (the last epoch that shut down properly)."""
         rows = self._read_rows("SELECT value FROM note WHERE name = ?", (name,))
         return int(rows[0][0]) if rows else None
 
@@ -95,7 +95,8 @@ class Outbox:
     def take_in(
         self, told: Sequence[tuple[Notice, Sequence[Due]] | SettledNotice], now: int, **notes: int
     ) -> None:
-        """Keep notices with all their messages, and settle what is answered; all or nothing."""
+        """Store notices with all their messages, and settle those that were answered; all in one
+        transaction."""
         with self._write_transaction():
             for item in told:
                 if isinstance(item, SettledNotice):
@@ -105,7 +106,7 @@ class Outbox:
             self._keep(notes)
 
     def is_open(self, key: str) -> bool:
-        """Whether people were told of this, or will be, and it is not settled."""
+        """Whether people were or will be notified of this, and it is not settled."""
         return bool(self._read_rows("SELECT 1 FROM notice WHERE key = ? AND settled IS NULL", (key,)))
 
     def _add(self, notice: Notice, dues: Sequence[Due]) -> None:
@@ -115,7 +116,7 @@ class Outbox:
             (notice.event, notice.key, body, notice.at),
         )
         if done.rowcount != 1:
-            return  # known from before
+            return  # already stored
         self._db.executemany(
             "INSERT INTO delivery VALUES (?, ?, ?, ?, ?, 'waiting', 0, 0, '')",
             [(notice.event, due.contact, due.level, due.at, due.at) for due in dues],
@@ -133,14 +134,14 @@ class Outbox:
                 (now, event),
             )
 
-    # -- what is to be sent ------------------------------------------------------------------
+    # -- messages to send --------------------------------------------------------------------
 
     def list_due(self, now: int) -> list[Delivery]:
-        """What may be sent now, oldest first."""
+        """The messages that may be sent now, oldest first."""
         return self._read_deliveries("WHERE state = 'waiting' AND try_at <= ? ORDER BY try_at, level", (now,))
 
     def find_next_time(self) -> int | None:
-        """When something is to be sent next."""
+        """The time of the next message."""
         rows = self._read_rows("SELECT min(try_at) FROM delivery WHERE state = 'waiting'", ())
         return None if rows[0][0] is None else int(rows[0][0])
 
@@ -150,7 +151,7 @@ class Outbox:
     def mark_failed(
         self, delivery: Delivery, error: str, now: int, try_at: int | None, *, tried: bool = True
     ) -> None:
-        """It was not taken: once more at ``try_at``, or never again."""
+        """It was not accepted: try again at ``try_at``, or never if there is no such time."""
         attempts = delivery.attempts + tried
         if try_at is None:
             self._mark(delivery, "given_up", attempts, now, now, error)
@@ -162,7 +163,7 @@ class Outbox:
     ) -> None:
         which = (delivery.notice.event, delivery.contact, delivery.level)
         with self._write_transaction():
-            # What was withdrawn while it was being sent has been heard all the same.
+            # A message may be withdrawn while it is being sent: it counts as sent.
             self._db.execute(
                 "UPDATE delivery SET state = ?, attempts = ?, done_at = ?, try_at = ?, error = ?"
                 " WHERE event = ? AND contact = ? AND level = ? AND (state = 'waiting' OR ? = 'sent')",
@@ -185,7 +186,7 @@ class Outbox:
         return found[::-1]
 
     def forget(self, now: int) -> None:
-        """Drop what has been over for long."""
+        """Delete notices that have been settled for long."""
         with self._write_transaction():
             over = (now - KEPT_NS,)
             self._db.execute("DELETE FROM delivery WHERE state != 'waiting' AND done_at < ?", over)
@@ -195,7 +196,7 @@ class Outbox:
                 over,
             )
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------
 
     def _read_deliveries(self, tail: str, values: tuple[object, ...]) -> list[Delivery]:
         rows = self._read_rows(

@@ -1,4 +1,4 @@
-"""Who hears of a notice, and when: escalation and quiet hours. Pure; times in UTC nanoseconds."""
+"""Which contact receives a notice, and when: escalation and quiet hours. Pure; times in UTC nanoseconds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SECOND = 1_000_000_000
 
 
 class Due(msgspec.Struct, frozen=True):
-    """A contact is to be told at a time."""
+    """A contact and the time at which it will be notified."""
 
     contact: str
     level: int
@@ -21,12 +21,12 @@ class Due(msgspec.Struct, frozen=True):
 
 
 def plan(book: Book, notice: Notice, now: int) -> list[Due]:
-    """Every message that the notice will take if nobody answers it.
+    """Every message that follows from the notice if nobody answers it.
 
-    A question that is not urgent goes to the next level so long after the first contact of the
-    one before could hear it; an urgent one does not wait for anybody's morning. What asks nothing
-    is told to the first level that cares. When the kernel has stopped, nobody may be left to
-    escalate: everybody is told at once.
+    Each level is notified a given time after the level before. If a question is not urgent, this time begins
+    when the first contact of the level before can be notified; for an urgent one, quiet hours do not delay
+    the next level. A notice that asks nothing is sent to the first level that wants its topic. If the kernel
+    has stopped, there may be no process left for an escalation: all contacts are notified at once.
     """
     base = now + int(book.module_grace * SECOND) if notice.topic == "modules" else now
     found: list[Due] = []
@@ -46,7 +46,7 @@ def plan(book: Book, notice: Notice, now: int) -> list[Due]:
 
 
 def find_audible_time(book: Book, contact: Contact, at: int, *, urgent: bool) -> int:
-    """The first moment from ``at`` on at which a contact may be told."""
+    """The first moment from ``at`` on at which a contact may be notified."""
     quiet = contact.quiet
     if quiet is None or (urgent and quiet.urgent == "pass"):
         return at
@@ -54,8 +54,8 @@ def find_audible_time(book: Book, contact: Contact, at: int, *, urgent: bool) ->
 
 
 def end_of_quiet(quiet: Quiet, zone: tzinfo | None, at: int) -> int:
-    """The end of the quiet hours that ``at`` falls into, else ``at``. ``zone`` None is the
-    machine's."""
+    """The end of the quiet hours that contain ``at``, else ``at``. ``zone`` None is the time zone of this
+    computer."""
     here = datetime.fromtimestamp(at // SECOND, UTC).astimezone(zone)
     minute = here.hour * 60 + here.minute
     over_midnight = quiet.start > quiet.end
@@ -66,6 +66,6 @@ def end_of_quiet(quiet: Quiet, zone: tzinfo | None, at: int) -> int:
     if not inside:
         return at
     day = here.date() + timedelta(days=1 if over_midnight and minute >= quiet.start else 0)
-    # By the clock on the wall, also where summer time begins or ends in between.
+    # By local time, also on days on which summer time begins or ends.
     end = datetime(day.year, day.month, day.day, quiet.end // 60, quiet.end % 60, tzinfo=zone)
     return max(int(end.timestamp()) * SECOND, at)

@@ -1,5 +1,5 @@
-"""Proof that holds outside the lab: keys, signed checkpoints, witnesses, time stamps, bundles of a run.
+"""Proofs that are valid outside the lab: keys, signed checkpoints, witnesses, time stamps, bundles of a run.
 
-Formats are public ones, so that others can check them without LabOS: C2SP ``signed-note``,
+The formats are public, so that others can check them without LabOS: C2SP ``signed-note``,
 ``tlog-checkpoint``, ``tlog-cosignature`` and ``tlog-witness``, the Merkle tree of RFC 6962, RFC 3161.
 """

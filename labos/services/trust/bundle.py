@@ -1,8 +1,8 @@
-"""A bundle: a run, an experiment or a campaign as a file, with all that proves it to somebody who has the
-lab's public key.
+"""A bundle: a run, an experiment or a campaign as a file, with its proof for readers who have the lab's
+public key.
 
-A zip file. Nothing in it is believed for itself: events are in the tree whose root is signed, payloads and
-files have the digests that the events name.
+A zip file. Each part is checked: events are in the tree whose root is signed, payloads and files have the
+digests that the events name.
 
 ===================  ========================================================================
 ``bundle.json``      what it is and from which lab (for people; it is checked against the events)
@@ -40,7 +40,8 @@ from labos.services.trust.notes import Note
 from labos.services.verification import find_needed_blobs
 
 FORMAT = "labos-bundle/1"
-"""Of a run, without words; the second one is of an experiment or a campaign, the third one has words."""
+"""The format of a run's bundle without words; the second one is for an experiment or a campaign, the third
+one for bundles with words."""
 FORMAT_OF_SEVERAL, WITH_WORDS = "labos-bundle/2", "labos-bundle/3"
 PLANS = (PlanRecorded.TYPE, PlanStepsRecorded.TYPE)
 ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
@@ -55,8 +56,9 @@ BLOBS = "blobs/"
 
 
 class AboutBundle(msgspec.Struct, frozen=True):
-    """What a bundle says of itself. ``subject`` is what it is of, and ``kind`` what that is; ``runs`` are the
-    runs of an experiment or a campaign. One of a run names its ``run``, as the first bundles did."""
+    """The description in a bundle. ``subject`` is the run, experiment or campaign, and ``kind`` says which of
+    these it is; ``runs`` are the runs of an experiment or a campaign. The bundle of a run also has its
+    ``run``, as in the first format."""
 
     format: str
     lab: str
@@ -75,8 +77,7 @@ class AboutBundle(msgspec.Struct, frozen=True):
 
 
 class ProvenEvent(msgspec.Struct, frozen=True):
-    """A line of ``events.jsonl``: bytes as they are stored, and the hashes of the proof as hexadecimal
-    digits."""
+    """A line of ``events.jsonl``: the bytes as stored, and the hashes of the proof as hexadecimal digits."""
 
     envelope: msgspec.Raw
     payload: msgspec.Raw
@@ -84,7 +85,7 @@ class ProvenEvent(msgspec.Struct, frozen=True):
 
 
 class Planned(Protocol):
-    """An event with what it says."""
+    """An event with its decoded content."""
 
     @property
     def head(self) -> Envelope: ...
@@ -93,8 +94,8 @@ class Planned(Protocol):
 
 
 class ToldWords(msgspec.Struct, frozen=True):
-    """A line of ``words.jsonl``: a text, and the salt (hexadecimal digits) with which its digest stands in an
-    event."""
+    """A line of ``words.jsonl``: a text and its salt (hexadecimal digits). An event holds the digest of
+    both."""
 
     reference: str
     salt: str
@@ -102,8 +103,8 @@ class ToldWords(msgspec.Struct, frozen=True):
 
 
 class Attachments(msgspec.Struct, frozen=True):
-    """What goes into a bundle beside the log: the checkpoint, its time stamp, changes of the key; and whether
-    what people wrote does."""
+    """The parts of a bundle that are not in the log: the checkpoint, its time stamp, rotations of the key;
+    and whether people's words are included."""
 
     note: Note
     stamp: bytes = b""
@@ -112,9 +113,9 @@ class Attachments(msgspec.Struct, frozen=True):
 
 
 def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -> tuple[bytes, AboutBundle]:
-    """The bundle of a run, an experiment or a campaign that had ended at a checkpoint. Raises NotFound for an
-    unknown one or a blob that is not there, Refused if it had not ended, LogDamaged if the log is not the one
-    of the checkpoint."""
+    """The bundle of a run, an experiment or a campaign that had ended at the checkpoint. Raises NotFound for
+    an unknown one or a missing blob, Refused if it had not ended, LogDamaged if the checkpoint is not of this
+    log."""
     head = parse_tree_head(beside.note.text)
     tree, records, runs = _read(log, subject, head)
     kind = _kind_of(records, subject)
@@ -165,7 +166,7 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
 
 
 def _encode_words(log: Log, records: Iterable[Record]) -> bytes:
-    """What people wrote into records, as far as it was not erased."""
+    """The words in records that have not been erased."""
     named = dict.fromkeys(name for record in records for name in list_references(record.payload))
     found = log.words_of(named) if named else {}
     standing = [found[name] for name in named if name in found and not found[name].is_erased]
@@ -176,8 +177,8 @@ def _encode_words(log: Log, records: Iterable[Record]) -> bytes:
 
 
 def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], tuple[str, ...]]:
-    """The tree of a checkpoint, and the records of a bundle: the stream of what it is of, those of its runs,
-    signatures under any of them, and plans that stand in other streams. And the runs."""
+    """The tree of a checkpoint, the records of a bundle, and the runs. The records are: the stream of the
+    subject, those of its runs, the signatures for any of them, and plans that are in other streams."""
     found: dict[int, Record] = {}
     plans: dict[str, list[Record]] = {}
     runs = dict.fromkeys(list_runs(log, subject, head.size))
@@ -202,19 +203,19 @@ def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], t
 
 
 def _kind_of(records: Iterable[Record], subject: str) -> Kind | None:
-    """What the first event of a stream begins."""
+    """The kind of a stream, by its first event."""
     kinds = (BEGINS.get(record.head.type) for record in records if record.head.stream == subject)
     return next((kind for kind in kinds if kind is not None), None)
 
 
 def belongs_to(submission: bytes, subject: str) -> bool:
-    """Whether the run of a submission is one of an experiment or a campaign."""
+    """Whether a submitted run belongs to an experiment or a campaign."""
     found = msgspec.json.decode(submission)
     return subject in (found.get("experiment"), found.get("campaign"))
 
 
 def is_signature(kind: str, payload: bytes, names: Container[str]) -> bool:
-    """Whether an event is a signature under one of these."""
+    """Whether an event is a signature for one of these names."""
     if kind not in SIGNED:
         return False
     found = msgspec.json.decode(payload)
@@ -222,7 +223,7 @@ def is_signature(kind: str, payload: bytes, names: Container[str]) -> bool:
 
 
 def list_plan_streams(records: Iterable[Planned]) -> Iterator[str]:
-    """In which streams the plans of submitted runs stand, besides their own."""
+    """The streams with the plans of submitted runs, besides the runs' own streams."""
     for record in records:
         if record.head.type == RunSubmitted.TYPE:
             name = msgspec.json.decode(record.payload).get("planned_by", "")
@@ -243,6 +244,6 @@ def _pack(files: dict[str, bytes]) -> bytes:
 
 
 def note_beside(path: Path) -> tuple[bytes, bytes]:
-    """A checkpoint's file and the time stamp beside it, if there is one. Raises OSError."""
+    """A checkpoint file and the time stamp beside it, if there is one. Raises OSError."""
     stamp = path.with_suffix(".tsr")
     return path.read_bytes(), stamp.read_bytes() if stamp.exists() else b""

@@ -16,7 +16,8 @@ from labos.services.trust.notes import Note, SigningKey
 
 
 class TreeHead(msgspec.Struct, frozen=True):
-    """A tree: whose, how many leaves, which root. The leaf of position p is the one with the index p - 1."""
+    """The head of a tree: its log, its number of leaves, its root. The leaf of position p has the index p -
+    1."""
 
     origin: str
     size: int
@@ -28,7 +29,7 @@ class TreeHead(msgspec.Struct, frozen=True):
 
 
 def parse_tree_head(text: str) -> TreeHead:
-    """What a checkpoint says. Lines behind the third are passed over. Raises BadInput."""
+    """The content of a checkpoint. Lines after the third are ignored. Raises BadInput."""
     try:
         origin, number, root, *_ = text.splitlines()
         size = int(number)
@@ -51,8 +52,8 @@ def iterate_leaves(records: Iterable[Record]) -> Iterator[bytes]:
 
 
 def compute_roots_at(log: Log, sizes: Iterable[int]) -> dict[int, bytes]:
-    """The roots of the log's tree at some sizes; those that the log does not reach are left out. Reads the
-    log from its beginning. Raises StoreUnavailable, LogDamaged."""
+    """The roots of the log's tree at some sizes; sizes larger than the log are left out. Reads the log from
+    its beginning. Raises StoreUnavailable, LogDamaged."""
     wanted = sorted(set(sizes))
     edge = Edge()
     found = {0: edge.compute_root()} if 0 in wanted else {}

@@ -1,4 +1,4 @@
-"""Compares a log with the signed checkpoints that were kept of it, and says where it departs from them."""
+"""Compares a log with signed checkpoints that were kept elsewhere, and finds where it differs from them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from labos.services.trust.notes import MOST_BYTES, SIGNED, parse_note
 
 
 class CheckpointComparison(msgspec.Struct, frozen=True):
-    """How many checkpoints there were, up to which position the log agrees with them (0: with none), and
-    how it contradicts them, in one sentence; ``position`` is the first that may be another."""
+    """The number of checkpoints, the position up to which the log agrees with them (0: with none), and the
+    contradiction in one sentence; ``position`` is the first one that may differ."""
 
     number: int
     agrees_to: int
@@ -25,7 +25,7 @@ class CheckpointComparison(msgspec.Struct, frozen=True):
 
 
 def is_signed(path: Path) -> bool:
-    """Whether a file is a signed checkpoint, or a folder of them; the other kind is a JSON object."""
+    """Whether a file is a signed checkpoint, or a folder of them; an unsigned checkpoint is a JSON object."""
     if path.is_dir():
         return True
     try:
@@ -36,7 +36,7 @@ def is_signed(path: Path) -> bool:
 
 
 def read_tree_heads(path: Path, trusted: TrustedKeys) -> list[TreeHead]:
-    """The checkpoints in a file or a folder, the smallest first. Raises BadInput if one is not signed by a
+    """The checkpoints in a file or a folder, the smallest first. Raises BadInput if one is not signed with a
     trusted key."""
     files = sorted(path.glob("*.note")) if path.is_dir() else [path]
     found = []

@@ -1,4 +1,4 @@
-"""The keys of a lab, in its folder: ``keys/``.
+"""The keys of a lab, in the folder ``keys/`` of the lab.
 
 ================  ===========================================================================
 ``signing.key``   the private key that signs checkpoints; only its owner may read it
@@ -32,8 +32,8 @@ from labos.services.trust.notes import (
 SIGNING_FILE, WITNESS_FILE = "signing.key", "witness.key"
 PUBLIC_FILE, ROTATION_FILE = "public.keys", "rotation.notes"
 ROTATION = "labos key rotation"
-"""The first line of a note by which a key names its successor. No checkpoint begins so: names have no
-spaces."""
+"""The first line of a note in which a key names its successor. No checkpoint can begin with it, as names have
+no spaces."""
 
 _BETWEEN = b"\n---\n"
 
@@ -45,7 +45,8 @@ class SigningKeys:
         self.folder = home / "keys"
 
     def create(self, name: str, *, witness: bool = False) -> PublicKey:
-        """Make a key pair. Raises Refused if there is one, BadInput for a name that cannot be."""
+        """Make a key pair. Raises Refused if there is one already, BadInput for a name that is not
+        allowed."""
         path = self._find_file(witness)
         if path.exists():
             raise Refused(
@@ -72,25 +73,26 @@ class SigningKeys:
             raise BadInput(f"The key {path} cannot be read: {error}.", remedy="Put it right.") from None
 
     def list_public_keys(self) -> list[PublicKey]:
-        """The public keys that this lab has signed with, the oldest first. Raises BadInput."""
+        """The public keys with which this lab has signed, oldest first. Raises BadInput."""
         return read_public_keys(self.folder / PUBLIC_FILE) if (self.folder / PUBLIC_FILE).exists() else []
 
     def read_rotations(self) -> tuple[Note, ...]:
-        """The notes by which each key named its successor. Raises BadInput."""
+        """The notes in which each key named its successor. Raises BadInput."""
         try:
             return parse_rotations((self.folder / ROTATION_FILE).read_bytes())
         except FileNotFoundError:
             return ()
 
     def rotate(self, size: int, time: str) -> Note:
-        """Put a new key in the place of the present one, which is destroyed: it signs nothing more behind
-        ``size``. Returns the note that both have signed. Raises NotFound, BadInput."""
+        """Replace the present key by a new one. The old private key is destroyed, so it signs nothing larger
+        than ``size``. Returns the note that both keys have signed. Raises NotFound, BadInput."""
         old = self.read_signing_key()
         fresh = make_key(old.name, SIGNS, secrets.token_bytes(32))
         text = f"{ROTATION}\n{size}\n{old.public.text}\n{fresh.public.text}\n{time}\n"
         note = Note(text, (old.sign(text), fresh.sign(text)))
         known = [each.text for each in self.list_public_keys()] + [fresh.public.text]
-        # The private key last: until then the old one signs, which the notes do not forbid up to here.
+        # The private key is replaced last: until then the old one signs, which the notes allow up to this
+        # size.
         replace_file(self.folder / ROTATION_FILE, encode_rotations((*self.read_rotations(), note)))
         replace_file(self.folder / PUBLIC_FILE, "".join(f"{each}\n" for each in known).encode())
         replace_file(self._find_file(False), fresh.text.encode() + b"\n")
@@ -101,8 +103,8 @@ class SigningKeys:
 
 
 class TrustedKeys:
-    """The keys whose word counts: those that somebody was given, and their successors. ``ended`` says
-    of a key that has a successor how large a tree may be that it has signed."""
+    """The keys that the reader trusts: those that were given, and their successors. ``ended`` has, for each
+    key with a successor, the largest size of a tree that the key may have signed."""
 
     def __init__(self, given: Sequence[PublicKey], rotations: Iterable[Note] = ()) -> None:
         """Raises BadInput for a rotation that was changed."""
@@ -111,7 +113,7 @@ class TrustedKeys:
         for note in rotations:
             size, old, fresh = _parse_rotation(note)
             if old not in self.keys:
-                continue  # it proves nothing if the old one is not trusted
+                continue  # a rotation proves nothing if the old key is not trusted
             if note.find_signers([old, fresh]) != [old, fresh]:
                 raise BadInput(
                     f"A change of the key {old.name} is not signed by both keys.",
@@ -122,11 +124,12 @@ class TrustedKeys:
                 self.keys.append(fresh)
 
     def list_for(self, origin: str) -> list[PublicKey]:
-        """The keys whose word counts about one lab: no lab speaks for another, and no witness for a lab."""
+        """The trusted keys of one lab: a lab's key is not valid for another lab, and a witness' key not for a
+        lab."""
         return [key for key in self.keys if key.name == origin and key.kind == SIGNS]
 
     def find_signers(self, note: Note, head: TreeHead) -> list[PublicKey]:
-        """Those of its lab's keys that have signed a checkpoint. Raises BadInput."""
+        """The keys of the checkpoint's lab that have signed it. Raises BadInput."""
         signed = note.find_signers(self.list_for(head.origin))
         return [key for key in signed if head.size <= self._ended.get(key.text, head.size)]
 
@@ -159,7 +162,7 @@ def read_public_keys(path: Path) -> list[PublicKey]:
 
 
 def read_given_keys(said: Sequence[str]) -> list[PublicKey]:
-    """Public keys as they are given to a command: each a file, or the key itself. Raises BadInput."""
+    """Public keys as arguments of a command: each is a file or the key itself. Raises BadInput."""
     found: list[PublicKey] = []
     for each in said:
         found.extend(read_public_keys(Path(each)) if Path(each).is_file() else [parse_public_key(each)])

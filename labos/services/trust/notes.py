@@ -1,7 +1,7 @@
-"""Signed notes (C2SP ``signed-note``): a text, and lines that sign it.
+"""Signed notes (C2SP ``signed-note``): a text, and lines with its signatures.
 
-A key has a name, and an id that follows from name, kind and key. Kinds: 1 is Ed25519 over the text,
-4 is a witness' cosignature of a checkpoint (``tlog-cosignature``), which says when it was made.
+A key has a name, and an id that is computed from name, kind and key. Kinds: 1 is Ed25519 over the text, 4 is
+a witness' cosignature of a checkpoint (``tlog-cosignature``), which contains its time.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ SIGNS, COSIGNS = 1, 4
 
 MOST_BYTES = 64 * 1024
 MOST_SIGNATURES = 64
-"""A note is not larger than that."""
+"""A note may have at most so many signatures."""
 
 _PRIVATE = "PRIVATE+KEY+"
 _DASH = "— "
 SIGNED = f"\n\n{_DASH}".encode()
-"""Where the text of a note ends and its signatures begin."""
+"""The end of the text and the beginning of the signatures of a note."""
 _KINDS = {SIGNS: "signs", COSIGNS: "cosigns"}
 
 
 class PublicKey(msgspec.Struct, frozen=True):
-    """What a signature is checked with. ``raw`` is the Ed25519 key, 32 bytes."""
+    """The key that checks signatures. ``raw`` is the Ed25519 key, 32 bytes."""
 
     name: str
     kind: int
@@ -45,7 +45,7 @@ class PublicKey(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """As people hand it on: ``name+id+key``."""
+        """The form in which people pass it on: ``name+id+key``."""
         return f"{self.name}+{self.id.hex()}+{_encode_base64(bytes([self.kind]) + self.raw)}"
 
     def verifies(self, text: bytes, signature: bytes) -> bool:
@@ -61,7 +61,7 @@ class PublicKey(msgspec.Struct, frozen=True):
 
 
 class SigningKey(msgspec.Struct, frozen=True):
-    """What signatures are made with. ``seed`` is the Ed25519 private key, 32 bytes."""
+    """The key that makes signatures. ``seed`` is the Ed25519 private key, 32 bytes."""
 
     name: str
     kind: int
@@ -76,13 +76,13 @@ class SigningKey(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """As it is kept in a file."""
+        """The form in which a file stores it."""
         return (
             f"{_PRIVATE}{self.name}+{self.public.id.hex()}+{_encode_base64(bytes([self.kind]) + self.seed)}"
         )
 
     def sign(self, text: str, time_s: int = 0) -> NoteSignature:
-        """Sign a text; ``time_s`` (UTC, since 1970) is for a cosignature."""
+        """Sign a text; a cosignature contains ``time_s`` (UTC, since 1970)."""
         said = text.encode()
         if self.kind == COSIGNS:
             signature = time_s.to_bytes(8) + self._key().sign(_encode_cosigned(said, time_s))
@@ -95,7 +95,7 @@ class SigningKey(msgspec.Struct, frozen=True):
 
 
 class NoteSignature(msgspec.Struct, frozen=True):
-    """A line that signs. Of a cosignature the first 8 bytes are its time."""
+    """A line with a signature. The first 8 bytes of a cosignature are its time."""
 
     name: str
     key_id: bytes
@@ -110,12 +110,12 @@ class NoteSignature(msgspec.Struct, frozen=True):
 
     @property
     def time_s(self) -> int:
-        """When a cosignature was made, by its witness' clock."""
+        """The time of a cosignature, by its witness' clock."""
         return int.from_bytes(self.raw[:8])
 
 
 class Note(msgspec.Struct, frozen=True):
-    """A text, which ends in a newline, and its signatures."""
+    """A text that ends with a newline, and its signatures."""
 
     text: str
     signatures: tuple[NoteSignature, ...] = ()
@@ -124,13 +124,13 @@ class Note(msgspec.Struct, frozen=True):
         return (self.text + "\n" + "".join(each.line for each in self.signatures)).encode()
 
     def with_signatures(self, more: Iterable[NoteSignature]) -> Note:
-        """The same note with more of them; of each key the newer one counts."""
+        """The same note with further signatures; for each key the newer one is kept."""
         by_key = {(each.name, each.key_id): each for each in (*self.signatures, *more)}
         return Note(self.text, tuple(by_key.values()))
 
     def find_signers(self, keys: Iterable[PublicKey]) -> list[PublicKey]:
-        """Those of the keys that have signed this. Signatures by other keys are passed over. Raises
-        BadInput if a signature bears the id of one of the keys and is not its own."""
+        """The keys that have signed this note. Signatures of other keys are ignored. Raises BadInput if a
+        signature has the id of one of the keys and is not valid."""
         found = []
         for key in keys:
             for signature in self.signatures:
@@ -146,13 +146,13 @@ class Note(msgspec.Struct, frozen=True):
 
 
 def make_key(name: str, kind: int, seed: bytes) -> SigningKey:
-    """Raises BadInput for a name that a note cannot bear."""
+    """Raises BadInput for a name that a note cannot contain."""
     _check_name(name)
     return SigningKey(name, kind, seed)
 
 
 def parse_public_key(text: str) -> PublicKey:
-    """The key that ``name+id+key`` stands for. Raises BadInput."""
+    """The key in the form ``name+id+key``. Raises BadInput."""
     name, key_id, kind, raw = _split_key(text.strip(), "public")
     key = PublicKey(name, kind, raw)
     if key.id != key_id:
@@ -161,7 +161,7 @@ def parse_public_key(text: str) -> PublicKey:
 
 
 def parse_signing_key(text: str) -> SigningKey:
-    """The key that a file of ``labos key`` holds. Raises BadInput."""
+    """The key in a file of ``labos key``. Raises BadInput."""
     if not text.startswith(_PRIVATE):
         raise _make_key_error("private", f"it does not begin with {_PRIVATE}")
     name, key_id, kind, seed = _split_key(text.removeprefix(_PRIVATE).strip(), "private")
@@ -172,7 +172,7 @@ def parse_signing_key(text: str) -> SigningKey:
 
 
 def parse_note(data: bytes) -> Note:
-    """Raises BadInput for what is no signed note."""
+    """Raises BadInput if the data is not a signed note."""
     try:
         if len(data) > MOST_BYTES:
             raise ValueError(f"it is larger than {MOST_BYTES} bytes")
@@ -190,7 +190,7 @@ def parse_note(data: bytes) -> Note:
 
 
 def parse_signatures(lines: str) -> tuple[NoteSignature, ...]:
-    """Lines that sign. Raises ValueError."""
+    """The lines with signatures. Raises ValueError."""
     found = []
     for line in lines.splitlines():
         name, space, value = line.removeprefix(_DASH).partition(" ")

@@ -14,7 +14,8 @@ TIMEOUT_S = 10.0
 
 
 class PublishPlace(Protocol):
-    """``put`` keeps a small file under a name, durably as far as the place can tell. Raises SystemFailed."""
+    """``put`` stores a small file under a name, as durably as the place can guarantee. Raises
+    SystemFailed."""
 
     def put(self, name: str, data: bytes) -> None: ...
 
@@ -38,7 +39,7 @@ class Folder:
 
 
 class HttpPlace:
-    """``PUT url/name``, as WebDAV and many object stores take it."""
+    """``PUT url/name``, as WebDAV and many object stores accept it."""
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
@@ -73,7 +74,7 @@ def place_of(said: str) -> PublishPlace:
 
 
 def name_checkpoint(size: int) -> str:
-    """What the checkpoint of a size is called; names sort by size."""
+    """The name of the checkpoint of a size; names sort by size."""
     return f"{size:012d}.note"
 
 

@@ -1,4 +1,4 @@
-"""Checks a bundle offline: nothing but the lab's public key is needed."""
+"""Checks a bundle offline: only the lab's public key is needed."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from labos.services.trust.timestamp import read_stamp_time
 from labos.services.verification import VerifiedPart, find_needed_blobs
 
 LARGEST = 4 << 30
-"""Bytes that a bundle may unpack to."""
+"""The largest total size in bytes of a bundle's unpacked files."""
 
 _line = msgspec.json.Decoder(ProvenEvent)
 _envelope = msgspec.json.Decoder(Envelope)
@@ -54,8 +54,8 @@ _about = msgspec.json.Decoder(AboutBundle)
 
 
 class Trust(msgspec.Struct, frozen=True):
-    """What the reader of a bundle trusts: public keys of labs, of witnesses (each must have cosigned), and
-    the certificates of time stamp authorities (a PEM file)."""
+    """The keys that the reader of a bundle trusts: public keys of labs, of witnesses (each must have
+    cosigned), and the certificates of time stamp authorities (a PEM file)."""
 
     keys: tuple[PublicKey, ...]
     witnesses: tuple[PublicKey, ...] = ()
@@ -63,8 +63,9 @@ class Trust(msgspec.Struct, frozen=True):
 
 
 class BundleProof(msgspec.Struct, frozen=True):
-    """What was found of a bundle, part by part. ``subject`` (a run, experiment or campaign: ``kind``) and
-    ``lab`` are those of the events that are proven; ``run`` is the same for a run, else empty."""
+    """The result of the check of a bundle, part by part. ``subject`` (a run, experiment or campaign:
+    ``kind``) and ``lab`` are those of the proven events; ``run`` is the same as ``subject`` for a run, else
+    empty."""
 
     run: str
     kind: Kind
@@ -86,7 +87,7 @@ class _Event(msgspec.Struct, frozen=True):
 
 
 def prove_bundle(path: Path, trust: Trust) -> BundleProof:
-    """Check a bundle. Raises BadInput for a file that is none."""
+    """Check a bundle. Raises BadInput for a file that is not a bundle."""
     files = _unpack(path)
     about = _read_about(files, path)
     note, head = _parse_checkpoint(files)
@@ -117,7 +118,7 @@ def _unpack(path: Path) -> dict[str, bytes]:
             return {name: archive.read(name) for name in names}
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
         raise _make_bundle_error(path, str(error)) from None
-    except Exception as error:  # zlib.error, EOFError, struct.error: whatever damaged bytes lead to
+    except Exception as error:  # zlib.error, EOFError, struct.error and other errors of damaged bytes
         raise _make_bundle_error(path, f"it cannot be unpacked ({error})") from None
 
 
@@ -196,8 +197,8 @@ def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[
 
 
 def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart, list[_Event]]:
-    """Whether each event is in the tree, with its payload. Those that are not are left out of what
-    follows."""
+    """Whether each event is in the tree and has its payload. Events that are not are left out of the later
+    checks."""
     good: list[_Event] = []
     faults: list[str] = []
     positions: list[int] = []
@@ -227,7 +228,7 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
 
 
 def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
-    """Whether these are all events of what the bundle is of, and of its runs, each from its beginning to its
+    """Whether these are all events of the bundle's subject and of its runs, each from its beginning to its
     end."""
     streams = {about.of: about.kind, **dict.fromkeys(about.runs, "run")}
     faults, positions = [], []
@@ -264,13 +265,13 @@ def _describe_story(about: AboutBundle, own: int) -> str:
         return f"The run {about.of} is whole: {own} events of its own, from its submission to its end."
     runs = f"{len(about.runs)} run{'' if len(about.runs) == 1 else 's'}"
     whole = f"The {about.kind} {about.of} is whole: {own} events of its own and of its {runs}."
-    # An experiment's own events do not count its runs.
+    # The events of an experiment do not contain its number of runs.
     only = " That it had no other runs, only a signature under it says." if about.kind == "experiment" else ""
     return whole + only
 
 
 def _list_gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[str, list[int]]]:
-    """What is missing of a stream, and where that shows."""
+    """The events that are missing in a stream, with the positions at which this is visible."""
     for number, event in enumerate(own, 1):
         if event.head.version != number:
             at = event.head.position
@@ -289,7 +290,7 @@ def _is_submission(event: _Event, subject: str) -> bool:
 
 
 def _find_missing_rows(about: AboutBundle, own: Sequence[_Event]) -> Iterator[str]:
-    """A campaign says at its end how many runs it had."""
+    """The end of a campaign states its number of runs."""
     for event in own:
         if event.head.type == CampaignCompleted.TYPE:
             end = msgspec.json.decode(event.payload, type=CampaignCompleted)
@@ -299,7 +300,7 @@ def _find_missing_rows(about: AboutBundle, own: Sequence[_Event]) -> Iterator[st
 
 
 def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[VerifiedPart]:
-    """Whether people's signatures under all this are under these records."""
+    """Whether people's signatures for the subject and its runs are for these records."""
     signed, faults, positions = [], [], []
     names = (about.of, *about.runs)
     for event in events:
@@ -324,8 +325,8 @@ def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[
 
 
 def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[VerifiedPart]:
-    """Whether the texts are those that people wrote into the events. One that is not in the bundle was
-    erased, or left out: that is no fault."""
+    """Whether the texts are those that people wrote into the events. A text that is not in the bundle was
+    erased, or left out: that is not a fault."""
     named: dict[str, int] = {}
     for event in events:
         for reference in list_references(event.payload):

@@ -1,4 +1,4 @@
-"""Makes a checkpoint of a log and brings it to where it is kept."""
+"""Makes a checkpoint of a log and sends it to the places where it is kept."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from labos.services.trust.tree import Growth, grow, read_tree, store_tree
 from labos.services.trust.witness import ask_witness
 
 FOLDER = "checkpoints"
-"""Of the lab's own folder: a copy of each checkpoint. It proves nothing to others."""
+"""A folder in the lab's own folder, with a copy of each checkpoint. It is not a proof for others."""
 
 
 class Targets(msgspec.Struct, frozen=True):
-    """Where checkpoints go: ``places`` are folders and URLs, ``witnesses`` URLs whose cosignatures are
-    wanted, ``witness_keys`` what these are checked with (none: every cosignature is kept), ``stamp`` the
-    URL of a time stamp authority."""
+    """The destinations of checkpoints: ``places`` are folders and URLs; ``witnesses`` are URLs of witnesses
+    who should cosign; ``witness_keys`` check the cosignatures (none: every cosignature is kept); ``stamp`` is
+    the URL of a time stamp authority."""
 
     places: tuple[str, ...] = ()
     witnesses: tuple[str, ...] = ()
@@ -40,7 +40,7 @@ class Targets(msgspec.Struct, frozen=True):
 
 
 class PublishResult(msgspec.Struct, frozen=True):
-    """A checkpoint, where it was written to, and what did not succeed."""
+    """A checkpoint, the places to which it was written, and the failures."""
 
     head: TreeHead
     note: Note
@@ -50,9 +50,9 @@ class PublishResult(msgspec.Struct, frozen=True):
 
 
 def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
-    """Sign the log's end and bring it to all targets; one that fails keeps the others from nothing. Raises
-    LogDamaged if the log is not the one that was signed before, NotFound without a key, BadInput,
-    Refused for an empty log, StoreUnavailable."""
+    """Sign the log's end and send it to all targets; a failure at one target does not stop the others. Raises
+    LogDamaged if the log contradicts an earlier checkpoint, NotFound without a key, BadInput, Refused for an
+    empty log, StoreUnavailable."""
     key = SigningKeys(home).read_signing_key()
     places = [Folder(home / FOLDER), *(place_of(each) for each in targets.places)]
     kept = read_tree(home)
@@ -62,7 +62,7 @@ def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
     if not kept.size:
         _check_newest(log, home)
     head = TreeHead(key.name, growth.after.size, growth.after.compute_root())
-    store_tree(home, growth.kept)  # before anybody sees the signature: another tree is never signed
+    store_tree(home, growth.kept)  # before anybody sees the signature: no other tree will be signed
     note = _read_signed(home, head).with_signatures(sign_tree(head, key).signatures)
     faults: list[str] = []
     for url in targets.witnesses:
@@ -89,8 +89,8 @@ def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
 
 
 def _read_signed(home: Path, head: TreeHead) -> Note:
-    """The checkpoint of this tree as it was signed before, cosignatures included: none of them is lost when
-    it is asked for once more."""
+    """The earlier signed checkpoint of this tree, with its cosignatures: none is lost if the checkpoint is
+    made again."""
     try:
         found = parse_note((home / FOLDER / name_checkpoint(head.size)).read_bytes())
     except (OSError, BadInput):
@@ -99,7 +99,7 @@ def _read_signed(home: Path, head: TreeHead) -> Note:
 
 
 def _check_newest(log: Log, home: Path) -> None:
-    """Where nothing is remembered of the tree, the lab's own copies still say what was signed."""
+    """If no tree is stored, the lab's own copies still show the last signed checkpoint."""
     newest = find_newest(home / FOLDER)
     if newest is None:
         return
@@ -120,7 +120,7 @@ def _ask_cosignatures(
             return make_growth_proof(growth.before, growth.added) if old else []
         if not 0 < old < growth.after.size:
             return []
-        # It missed some checkpoints, or has seen this one: all leaves are needed.
+        # The witness missed some checkpoints, or has seen this one: all leaves are needed.
         whole = Tree(iterate_leaves(log.read(0, growth.after.size)))
         return make_proof(list_consistency_ranges(old, growth.after.size), whole.hash_of)
 

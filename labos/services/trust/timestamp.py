@@ -1,6 +1,7 @@
-"""Time stamps (RFC 3161): an authority's word that a checkpoint's text existed at a time.
+"""Time stamps (RFC 3161): the statement of an authority that a checkpoint's text existed at a time.
 
-Needs the extra ``timestamp``. Kept as the authority's whole answer (DER), which ``openssl ts -verify`` reads.
+Needs the extra ``timestamp``. The authority's whole answer (DER) is stored, which ``openssl ts -verify``
+reads.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ def request_stamp(url: str, text: bytes) -> bytes:
 
 
 def read_stamp_time(stamp: bytes, text: bytes, roots: Path) -> datetime:
-    """When an authority has stamped a text, by a stamp that rests on one of the certificates in a PEM file.
-    Raises BadInput if it does not."""
+    """The time of a stamp for a text. The stamp's certificate must be signed by one of the certificates in a
+    PEM file. Raises BadInput if it is not."""
     try:
         from rfc3161_client import VerificationError, VerifierBuilder, decode_timestamp_response
     except ImportError:

@@ -1,7 +1,8 @@
-"""The tree of a log as it grows: what is remembered between two checkpoints.
+"""The Merkle tree of a log: the part that is stored between two checkpoints.
 
-Only the right edge is kept, in ``labos.tree`` of the lab's folder, together with the hash of the chain at its
-end: a log that was rewritten or cut meanwhile does not go on from there, and is signed no more.
+Only the right edge is stored, in ``labos.tree`` of the lab's folder, together with the hash of the chain at
+its end. If the log was rewritten or cut off meanwhile, it does not continue from this hash, and no further
+checkpoint is signed.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class StoredTree(msgspec.Struct, frozen=True):
 
 
 class Growth(msgspec.Struct, frozen=True):
-    """A tree before, and the hashes of the leaves that came to it since."""
+    """The earlier tree, and the hashes of the leaves that were added since."""
 
     before: Edge
     added: list[bytes]
@@ -44,7 +45,7 @@ class Growth(msgspec.Struct, frozen=True):
 
 
 def read_tree(home: Path) -> StoredTree:
-    """What was remembered; an empty tree if nothing was. Raises BadInput."""
+    """The stored tree; an empty tree if there is none. Raises BadInput."""
     path = home / TREE_FILE
     try:
         return msgspec.json.decode(path.read_bytes(), type=StoredTree)
@@ -57,14 +58,14 @@ def read_tree(home: Path) -> StoredTree:
 
 
 def store_tree(home: Path, tree: StoredTree) -> None:
-    """Remember a tree, synced on return. Raises OSError."""
+    """Store a tree; it is synced to disk on return. Raises OSError."""
     make_folder(home)
     replace_file(home / TREE_FILE, msgspec.json.encode(tree) + b"\n")
 
 
 def grow(log: Log, kept: StoredTree) -> Growth:
-    """Read what the log has gained. Each record is checked against the chain. Raises LogDamaged if one is
-    wrong, or if the log is another than the one remembered; StoreUnavailable."""
+    """Read the records that were added to the log. Each is checked against the chain. Raises LogDamaged if
+    one is wrong, or if the stored tree is of another log; StoreUnavailable."""
     head = log.head()
     try:
         before = Edge(kept.size, [bytes.fromhex(each) for each in kept.edge])

@@ -1,7 +1,7 @@
-"""A witness: cosigns a lab's checkpoint if it continues the one that it saw before (C2SP ``tlog-witness``).
+"""A witness: cosigns a lab's checkpoint if it continues the previous one (C2SP ``tlog-witness``).
 
-So a lab cannot show one log to one auditor and another log to the next. What it saw last of each lab is
-kept in a folder, before it answers.
+So a lab cannot show one log to one auditor and a different log to another. Before the witness answers, it
+stores the lab's checkpoint in a folder.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class WitnessReply(msgspec.Struct, frozen=True):
 
 
 class Witness:
-    """``keys`` are those of the labs that it cosigns for; a lab is known by its origin, the name of its
-    key."""
+    """``keys`` are the keys of the labs for which it cosigns; a lab is identified by its origin, the name of
+    its key."""
 
     def __init__(self, folder: Path, key: SigningKey, keys: Sequence[PublicKey]) -> None:
         self._folder, self._key, self._keys = folder, key, keys
@@ -71,7 +71,7 @@ class Witness:
             return WitnessReply(403, "No key that is known here has signed this.\n")
         if old > head.size:
             return WitnessReply(400, "The old size is larger than the new one.\n")
-        with self._one:  # nobody else moves the size between the look and the note
+        with self._one:  # no other request changes the size between reading and writing it
             return self._judge(old, proof, note, head, now_s)
 
     def _judge(
@@ -129,8 +129,8 @@ def encode_request(old: int, proof: Sequence[bytes], note: Note) -> bytes:
 
 
 def ask_witness(url: str, note: Note, old: int, proof: Proof) -> tuple[NoteSignature, ...]:
-    """Ask a witness to cosign. ``old`` is the size that it is thought to have seen; it says so if it was
-    another one. Raises SystemFailed if it cannot be reached or does not agree."""
+    """Ask a witness to cosign. ``old`` is the expected size of its last checkpoint; if the size is another
+    one, the witness reports it. Raises SystemFailed if it cannot be reached or does not agree."""
     target = url.rstrip("/") + "/add-checkpoint"
     size = parse_tree_head(note.text).size
     for _ in range(2):

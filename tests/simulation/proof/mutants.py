@@ -94,7 +94,7 @@ MUTANTS = (
         (
             Change(
                 "node/server.py",
-                "            self.journal.void(ask.action, ask.attempt, ask.position)\n",
+                "            self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)\n",
                 '            return told or self._reply("void", attempt=ask.attempt)\n',
             ),
         ),
@@ -116,8 +116,8 @@ MUTANTS = (
         (
             Change(
                 "core/decide/actions.py",
-                '    yield from effect_events(state, action, "all", "", command.result)\n',
-                '    took_place = [*effect_events(state, action, "all", "", command.result)]\n'
+                '    yield from list_effect_events(state, action, "all", "", command.result)\n',
+                '    took_place = [*list_effect_events(state, action, "all", "", command.result)]\n'
                 "    yield from [*took_place, *took_place]\n",
             ),
         ),

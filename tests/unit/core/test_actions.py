@@ -399,7 +399,7 @@ def test_each_answer_about_an_action_that_carries_nothing(choice: str) -> None:
     lab.doubt(lab.start(run))
     assert "may be at" not in lab.question().text
     lab.answer(lab.question(), choice)
-    lid = lab.state.modules.by_name["cell/dev"].value("lid")  # type: ignore[index]
+    lid = lab.state.modules.by_name["cell/dev"].find_value("lid")  # type: ignore[index]
     assert lid == ("closed" if choice == "done" else "open")
     assert (find_last_type(lab) == "run.failed") == (choice == "gone")
 

@@ -159,7 +159,7 @@ def test_lids_and_doors_of_a_module_that_knows_more_are_not_known() -> None:
     lab = small(stock=3)
     lab.write(VariableSet(DEV, "lid", "open"))
     lab.do(hears(DEV, make_found("X1", needs("dev.n1"))))
-    assert lab.state.modules.by_name[DEV].value("lid") is None
+    assert lab.state.modules.by_name[DEV].find_value("lid") is None
 
 
 def test_a_position_that_no_log_can_have_come_to_is_not_believed() -> None:

@@ -41,7 +41,7 @@ async def sample(file: MemoryFile) -> Journal:
     journal.end("a1", 1, DONE)
     journal.accept("a2", 2, 11, "seal")
     await journal.sync()
-    journal.void("a3", 4, 12)
+    journal.forbid_attempts("a3", 4, 12)
     await journal.sync()
     return journal
 
@@ -272,7 +272,7 @@ def test_the_last_record_torn_at_any_byte() -> None:
             assert journal.find("a1", 1) is not None
             # Only the whole record counts, with or without the mark of its end.
             assert journal.is_void("a3", 4) == (length >= len(file.data) - 1)
-            journal.void("a8", 1, 30)
+            journal.forbid_attempts("a8", 1, 30)
             await journal.sync()
             assert (await reopen(torn)).is_void("a8", 1)
 
@@ -380,7 +380,7 @@ class JournalMachine(RuleBasedStateMachine):
 
     @rule(action=ACTIONS, attempt=ATTEMPTS, position=st.integers(1, 30))
     def void_it(self, action: str, attempt: int, position: int) -> None:
-        self.journal.void(action, attempt, position)
+        self.journal.forbid_attempts(action, attempt, position)
         known, at = self.void.get(action, (0, 0))
         if attempt > known:
             self.void[action] = (attempt, max(at, position))

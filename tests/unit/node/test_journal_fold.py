@@ -30,7 +30,7 @@ def memory(journal: Journal) -> Memory:
 def restart(memory: Memory) -> Memory:
     """What is left of a node's memory when its process is gone."""
     after = deepcopy(memory)
-    for attempt in after.attempts():
+    for attempt in after.list_attempts():
         if attempt.status == "running":
             attempt.status = "interrupted"
     return after
@@ -89,7 +89,7 @@ class FoldMachine(RuleBasedStateMachine):
 
     @rule(action=st.sampled_from("abc"), attempt=st.integers(1, 3), position=st.integers(1, 30))
     def void(self, action: str, attempt: int, position: int) -> None:
-        self.journal.void(action, attempt, position)
+        self.journal.forbid_attempts(action, attempt, position)
 
     @rule(position=st.integers(1, 40))
     def prune(self, position: int) -> None:
