@@ -35,7 +35,7 @@ class CaChannels:
         except ImportError as error:
             raise report_missing_package(error) from error
         self._ca = aioca
-        # What a name that was just lost raises at once is no CANothing.
+        # The error for a name that was just lost is not a CANothing.
         self._gone = (cadef.Disconnected, cadef.CAException)
         self._watched: list[Any] = []
 
@@ -104,7 +104,7 @@ class CaChannels:
         for watched in self._watched:
             watched.close()
         self._watched.clear()
-        self._ca.purge_channel_caches()  # else the library calls into a loop that has ended
+        self._ca.purge_channel_caches()  # otherwise the library calls into a loop that has ended
 
 
 def _read_value(value: Any) -> ChannelReading:

@@ -1,7 +1,6 @@
 """The common part of all adapters: a LabOS node whose actions another node carries out. An adapter never
 starts anything twice by itself. Before a start it writes the foreign handle (or ``sent``, if the protocol has
-none) into the journal, so that after a crash it is known whether the foreign node can have received the
-start.
+none) into the journal. So after a crash it is known whether the foreign node can have received the start.
 """
 
 from __future__ import annotations
@@ -69,7 +68,7 @@ class ForeignNode(Node):
         raise OutcomeUnknown(f"{INTERRUPTED}, and this protocol keeps no record of what was done")
 
     async def learn(self) -> None:
-        """Find out what the foreign node offers, unless it is known; called before each action."""
+        """Read the offer of the foreign node, unless it is known; called before each action."""
 
     async def foreign_description(self) -> Description:
         """The foreign node's description of itself, without effects, which it does not know. Only for
@@ -142,7 +141,8 @@ class ForeignNode(Node):
         if spec.name in self._absent:
             raise DeviceError(f"The foreign node has no action {name!r}.", effects="none")
         args |= kwargs
-        if self.described.version:  # one of our drivers: what only that is told, a foreign arm does not know
+        # one of LabOS' drivers: a foreign arm does not know arguments that only these get
+        if self.described.version:
             ours = {LABWARE_TYPE, PLATE_TYPE} - names.keys()
             args = {key: value for key, value in args.items() if key not in ours}
         args = {names.get(key, key): value for key, value in args.items()}
@@ -173,8 +173,8 @@ class ForeignNode(Node):
     ) -> T:
         """The answer to a start. During the wait, the foreign node is asked whether it is still ``at_work``,
         because a cut line gives no sign. ``silent_s`` is how long it may give no answer at all. ``mute_s`` is
-        how long to wait if it never reports that it is busy. ``ended`` is what is known if it is no longer
-        busy. Raises OutcomeUnknown, and what ``sending`` raises."""
+        how long to wait if it never reports that it is busy. ``ended`` is the knowledge about the effects if
+        it is no longer busy. Raises OutcomeUnknown, and what ``sending`` raises."""
         silence, idle_s = Silence(silent_s, self.where), 0.0
         try:
             while True:
@@ -240,7 +240,8 @@ class ForeignNode(Node):
     async def _wait_unless_settled(self, spec: ActionSpec, work: Awaitable[Any]) -> Any:
         """The result of the work, unless a person reports the outcome first."""
         action = current_action.get()
-        # After a restart nobody knows when it began: it counts from now, which is never too short.
+        # After a restart it is not known when it began: the time counts from now, so the limit is never too
+        # short.
         until = asyncio.get_running_loop().time() + self.limit_s(spec)
         told = self._settled[action] = asyncio.Event()
         tasks = asyncio.ensure_future(work), asyncio.ensure_future(told.wait())

@@ -80,7 +80,7 @@ class HttpClient:
         Lost if it may have been."""
         read_s = self._read_s if read_s == 0.0 else read_s
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
-        # Without the slash a path could go on with the address: `http://node` + `.other.site/`.
+        # Without the slash, a path could continue the address: `http://node` + `.other.site/`.
         url = f"{self.address}/{path.removeprefix('/')}"
         begins_s = None if read_s is None else CONNECT_S + read_s
         try:
@@ -123,7 +123,7 @@ async def _read_whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx
         if len(data) > LARGEST_ANSWER:
             path = streamed.request.url.path
             raise NoResponse(f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes came")
-    # The content is decoded by now: these headers spoke of it as it was sent.
+    # The content is decoded now: these headers described it as it was sent.
     told = [(key, value) for key, value in streamed.headers.multi_items() if key not in _OF_THE_WIRE]
     return httpx.Response(streamed.status_code, headers=told, content=bytes(data), request=streamed.request)
 

@@ -46,7 +46,7 @@ class UaChannels:
             from asyncua import ua
         except ImportError as error:
             raise report_missing_package(error, "opcua") from error
-        # The package says nothing of its types that mypy could follow.
+        # The package has no types that mypy could check.
         self._asyncua: Any = asyncua
         self._ua: Any = ua
         self._url, self._namespace, self._access = url, namespace, access
@@ -67,7 +67,7 @@ class UaChannels:
     async def close(self) -> None:
         keeping, self._keeping = self._keeping, None
         while keeping is not None and not keeping.done():
-            keeping.cancel()  # again: `wait_for` may end at the same moment, and forget it
+            keeping.cancel()  # again: `wait_for` may end at the same moment, and lose the cancellation
             await asyncio.wait({keeping}, timeout=READ_S)
         await asyncio.gather(*self._leaving)
 
@@ -95,7 +95,7 @@ class UaChannels:
                     await asyncio.wait_for(client.nodes.server_state.read_value(), READ_S)
             except (OSError, ValueError, TimeoutError, self._ua.UaError) as error:
                 self._why = (
-                    f"The connection says: {_error_text(error, READ_S)}."  # told below, and tried again
+                    f"The connection says: {_error_text(error, READ_S)}."  # reported below, and tried again
                 )
             finally:
                 self._client = None
@@ -105,7 +105,7 @@ class UaChannels:
             await asyncio.sleep(RETRY_S)
 
     async def _subscribe(self, client: Any) -> None:
-        self._known.clear()  # another server may mean something else by them
+        self._known.clear()  # on another server they may mean something else
         types = Types(client, self._ua, self._known)
         subscription = await client.create_subscription(PERIOD_MS, self)
         for name, changed in self._watched.items():
@@ -119,7 +119,7 @@ class UaChannels:
                 self._names[node.nodeid] = name
                 await subscription.subscribe_data_change(node)
             except self._ua.UaStatusCodeError:
-                continue  # it is not there: nobody answers for it
+                continue  # it does not exist, so it has no value
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
         """Called by asyncua when a watched value has changed."""
@@ -169,7 +169,7 @@ class UaChannels:
         except (OSError, TimeoutError, self._ua.UaError) as error:
             raise NoResponse(f"{self._url}: {name}: {_error_text(error, LONGEST_S)}") from error
         finally:
-            # A caller that gives the put up does not wait for that; closing the adapter does.
+            # A caller that gives up does not wait for the end of the put; closing the adapter does.
             leaving = asyncio.create_task(_let_go(client))
             self._leaving.add(leaving)
             leaving.add_done_callback(self._leaving.discard)

@@ -102,7 +102,7 @@ def _find_file(config: dict[str, Any], key: str) -> str:
     except (ValueError, TypeError) as error:
         what = "key without a passphrase" if key == "opcua_key" else "certificate"
         raise _make_error(f"`{key}` names the file {path!r}, which holds no {what} ({error}).") from error
-    if pem != path.endswith(".pem"):  # asyncua goes by the name
+    if pem != path.endswith(".pem"):  # asyncua decides by the name
         raise _make_error(f"`{key}` names the file {path!r}.", f"Call it .{'pem' if pem else 'der'}.")
     return path
 

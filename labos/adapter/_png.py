@@ -13,7 +13,7 @@ _COLOUR_TYPE = {1: 0, 3: 2, 4: 6}
 
 
 def encode_png(raw: bytes, *, width: int, height: int, encoding: str, step: int) -> bytes:
-    """A picture of ``sensor_msgs/msg/Image`` (8 bits a channel) as a PNG file. Raises DeviceError."""
+    """An image of ``sensor_msgs/msg/Image`` (8 bits a channel) as a PNG file. Raises DeviceError."""
     channels = _CHANNELS.get(encoding)
     if channels is None or len(raw) < step * height or step < width * channels:
         raise DeviceError(

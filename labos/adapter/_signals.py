@@ -43,8 +43,8 @@ NOT_KEPT = "its callback was lost ({why}), and nothing keeps a record of what wa
 
 
 class Started(msgspec.Struct, omit_defaults=True):
-    """The data of a start in the journal: whether it was ``taken``, by a server that was started at ``boot``,
-    and the conditions for its end, with the arguments filled in."""
+    """The data of a start in the journal. ``taken``: a server that was started at ``boot`` has accepted it.
+    The conditions for its end have the arguments filled in."""
 
     taken: bool = False
     boot: Any = None
@@ -323,7 +323,7 @@ class SignalNode(ForeignNode):
             failed = [condition.pv for condition in told.failed if await self._is_fulfilled(condition)]
             done = all([await self._is_fulfilled(condition) for condition in ends_by])
         except DeviceError:
-            return False  # the line is broken; that is looked at before the next time
+            return False  # the connection is lost; it is checked before the next time
         if failed:
             raise DeviceError(f"{spec.name} failed: {self._describe_error() or ', '.join(failed)}")
         return done
@@ -367,7 +367,7 @@ class SignalNode(ForeignNode):
             if told.files:
                 files = {key: encode_array(key, await self._get(name)) for key, name in told.files.items()}
                 result = {**(result or {}), **files}
-            # What was last told of its state may be older than the end.
+            # The last report of its state may be older than the end.
             state = self.mapping.state
             for name in {*state.alarms, *(error.pv for error in state.error), state.why} - {""}:
                 self._note_reading(self.mapping.find(name)[1], await self._get(name))

@@ -203,7 +203,7 @@ class MadsciRestNode(HttpNode):
             except NoResponse:
                 lost_once = True
             except DeviceError as error:
-                # After a lost start, that a second one was refused says nothing of the first.
+                # After a lost start, the refusal of a second one does not show what became of the first.
                 if error.effects == "none" and not lost_once:
                     raise
                 lost_once = True
@@ -236,7 +236,7 @@ class MadsciRestNode(HttpNode):
                 effects = "unknown" if await self._has_begun(handle) else "none"
                 raise DeviceError(f"{name}: {_describe_errors(told) or status}", effects=effects)
             await asyncio.sleep(pause_s)
-            # Its nodes answer 100 questions a minute.
+            # MADSci's nodes answer 100 requests a minute.
             pause_s = min(pause_s * 1.5, max(self.poll_s, 0.2))
 
     async def _read_result(self, name: str, handle: str) -> dict[str, Any]:

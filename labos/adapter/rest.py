@@ -162,7 +162,7 @@ class RestNode(HttpNode):
             return self.tells_busy and (await self._ask_state())[0] == "busy"
 
         limit_s = self.limit_s(spec)
-        # A device that can do one thing at a time may tell its state to nobody while it works.
+        # A device that does only one thing at a time perhaps reports no state while it works.
         answer = await self.answer_to(
             asyncio.ensure_future(self._send(request, values, None)),
             at_work,

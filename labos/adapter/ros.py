@@ -278,7 +278,7 @@ class RosNode(ForeignNode):
             try:
                 asking = self.bridge.call(f"{call.action}/_action/get_result", kind, fields, wait_s=WAIT_S)
                 told = await asyncio.wait_for(asking, WAIT_S + ASK_S)
-            except TimeoutError:  # it goes on
+            except TimeoutError:  # it continues
                 working = loop.time() if self._is_busy else working
                 if (waited := loop.time() - working) > self.limit_s(spec):
                     said = f"{call.action} has not told the result of the goal for {waited:.0f} s"
@@ -322,7 +322,7 @@ class RosNode(ForeignNode):
         if self.mapping.about is None:
             raise DeviceError("`ros:` names no service that describes the node.", effects="none")
         about = _table(await self._ask(self.mapping.about))
-        if isinstance(about.get("actions"), dict):  # old nodes tell their names only
+        if isinstance(about.get("actions"), dict):  # old nodes report only their names
             about["actions"] = [{"name": name} for name in about["actions"]]
         return describe(about, "wei_ros_node")
 

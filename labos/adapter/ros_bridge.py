@@ -85,11 +85,12 @@ class Bridge:
         self.node.create_timer(LOOK_S, self.look)
 
     def read(self) -> None:
-        """In a thread of its own."""
+        """Read commands, in a separate thread."""
         for line in sys.stdin:
             self.commands.put(json.loads(line))
             self.guard.trigger()
-        # If a peer leaves without a word, it is still called for 20 s, and the next bridge waits for that.
+        # If a participant leaves without notice, it is still contacted for 20 s, and the next bridge waits
+        # for that.
         last = threading.Timer(LEAVE_S, os._exit, (0,))
         last.daemon = True
         last.start()

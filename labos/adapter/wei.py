@@ -143,7 +143,7 @@ class WeiRestNode(HttpNode):
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
         if isinstance(told, dict) and told.get("error"):
             raise DeviceError(f"{name}: {told['error']}")
-        if told == 404:  # it answers a refused command with this number, as a success
+        if told == 404:  # it answers a refused command with this number and a status of success
             raise DeviceError(f"The foreign node refuses {name!r}.", effects="none")
 
     # -- actions -----------------------------------------------------------------------------
@@ -194,7 +194,7 @@ class WeiRestNode(HttpNode):
             await asyncio.sleep(self.poll_s)
 
     async def _make_result(self, name: str, answer: httpx.Response) -> Any:
-        refuse_at_end(answer, refused=(422,))  # FastAPI's own word that arguments are wrong
+        refuse_at_end(answer, refused=(422,))  # FastAPI's own status for wrong arguments
         if "x-wei-status" in answer.headers:
             told = {key: _read_header(answer, f"x-wei-{key}") for key in ("data", "error", "files")}
             status: Any = answer.headers["x-wei-status"]

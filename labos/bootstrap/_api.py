@@ -1,4 +1,4 @@
-"""The HTTP interface in a process of its own: follows the log, and sends the kernel what is asked of it."""
+"""An API process: it follows the log, and sends its users' requests to the kernel."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ from labos.telemetry.api import ApiMetrics, ApiReadings
 
 
 class ApiSettings(msgspec.Struct, frozen=True):
-    """Besides the lab's own: the ``name`` of this process, unique in this lab, and the
-    database with the ``accounts`` (empty: that of the log)."""
+    """The settings of an API process, besides those of the lab: its ``name``, unique in this lab, and the
+    database with the ``accounts`` (empty: the database of the log)."""
 
     lab: Settings
     name: str = "api"
@@ -49,7 +49,7 @@ class ApiSettings(msgspec.Struct, frozen=True):
 
 
 class ApiRuntime:
-    """An API process that runs: what its operations stand on. Made by ``open_api``."""
+    """A running API process with the parts that its operations use. Made by ``open_api``."""
 
     supervised = None
     log_check: LogCheck | None = None
@@ -72,7 +72,7 @@ class ApiRuntime:
 
     @property
     def bus(self) -> Bus:
-        """Nodes are asked by the kernel's process alone."""
+        """Only the kernel's process sends requests to nodes."""
         raise SendOn
 
     @property
@@ -104,20 +104,20 @@ class ApiRuntime:
         return self.counts.text(readings)
 
     def targets(self, host: str) -> list[dict[str, Any]]:
-        """Where the metrics of this process are; the kernel knows of all others."""
+        """The addresses of this process's metrics; the kernel knows those of all others."""
         labels = {"lab": self.kernel.state.lab.name, "process": "api", "api": self.settings.name}
         return [{"targets": [host], "labels": labels}]
 
 
 class LookedAtBlobs:
-    """The lab's blobs, to which this process adds none: what a request brings along is kept by the kernel's
-    process. ``are_all_here``: what is not found is nowhere."""
+    """The lab's blobs, only for reading: the kernel's process stores the blobs of requests. ``are_all_here``:
+    a blob that is not found does not exist."""
 
     def __init__(self, blobs: BlobStore, *, are_all_here: bool) -> None:
         self._blobs, self._are_all_here = blobs, are_all_here
 
     def get(self, digest: str) -> bytes:
-        """Raises as the lab's blobs do, or SendOn."""
+        """Raises the errors of the lab's blobs, or SendOn."""
         try:
             return self._blobs.get(digest)
         except NotFound:
@@ -184,7 +184,8 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
 
 
 def _find_bus(settings: Settings) -> Settings:
-    """With the bus of the kernel that runs in the lab's folder, unless one is named. Raises NotFound."""
+    """The settings with the bus of the kernel that runs in the lab's folder, unless they name a bus. Raises
+    NotFound."""
     last = last_kernel(settings.home)
     if settings.bus:
         return settings
@@ -198,7 +199,7 @@ def _find_bus(settings: Settings) -> Settings:
 
 
 async def _link(api: ApiRuntime, stack: AsyncExitStack) -> None:
-    """Join the bus, and be known to the kernel there."""
+    """Join the bus, and register at the kernel."""
     settings, kernel = api.settings.lab, api.kernel
     guard = None
     if settings.is_secure:

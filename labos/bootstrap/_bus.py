@@ -1,4 +1,4 @@
-"""The bus of a kernel's process: its own or one that runs by itself, with certificates or without."""
+"""The bus of a kernel's process: its own bus or a separate one, with or without certificates."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _log = structlog.get_logger(__name__)
 
 
 BUS_PATIENCE_S = 20.0
-"""How long a starting kernel waits for a bus that runs by itself. One that has taken over from another waits
-for ever: it has the lab, and nobody else would take it back."""
+"""How long a starting kernel waits for a separate bus. A kernel that has taken over from another waits
+without limit: it has the lab, and no other kernel would take it back."""
 
 
 BUS_POLL_S = 0.2
@@ -54,8 +54,8 @@ async def secure_bus(settings: Settings, lab: LabRuntime, modules: Sequence[str]
 
 
 async def join_bus(endpoints: Sequence[str], patience_s: float, security: Security | None) -> ZenohBus:
-    """The bus that runs by itself, as soon as somebody answers there: after a power cut it may be the last to
-    start. Raises BusError if nobody does for ``patience_s``."""
+    """The separate bus, as soon as it answers: after a power cut it may be the last to start. Raises BusError
+    if it does not answer within ``patience_s``."""
     now, told = asyncio.get_running_loop().time, False
     give_up = now() + patience_s
     while True:
@@ -77,8 +77,8 @@ async def open_lab_bus(
     security: Security | None,
     patience_s: float,
 ) -> None:
-    """The router that everybody connects to, unless one runs by itself; and what the kernel says and
-    hears there."""
+    """Open the router to which all others connect, unless there is a separate one; and declare the kernel's
+    keys."""
     if settings.bus:
         lab.bus_endpoint = settings.bus[0]
         lab.bus = await join_bus(settings.bus, patience_s, security)
@@ -88,7 +88,7 @@ async def open_lab_bus(
         )
         scheme = SCHEME if security is not None else "tcp/"
         listening = f"{scheme}{settings.host}:{port}"
-        # No certificate is one for every address.
+        # A certificate is for certain addresses, never for all.
         dialled = "127.0.0.1" if security is not None and settings.host == "0.0.0.0" else settings.host
         lab.bus_endpoint = f"{scheme}{dialled}:{port}"
         lab.bus = await open_bus(mode="router", listen=[listening], security=security)
@@ -119,7 +119,7 @@ async def open_lab_bus(
 
 
 def choose_port(settings: Settings, wanted: int | None, last: int) -> int:
-    """The port asked for, else the last one if it is free, else 0 for any."""
+    """The requested port; otherwise the last one if it is free; otherwise 0 for any port."""
     if wanted is not None:
         return wanted
     return last if last and is_free(last, settings.host) else 0

@@ -1,4 +1,4 @@
-"""What the kernel's process does for API processes."""
+"""The services of the kernel's process for API processes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ async def serve_api_processes(settings: Settings, lab: LabRuntime) -> AsyncItera
 
 
 def make_api_key(settings: Settings) -> bytes:
-    """The key by which API processes of this computer are known; made once. Raises OSError."""
+    """The key by which API processes of this computer authenticate; made once. Raises OSError."""
     with suppress(FileExistsError), create_file(settings.api_key, exclusive=True) as file:
         file.write(f"{make_secret(PREFIX)}\n".encode())
     return read_api_key(settings)

@@ -1,4 +1,4 @@
-"""Drivers are found by their entry points, so that installing a package adds an instrument."""
+"""Drivers are found by their entry points, so an instrument is added by installing a package."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ DESCRIPTION = "description.yaml"
 
 
 class Drivers(msgspec.Struct):
-    """Node classes by driver name, and why the others cannot be used."""
+    """Node classes by driver name, and the reasons why other drivers cannot be used."""
 
     classes: dict[str, type[Node]] = {}
     broken: dict[str, str] = {}
 
     def make_descriptions(self) -> Descriptions:
-        # Not loaded by nodes: reading specs takes time and memory.
+        # Nodes do not load this: reading specs takes time and memory.
         from labos.spec.tables import Descriptions
 
         known = {name: node.describe() for name, node in self.classes.items()}
@@ -42,8 +42,8 @@ class Drivers(msgspec.Struct):
 
 
 def load_drivers() -> Drivers:
-    """Every installed driver. One that cannot be loaded, or whose name two packages use, is reported, and
-    spoils no other."""
+    """Every installed driver. A driver that cannot be loaded, or whose name is used by two packages, is
+    reported; the other drivers can be used."""
     found = Drivers()
     for name, entries in list_installed().items():
         try:
@@ -59,11 +59,11 @@ def load_drivers() -> Drivers:
 
 
 def list_installed() -> dict[str, list[EntryPoint]]:
-    """What is installed under each driver's name: more than one entry if packages disagree about it."""
+    """The entry points for each driver's name; there are several if packages use the same name."""
     found: dict[str, list[EntryPoint]] = {}
     for entry in entry_points(group=GROUP):
         same = found.setdefault(entry.name, [])
-        # A package that was renamed may have left its old list behind, which names the same class.
+        # A package that was renamed may have left its old entry points, which name the same class.
         if entry.value not in [other.value for other in same]:
             same.append(entry)
     return found
@@ -85,8 +85,7 @@ def load_driver(name: str) -> type[Node]:
 
 
 def find_description_path(node: type[Node]) -> Path:
-    """Where a driver describes its instrument as a thing in space: the file beside its class. Raises
-    NotFound."""
+    """The file with the geometry of a driver's instrument, beside its class. Raises NotFound."""
     path = Path(inspect.getfile(node)).with_name(DESCRIPTION)
     if not path.is_file():
         raise NotFound(
@@ -97,7 +96,7 @@ def find_description_path(node: type[Node]) -> Path:
 
 
 def shape_of(driver: str) -> DescriptionFile | None:
-    """A driver's instrument as a thing in space; None for one that is not described, or not well."""
+    """The geometry of a driver's instrument; None if it has no description or a faulty one."""
     from labos.spec.describing import load_description
 
     try:
@@ -107,19 +106,19 @@ def shape_of(driver: str) -> DescriptionFile | None:
 
 
 def descriptions() -> Descriptions:
-    """What each installed driver says of itself."""
+    """The descriptions of all installed drivers."""
     return load_drivers().make_descriptions()
 
 
 def source_of(entry: EntryPoint) -> str:
-    """The package that installs a driver, and its class there."""
+    """The package that installs a driver, and the driver's class."""
     package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a package without a name"
     return f"{package} ({entry.value})"
 
 
 def _choose_only(name: str, entries: Sequence[EntryPoint]) -> type[Node]:
-    """The only class with a name. If there are two, the lab might plan with one and its node run the other,
-    so neither is taken. Raises BadInput."""
+    """The only class with a name. If there are two, the lab might plan with one while its node runs the
+    other, so none is used. Raises BadInput."""
     if len(entries) > 1:
         raise BadInput(
             f"{len(entries)} packages install a driver named {name!r}: "
@@ -153,8 +152,8 @@ def _load_from_file(path: Path, wanted: str) -> type[Node]:
 
 
 def import_module_beside(node: type[Node], name: str) -> ModuleType | None:
-    """The module of that name in the folder of a driver's class, imported as the class was; None if there
-    is no such file. Raises BadInput."""
+    """The module of that name in the folder of a driver's class, imported like the class; None if there is no
+    such file. Raises BadInput."""
     package = node.__module__.rpartition(".")[0]
     if package:
         return import_module(f"{package}.{name}") if importlib.util.find_spec(f"{package}.{name}") else None
@@ -163,8 +162,8 @@ def import_module_beside(node: type[Node], name: str) -> ModuleType | None:
 
 
 def _import_package(path: Path) -> ModuleType:
-    """The module of a file, as a program would import it that has its folder, or the folder of its
-    outermost package, in its path: what it says of its package and what stands beside it is found."""
+    """The module of a file. It is imported as by a program with the file's folder, or the folder of its
+    outermost package, in its path. So imports of its package and of files beside it work."""
     folder, name = path.parent, path.stem
     while (folder / "__init__.py").is_file():
         name, folder = f"{folder.name}.{name}", folder.parent
@@ -184,7 +183,7 @@ def _import_package(path: Path) -> ModuleType:
 
 
 def _import_file(path: Path) -> ModuleType:
-    """The module of a file that is in no package."""
+    """The module of a file that is not part of a package."""
     known = sys.modules.get(path.stem)
     if known is not None and Path(known.__file__ or "").resolve() == path:
         return known

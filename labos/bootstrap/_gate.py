@@ -1,4 +1,4 @@
-"""Who is let in: the accounts of a lab, the key in its folder, and where it may be reached."""
+"""Access to a lab: its accounts, the key in its folder, and its addresses."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _log = structlog.get_logger(__name__)
 
 
 def describe_listening(settings: Settings, port: int) -> Listening:
-    """Where HTTP listens."""
+    """The addresses at which HTTP is served."""
     return Listening(
         settings.host,
         port,
@@ -50,8 +50,8 @@ def describe_listening(settings: Settings, port: int) -> Listening:
 
 
 def expect_tls(settings: Settings) -> None:
-    """Raises BadInput for an address that other computers reach if passwords and tokens would cross the
-    network in clear, or if nobody said that the bus may be reached."""
+    """Raises BadInput for an address that other computers can reach, if passwords and tokens would cross the
+    network unencrypted, or if the user has not permitted that the bus can be reached."""
     if is_own_address(settings.host):
         return
     if not settings.tls_certificate and not settings.behind_proxy:
@@ -70,13 +70,14 @@ def expect_tls(settings: Settings) -> None:
 
 
 async def add_first_user(settings: Settings, kernel: Kernel) -> None:
-    """The first user of a lab that has none, if one is named. Raises Refused for an id that will not do."""
+    """Add the first user to a lab without users, if the settings name one. Raises Refused for an id that is
+    not allowed."""
     if settings.first_user and kernel.state.users.is_open:
         await kernel.execute(AddUser(settings.first_user), settings.first_user)
 
 
 async def give_first_password(settings: Settings, accounts: Accounts) -> None:
-    """The password of the first user, unless there is one. Raises BadInput."""
+    """Set the password of the first user, unless there is one. Raises BadInput."""
     user, file = settings.first_user, settings.first_password
     if not file or not user or await accounts.has_password(user):
         return
@@ -94,7 +95,7 @@ def _password_in(file: str, user: str) -> str:
 
 
 def expect_users(settings: Settings, kernel: LabKernel) -> None:
-    """Raises BadInput for a lab that other computers reach, and in which everybody may do everything."""
+    """Raises BadInput for a lab that other computers can reach and in which everybody may do everything."""
     is_own = is_own_address(settings.host)
     if kernel.state.users.is_open and (not is_own or settings.behind_proxy):
         where = "the lab through a proxy" if is_own else settings.host
@@ -151,7 +152,7 @@ def open_gate_beside(
 
 
 async def end_streams(api: Api) -> None:
-    """End the streams of those whose token or session was taken back by another process; for ever."""
+    """End the streams of users whose token or session was revoked by another process; runs without end."""
     while True:
         await asyncio.sleep(FRESH_S)
         try:
@@ -175,7 +176,7 @@ def _remove(settings: Settings) -> None:
 
 
 class _Disabled:
-    """The streams of a disabled user are ended."""
+    """Ends the streams of a disabled user."""
 
     def __init__(self, accounts: Accounts) -> None:
         self._accounts = accounts

@@ -1,8 +1,9 @@
-"""A person's hands on a simulated bench: what the log says that somebody did there is done there.
+"""A simulated person at a simulated bench: the acts of people in the log are carried out on the simulated
+bench.
 
-On a real bench people act, and tell the lab. On a simulated one nobody acts: whatever is recorded of a
-person's doing is carried out as soon as it is on disk, before any node is asked for what follows from it.
-Of what could not be written, nothing is done.
+At a real bench people act, and report it to the lab. At a simulated one nobody acts. So every recorded act of
+a person is carried out as soon as its event is on disk, before a node gets a request that follows from it.
+Acts whose events could not be written are not carried out.
 """
 
 from __future__ import annotations
@@ -37,21 +38,21 @@ from labos.runtime.ledger import Entry
 from labos.services.truth import bench_name
 
 SLICES = frozenset({"lab", "modules", "bench", "actions", "resources", "interventions"})
-"""What hands have to know of the lab."""
+"""The slices of the lab's state that the simulated person needs."""
 
 ENDS = {"done": "target", "target": "target", "not_done": "source", "source": "source", "gone": ""}
-"""Where labware of a motion is by an answer."""
+"""The end of a motion at which its labware is, by the answer."""
 
 AWAY = {"failed_run": ("removed",), "contradiction": ("removed", "gone")}
-"""The answers by which somebody has carried labware away, by kind of question."""
+"""The answers that mean that a person has carried labware away, by kind of question."""
 
 E = TypeVar("E", bound=Event)
 
 
 class SimulatedHands:
-    """A kernel's listener, the first of all. ``state`` is the lab as it is on disk now, ``world`` gives the
-    bench of a workcell. It keeps what it knows of the bench one command behind, as one has to know where a
-    piece stood before it was taken away."""
+    """A listener of the kernel, the first of all. ``state`` is the state of the lab on disk; ``world``
+    returns the simulated bench of a workcell. Its state is one command behind, because it needs the place of
+    a piece before the piece was taken away."""
 
     def __init__(self, world: Callable[[str], World], log: EventStore, state: LabState) -> None:
         self._world, self._log = world, log
@@ -69,7 +70,7 @@ class SimulatedHands:
             self._follow(fresh)
 
     def on_reopened(self) -> None:
-        """There may be events on disk that no listener has heard of."""
+        """The log may have events that no listener has received."""
         records = self._log.read(after=self._state.position)
         self._follow([Entry(r, decode(r.head.type, r.head.schema, r.payload)) for r in records])
 
@@ -88,7 +89,7 @@ class SimulatedHands:
                 _furnish(self._world(applied.name), self._state, applied.name)
 
     def _do(self, events: Sequence[Event]) -> None:
-        """What somebody did, by the events of one command."""
+        """Carry out the acts of people in the events of one command."""
         answers = [
             event for event in _list_events(events, InterventionResolved) if event.choice != "withdrawn"
         ]
@@ -98,7 +99,7 @@ class SimulatedHands:
         elif any(True for _ in _list_events(events, AccessEnded)):
             self._change_stations(events)
         elif not any(isinstance(event, StationObserved | StationsChecked) for event in events):
-            # Who has only looked, or counted, has moved nothing.
+            # A person who only observed or counted has moved nothing.
             self._unload(events)
             self._load(events)
             for event in _list_events(events, ResourceReplenished):
@@ -126,7 +127,7 @@ class SimulatedHands:
                     world, place = self._find_world(event.station), local(event.station)
                     brought = sum(where == event.station for where in places.values())
                     if event.station in declared and len(world.at(place)) >= brought:
-                        continue  # it stood there, and is spoken of now
+                        continue  # it was there before; it is only mentioned now
                     lid = lids.get(event.labware)
                     world.stock(place, f"{event.type}+{lid}" if lid else event.type)
                 case LabwareChanged(variable="sealed", value=True) if event.labware in places:
@@ -163,7 +164,7 @@ class SimulatedHands:
     # -- reaching in -------------------------------------------------------------------------
 
     def _change_stations(self, events: Sequence[Event]) -> None:
-        """What somebody who reached in has changed is so now, unless it is so already."""
+        """Make the changes of a person who reached in, unless the bench is already as reported."""
         state = self._state
         plates = {
             event.labware: _plate_of(self._find_world(event.station), state, event.labware)
@@ -187,9 +188,9 @@ class SimulatedHands:
     # -- answers -----------------------------------------------------------------------------
 
     def _put_right(self, answer: InterventionResolved, events: Sequence[Event]) -> None:
-        """Labware that a device still holds, has put down half-way or let fall is taken from there and put
-        where the answer says. What stands at its start or its end is left alone: the answer only says where.
-        What was carried away by the answer, as ``events`` say, is carried away."""
+        """Labware that a device still holds, has put down half-way or dropped is taken from there, and put at
+        the place in the answer. Labware at the start or the end of its motion is not moved: the answer only
+        reports its place. Labware that was carried away, according to ``events``, is carried away."""
         state, choice = self._state, answer.choice
         question = state.interventions.open[answer.intervention]
         if choice in AWAY.get(question.kind, ()):
@@ -206,8 +207,8 @@ class SimulatedHands:
             self._refill(question)
 
     def _clear_away(self, question: Intervention, removed: Sequence[LabwareRemoved]) -> None:
-        """What leaves the record leaves the bench; and what was seen at a place where the record knows
-        nothing of it."""
+        """Remove labware from the bench that was removed from the record, and labware that was seen at a
+        place that is empty in the record."""
         state = self._state
         plates: list[tuple[World, str]] = []
         for event in removed:
@@ -223,7 +224,7 @@ class SimulatedHands:
         _carry_away(plates)
 
     def _refill(self, question: Intervention) -> None:
-        """What a person was asked to replace is full when that is confirmed."""
+        """A resource that a person was asked to replace is full when this is confirmed."""
         action = self._state.actions.open.get(ActionId(question.subject))
         for effect in action.effects if action is not None else ():
             if not isinstance(effect, Replaces):
@@ -237,7 +238,7 @@ class SimulatedHands:
 
 
 def _group_by_command(entries: Sequence[Entry]) -> Iterator[list[Entry]]:
-    """The events of one command after those of another: the first is the cause of the others."""
+    """The events, grouped by command: the first event of a command is the cause of the others."""
     command: list[Entry] = []
     for entry in entries:
         head = entry.record.head
@@ -261,7 +262,7 @@ def _carry_away(plates: Sequence[tuple[World, str]]) -> None:
 
 
 def _furnish(world: World, state: LabState, cell: str) -> None:
-    """Make the simulated bench what the workcell's file says; what stands there stays."""
+    """Set up the simulated bench as in the workcell's file; labware that is there stays."""
     zones: dict[str, str] = {}
     for name in state.bench.in_cell.get(cell, ()):
         spec = state.bench.stations[name].spec
@@ -279,7 +280,7 @@ def _furnish(world: World, state: LabState, cell: str) -> None:
 
 
 def _plate_of(world: World, state: LabState, labware: LabwareId) -> str:
-    """The simulated plate that the log calls by this name; empty if it is not where the log thinks."""
+    """The simulated plate for labware of the log; empty if it is not at the place in the log."""
     station = state.bench.stations.get(state.bench.labware[labware].station)
     if station is None or labware not in station.labware:
         return ""
@@ -289,8 +290,8 @@ def _plate_of(world: World, state: LabState, labware: LabwareId) -> str:
 
 
 def _list_motions(state: LabState, question: Intervention) -> list[Move]:
-    """The motions asked about whose devices are at rest: those that ended half-way, and those whose labware a
-    device itself has said that it holds."""
+    """The motions in a question whose devices are at rest: those that ended half-way, and those whose labware
+    is held by a device according to its own report."""
     action = state.actions.open.get(ActionId(question.subject))
     if isinstance(question.topic, LostLabware):
         effects = question.motions
@@ -306,8 +307,8 @@ def _is_held(state: LabState, name: LabwareId) -> bool:
 
 
 def _find_astray(world: World, state: LabState, question: Intervention, effect: Move) -> str:
-    """What a device still holds, has put down half-way or let fall; empty if there is nothing. What it
-    carries meanwhile for somebody else is none of that."""
+    """The plate of a motion that a device still holds, has put down half-way or dropped; empty if there is
+    none. Plates that it carries for other actions do not count."""
     device = local(question.module)
     others = [
         a for a in state.actions.open.values() if a.module == question.module and a.id != question.subject
@@ -324,6 +325,6 @@ def _find_astray(world: World, state: LabState, question: Intervention, effect: 
 
 
 def _place(state: LabState, station: StationName) -> str:
-    """What the bench calls a station; nothing for a waste, where things leave it."""
+    """The bench's name of a station; empty for a waste, where labware leaves the bench."""
     spec = state.bench.stations[station].spec
     return "" if spec.kind == "waste" else bench_name(spec)

@@ -1,4 +1,4 @@
-"""The kernel's process: store, kernel, bus, nodes and HTTP, put together."""
+"""The kernel's process, composed of store, kernel, bus, nodes and HTTP."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ Nodes = Literal["processes", "none"]
 
 
 CHECKED_AT_ONCE = 50
-"""So many records of the log are checked in the background without a pause: less than a millisecond."""
+"""The number of records that the background check reads without a pause: less than a millisecond."""
 
 _log = structlog.get_logger(__name__)
 
@@ -89,13 +89,13 @@ async def open_lab(
     grace_s: float = 30.0,
     follower: Follower | None = None,
 ) -> AsyncIterator[LabRuntime]:
-    """Run a lab as long as the block lasts; watch ``kernel.failed`` meanwhile. A standby gives what its
-    ``follower`` has read of the log.
+    """Run a lab as long as the block lasts; watch ``kernel.failed`` during this time. A standby passes its
+    ``follower`` with the state that it has read from the log.
 
-    At the end nodes finish what they are doing (``grace_s`` at the most), what is decided is
-    written, and a snapshot is kept. Raises Refused while another kernel runs this lab, or if its log is
-    lost and its nodes' journals are there, BusError or BadInput for a port in use, SpecError for the contacts
-    file, StoreError, LogTooNew.
+    At the end, nodes complete their actions (within ``grace_s``), decided events are written, and a snapshot
+    is stored. Raises Refused while another kernel runs this lab, or if its log is lost and its nodes'
+    journals are there, BusError or BadInput for a port in use, SpecError for the contacts file, StoreError,
+    LogTooNew.
     """
     expect_tls(settings)
     if settings.trace_receiver:
@@ -104,7 +104,7 @@ async def open_lab(
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
-        with _make_lab_folder(settings.home):  # where the lab cannot be opened, nothing is left behind
+        with _make_lab_folder(settings.home):  # if the lab cannot be opened, nothing is left behind
             store = open_store(settings.database, home=settings.home)
             stack.callback(store.close)
             refuse_lost_log(store, settings.journals, show_url(settings.database))
@@ -180,8 +180,8 @@ async def open_lab(
 
 
 def _check_log(settings: Settings, kernel: Kernel) -> LogCheck:
-    """Checks the whole log in the background. Once a damage is found nothing is started any more: what the
-    lab goes by may never have been so. A person decides what follows."""
+    """Checks the whole log in the background. After a damage is found, no action starts any more, because the
+    lab's state may be wrong. A person decides how to continue."""
 
     def check(tell: Callable[[int, int], None]) -> Damage | None:
         reader = open_store(settings.database, create=False, read_only=True)
@@ -194,14 +194,14 @@ def _check_log(settings: Settings, kernel: Kernel) -> LogCheck:
         why = f"The log is damaged at position {position}: {reason}. See `labos verify`."
         try:
             kernel.submit(PauseStarts(WHOLE_LAB, "labos", why), "labos")
-        except StoreError as error:  # it starts nothing without its log either; the next start looks again
+        except StoreError as error:  # without its log it starts nothing either; the next start checks again
             _log.error("starts_not_paused", why=str(error))
 
     return LogCheck(check, stop_starts)
 
 
 def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
-    """The actions whose nodes were killed before they had ended."""
+    """The actions whose nodes were killed before the actions had ended."""
     try:
         open_ = list(kernel.state.actions.open.values())
     except StoreError:
@@ -212,19 +212,20 @@ def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
 
 @contextmanager
 def _make_lab_folder(path: Path) -> Iterator[None]:
-    """Make a folder; what of it is new goes again if the block fails, as when another kernel runs the lab."""
+    """Make a folder. If the block fails, for example because another kernel runs the lab, new parts of it are
+    removed."""
     new = make_folder(path)[::-1]
     try:
         yield
     except BaseException:
         for folder in new:
-            with suppress(OSError):  # something stands in it
+            with suppress(OSError):  # it is not empty
                 folder.rmdir()
         raise
 
 
 def _is_fenced(kernel: Kernel) -> bool:
-    """Whether another kernel has taken over: the nodes are its own now."""
+    """Whether another kernel has taken over: the nodes belong to it now."""
     return kernel.failed.done() and isinstance(kernel.failed.result(), Fenced)
 
 
@@ -255,7 +256,8 @@ async def _open_kernel(
 
 
 def _is_simulated(settings: Settings) -> bool:
-    """As asked for, else as it has been. Raises BadInput for a lab that was the other kind."""
+    """Whether the lab is simulated: as requested, otherwise as before. Raises BadInput if a lab was of the
+    other kind."""
     was = was_simulated(settings)
     wanted = bool(was) if settings.simulate is None else settings.simulate
     if was is not None and wanted != was:
@@ -268,13 +270,14 @@ def _is_simulated(settings: Settings) -> bool:
 
 
 def _start_viewers(settings: Settings) -> Viewers | None:
-    """The process for those who follow the log, where a connection can be handed to another process."""
+    """The process for clients that follow the log, on systems where a connection can be passed to another
+    process."""
     return Viewers(settings.database) if sys.platform != "win32" else None
 
 
 class _LogEndListener:
-    """Tells the store when a person has compared the bench with the log: the same loss is not asked about at
-    the next start."""
+    """Informs the store when a person has compared the bench with the log: the next start does not ask about
+    the same loss again."""
 
     def __init__(self, store: SqlEventStore) -> None:
         self._store = store
@@ -288,7 +291,8 @@ class _LogEndListener:
 
 
 def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:
-    """What the journals in the lab's folder know more than the log is known before anything can start."""
+    """Read the journals in the lab's folder before anything can start: they may have actions that the log
+    does not have."""
     for module, found, beyond in find_untold(store, settings.journals):
         kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
 

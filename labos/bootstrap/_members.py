@@ -1,4 +1,5 @@
-"""How the list of who may speak on a secure bus comes to where the authority is not: over the bus itself."""
+"""Distributes the list of parties with access to a secure bus to computers without the authority, over the
+bus itself."""
 
 from __future__ import annotations
 
@@ -12,15 +13,15 @@ from labos.errors import LabosError
 from labos.pki import ReceivedList
 
 REPEAT_S = 10.0
-"""How often a list is sent again: to a bus that was away, or did not let its sender in."""
+"""How often a list is sent again: the bus may have been away, or may have refused its sender (seconds)."""
 
 _log = structlog.get_logger(__name__)
 
 
 class MembersExchange:
-    """Sends the list that is known here, if the authority has signed it, and keeps newer ones that are sent
-    by others in the folder of ``received``; where there is none, the authority itself is here. ``read`` is
-    the list as it is sent, empty if there is nothing to send."""
+    """Sends the local list, if the authority has signed it. Newer lists of others are stored in the folder of
+    ``received``; if that is None, the authority itself is here. ``read`` returns the list to send; empty if
+    there is none."""
 
     def __init__(self, bus: ZenohBus, read: Callable[[], bytes], received: ReceivedList | None) -> None:
         self._bus, self._read, self._received = bus, read, received
@@ -34,7 +35,7 @@ class MembersExchange:
             await self._bus.subscribe(MEMBERS, self._on_list)
 
     async def send(self) -> None:
-        """Send what is new, and from time to time what is not. Raises LabosError."""
+        """Send a new list at once, and an unchanged one from time to time. Raises LabosError."""
         now = asyncio.get_running_loop().time()
         data = await asyncio.to_thread(self._read)
         if data and (data != self._sent or now - self._at >= REPEAT_S):
@@ -46,7 +47,7 @@ class MembersExchange:
             self._task = asyncio.get_running_loop().create_task(self._take(self._task, data))
 
     async def _take(self, before: asyncio.Task[None] | None, data: bytes) -> None:
-        """One after the other."""
+        """Process one list after the other."""
         if before is not None:
             await asyncio.wait({before})
         assert self._received is not None

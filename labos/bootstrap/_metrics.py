@@ -1,4 +1,4 @@
-"""The metrics of a running lab: what they are read from, and who may find them."""
+"""The metrics of a running lab: their sources and their addresses."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class LabMetrics:
-    """Counts from the moment it is made. Nothing is decided in its turn: it listens, and looks when it is
-    asked."""
+    """Counts from its creation on. It decides nothing within a turn of the kernel: it listens, and computes
+    metrics on request."""
 
     traces: OtlpSender | None = None
-    """Sends traces of runs, if somebody asked for that."""
+    """Sends traces of runs, if the settings name a receiver."""
 
     def __init__(self, lab: LabRuntime, writer: ThreadWriter) -> None:
         self._lab, kernel = lab, lab.kernel
@@ -39,11 +39,11 @@ class LabMetrics:
         kernel.listeners += [self.all.of_events, self.unattended]
 
     def start(self) -> None:
-        """Begin to measure the past."""
+        """Begin to read the past events."""
         self.unattended.start()
 
     def watch_gate(self, gate: Gate) -> None:
-        """Count who is let in."""
+        """Count sign-ins and refusals."""
         self.all.signing.watch(gate.accounts.on_try, gate.on_refusal)
 
     async def close(self) -> None:
@@ -70,7 +70,8 @@ class LabMetrics:
         return told
 
     def targets(self, host: str) -> list[dict[str, Any]]:
-        """Where the metrics of the lab's processes are; ``host`` is how the asker reaches the kernel."""
+        """The addresses of the metrics of the lab's processes. ``host`` is the address at which the client
+        reaches the kernel."""
         lab = self._lab
         state = lab.kernel.state
         name = state.lab.name
@@ -116,7 +117,8 @@ class LabMetrics:
 
 
 def _files_of(database: str) -> Callable[[], int] | None:
-    """How large a SQLite database and its log of changes are, in bytes; None for another database."""
+    """A function for the size in bytes of a SQLite database with its write-ahead log; None for another
+    database."""
     if not database.startswith("sqlite"):
         return None
     file = Path(database.partition(":///")[2])

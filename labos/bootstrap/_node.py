@@ -1,4 +1,4 @@
-"""One node's process: from nothing but an address to a module that answers."""
+"""The process of one node: from the lab's address to a module that answers."""
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Address = tuple[str, int]
-"""A host and a port; 0 for a free one."""
+"""A host and a port; port 0 means any free one."""
 
 FINISH_S = 30.0
-"""How long a simulated action may go on when its node is asked to stop. A real device's action
-is never broken off because a process is to end."""
+"""How long a simulated action may continue when its node is asked to stop (seconds). A real device's action
+is never broken off because its process should end."""
 
 OWN_LAB_S = 5.0
-"""How long a node looks for the kernel of its own lab where those of others live."""
+"""How long a node looks for the kernel of its own lab while kernels of other labs live on the bus."""
 
 NO_KERNEL_S = 10.0
-"""How long no kernel shows itself before a node says that it waits for one."""
+"""If no kernel answers for this time, a node reports that it waits for one."""
 
 OTHER_LABS_S = 0.5
-"""How long a node that belongs to no lab yet looks whether there are several."""
+"""How long a node without a lab checks whether there are several labs."""
 
 _log = structlog.get_logger(__name__)
 _setup_reply = msgspec.json.Decoder(SetupReply)
@@ -76,19 +76,16 @@ async def run_node(
     with_parent: bool = False,
     finish_s: float | None = None,
 ) -> None:
-    """Answer for ``workcell/name`` until asked to stop; with an empty ``driver``, with the one that the
-    workcell names.
+    """Represent ``workcell/name`` until asked to stop. If ``driver`` is empty, the workcell names it.
 
-    ``connect`` are addresses of the lab's bus; none: that of the lab in the home folder. ``certificate`` is
-    the folder of the node's own, for a secure bus; none: that in the lab's folder. ``secure`` joins no bus
-    but a secure one. Waits
-    for a lab that is not there yet, and goes on when its kernel is restarted. ``wire`` reaches a
-    simulated device over a simulated wire, ``trace`` names a file for every byte on the wire; ``metrics`` is
-    where Prometheus may ask.
-    ``with_parent``
-    ends the node when its standard input does. What runs is finished first, for ``finish_s`` at
-    the most; asked twice, the node ends at once.
-    Raises NotFound, BadInput, JournalError, JournalDamaged, NameTaken.
+    ``connect`` are addresses of the lab's bus; if empty, the bus of the lab in the home folder is used.
+    ``certificate`` is the folder of the node's certificate for a secure bus; if empty, the one in the lab's
+    folder is used. ``secure``: only a secure bus is joined. The node waits for a lab that is not running yet,
+    and continues when its kernel is restarted. ``wire``: a simulated device is reached over a simulated wire.
+    ``trace`` names a file for every byte on the wire. ``metrics`` is the address for Prometheus.
+    ``with_parent``: the node ends when its standard input is closed. When the node is asked to stop, it first
+    completes its actions, within ``finish_s``. When it is asked twice, it ends at once. Raises NotFound,
+    BadInput, JournalError, JournalDamaged, NameTaken.
     """
     ends = _Ends()
     ends.listen(with_parent)
@@ -120,7 +117,8 @@ async def run_node(
                 f"This node would be {ours}, but the lab's bench is {theirs}.",
                 remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
             )
-        # On a simulated bench only what is said to be a simulator itself is reached at its address.
+        # On a simulated bench, a device is reached at its address only if its configuration declares it a
+        # simulator.
         reached = not simulate or told.config.get("simulator") is True
         foreign = reached and told.interface not in ("", "native")
         told = with_own_settings(told, settings.node_settings, module)
@@ -164,7 +162,7 @@ async def run_node(
 
 
 def _switch_trace(file: Path, on: bool) -> str:
-    """Write every byte of every link of this node to a file, or no more. Raises BadInput."""
+    """Begin or end the transcript of every link of this node in a file. Raises BadInput."""
     from labos.link import start_recording, stop_recording
 
     if on:
@@ -177,7 +175,7 @@ def _switch_trace(file: Path, on: bool) -> str:
 
 def _show_metrics(at: Address, node_class: type[Node], simulated: bool) -> MetricsServer:
     """Raises BadInput for an address that cannot be used."""
-    # Most nodes show none: they need not load what does.
+    # Most nodes publish no metrics and need not load this code.
     from labos.telemetry.node import MetricsServer, NodeMetrics
 
     return MetricsServer(NodeMetrics(node_class.driver, node_class.version, simulated=simulated), *at)
@@ -205,8 +203,8 @@ def _make_setup(
 async def _join_bus(
     settings: Settings, module: str, connect: Sequence[str], certificate: Path | None, secure: bool
 ) -> tuple[ZenohBus, Security | None, str]:
-    """The bus, as soon as somebody answers there; and on a secure one the node's certificate, and the lab
-    that it is for. Raises NotFound, BadInput for a certificate that cannot be used."""
+    """The bus, as soon as it answers; on a secure one also the node's certificate, and the lab for which it
+    is valid. Raises NotFound, BadInput for a certificate that cannot be used."""
     from labos.bus import open_bus
 
     pause, told = 0.1, ""
@@ -231,21 +229,21 @@ async def _join_bus(
 
 
 def _lab_of(settings: Settings, connect: Sequence[str]) -> str:
-    """The lab that runs in this home; empty if the node was sent elsewhere, or none runs."""
+    """The lab that runs in this home folder; empty if the node has other addresses, or if none runs."""
     kernel = find_kernel(settings.home)
     return kernel.lab if kernel is not None and (not connect or kernel.bus in connect) else ""
 
 
 async def find_lab(bus: Bus, module: str, known: str) -> str:
-    """The id of the lab whose kernel lives on this bus. ``known`` is the lab that the journal belongs to,
-    or whose kernel started this node; empty if there is none. Raises BadInput if only another one lives here,
-    or if nobody knows which of several is meant."""
+    """The id of the lab whose kernel lives on this bus. ``known`` is the lab to which the journal belongs, or
+    whose kernel started this node; empty if there is none. Raises BadInput if only another lab lives here, or
+    if there are several and none is known."""
     found: dict[str, bool] = {}
     seen, right = asyncio.Event(), asyncio.Event()
 
     def note(key: str, living: bool) -> None:
         parts = key.split("/")
-        if living and len(parts) == 3 and "*" not in key:  # anybody can show a key
+        if living and len(parts) == 3 and "*" not in key:  # any process can show a key
             found[parts[1]] = True
             seen.set()
             if parts[1] == known:
@@ -280,7 +278,7 @@ async def find_lab(bus: Bus, module: str, known: str) -> str:
 
 
 async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> SetupReply:
-    """What the kernel knows of the module, as soon as it knows it."""
+    """The kernel's data about the module, as soon as it has any."""
     told = ""
     key = Keys(lab).setup_of(module) if secure else Keys(lab).setup
     while True:
@@ -301,7 +299,7 @@ async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> 
 
 
 class _Ends:
-    """A request that the node end: by a signal, or by closing its standard input."""
+    """A request to end the node: by a signal, or by closing its standard input."""
 
     def __init__(self) -> None:
         self._first, self._second = asyncio.Event(), asyncio.Event()
@@ -332,11 +330,11 @@ class _Ends:
         return self._loop.create_task(self._first.wait())
 
     async def wait_unless_stopped(self, work: Coroutine[Any, Any, T]) -> T | None:
-        """What the work gives; None if the node is to end before."""
+        """The result of the work; None if the node has to end before."""
         return await self._wait_unless(self._first, work, None)
 
     async def wait_unless_hurried(self, work: Coroutine[Any, Any, T], limit_s: float | None) -> T | None:
-        """What the work gives; None if it takes too long or the node is asked to end once more."""
+        """The result of the work; None if it takes too long, or if the node is asked to end again."""
         return await self._wait_unless(self._second, work, limit_s)
 
     async def _wait_unless(

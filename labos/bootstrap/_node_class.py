@@ -1,6 +1,7 @@
-"""The class of a module's node: its driver's or an adapter, with what the workcell file says of the module.
+"""The class of a module's node: that of its driver or adapter, with the additions of the workcell file.
 
-Specs are read only where a file says something: that takes time and memory, which other nodes do without.
+Specs are read only if a file has such additions, because this takes time and memory that other nodes do not
+need.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ def find_foreign_class(module: str, told: SetupReply) -> type[Node]:
 
 
 def find_own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -> type[Node]:
-    """LabOS' own node: of ``driver`` if one is given, else of the driver that the workcell names. On a
-    simulated bench, what no driver knows is simulated by its description. Raises BadInput, NotFound."""
+    """LabOS' own node: of ``driver`` if it is given, otherwise of the driver that the workcell names. On a
+    simulated bench, actions that no driver knows are simulated from their description. Raises BadInput,
+    NotFound."""
     if told.about and not told.simulated:
         raise BadInput(
             f"{module} is described by `about:`, and nobody has said how it is reached.",

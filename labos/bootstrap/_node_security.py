@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from labos.bus import Security, ZenohBus
 
 POLL_S = 2.0
-"""How often a node looks whether its certificate was replaced."""
+"""How often a node checks whether its certificate was replaced (seconds)."""
 
 URGENT_NS = 3600 * 10**9
-"""A certificate that ends so soon is not used until the device is at rest."""
+"""A new certificate is used when the device is at rest, unless the old one expires within this time (ns)."""
 
 _log = structlog.get_logger(__name__)
 
@@ -35,7 +35,7 @@ def read_node_security(
     *,
     secure: bool,
 ) -> tuple[Security | None, str]:
-    """The certificate of a node if its bus is a secure one, and the lab that it is for (empty: not known).
+    """The certificate of a node if its bus is secure, and the lab for which it is valid (empty: not known).
     Raises NotFound, BadInput."""
     from labos.bus import SCHEME, Security
 
@@ -55,8 +55,8 @@ def read_node_security(
 
 
 def check_lab(module: str, known: str, belongs_to: str) -> None:
-    """Whether a certificate is for the lab that the node knows as its own. Raises BadInput: it would not be
-    let speak there, and would wait for ever."""
+    """Check that a certificate is valid for the node's own lab. Raises BadInput: otherwise the bus would
+    refuse the node, and it would wait without end."""
     if belongs_to and known != belongs_to:
         raise BadInput(
             f"The journal of {module} belongs to lab {known}, its certificate to lab {belongs_to}.",
@@ -88,7 +88,7 @@ async def keep_certificate(bus: ZenohBus, security: Security, is_at_work: Callab
         try:
             credentials.check(clock.now_ns())
             ends = credentials.entry().not_after
-        except LabosError as error:  # half of it is copied, perhaps
+        except LabosError as error:  # perhaps only a part of it is copied
             _log.warning("certificate_not_used", why=str(error))
             continue
         await bus.reopen(security)

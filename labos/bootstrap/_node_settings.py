@@ -1,4 +1,5 @@
-"""What a node's own computer says of its module: files, programs, secrets. Nobody tells these over HTTP."""
+"""The settings of a module on its node's own computer: files, programs, secrets. These are never sent over
+HTTP."""
 
 from __future__ import annotations
 
@@ -13,11 +14,11 @@ from labos.node.protocol import SetupReply
 
 
 def with_own_settings(told: SetupReply, path: Path, module: str) -> SetupReply:
-    """What the lab tells of a module, with what the settings file of this computer says in the place of its
-    ``config``. Raises SpecError, and BadInput for a secret without a place where it may go."""
+    """The lab's data about a module, with the settings file of this computer instead of its ``config``.
+    Raises SpecError, and BadInput for a secret without an address to which it may be sent."""
     if not path.is_file():
         return told
-    # Few computers have such a file: the others' nodes need not load what reads it.
+    # Few computers have such a file: other nodes need not load this code.
     from labos.spec.onsite import ADDRESSES, is_secret
     from labos.spec.source import make_plain, read
 
@@ -34,6 +35,6 @@ def with_own_settings(told: SetupReply, path: Path, module: str) -> SetupReply:
             f"{path} gives {module} a secret ({', '.join(secrets)}) and does not say where it may be sent.",
             remedy=f"Add the device's address there too: one of {', '.join(ADDRESSES)}.",
         )
-    # The address that stands beside a secret is the only one.
+    # Only the address beside a secret is used.
     kept = {key: value for key, value in told.config.items() if not (addressed and key in ADDRESSES)}
     return msgspec.structs.replace(told, config={**kept, **own})

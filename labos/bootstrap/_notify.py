@@ -1,4 +1,4 @@
-"""Notifications: in the kernel's process, or in one of their own that outlives it."""
+"""Notifications: in the kernel's process, or in a separate process that continues when the kernel ends."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _log = structlog.get_logger(__name__)
 
 
 class _NotifierWaker:
-    """Wakes the notifier for what it reads, and for nothing else."""
+    """Wakes the notifier for the events that it reads, and for no others."""
 
     def __init__(self, notifier: Notifier) -> None:
         self._notifier, self._types = notifier, frozenset(TYPES)
@@ -32,7 +32,7 @@ class _NotifierWaker:
             self._notifier.wake()
 
     def on_reopened(self) -> None:
-        """What was not written was never read."""
+        """Events that were not written were never read."""
 
 
 def find_contacts(settings: Settings) -> Book | None:
@@ -46,7 +46,7 @@ def find_contacts(settings: Settings) -> Book | None:
 async def run_notifier(
     settings: Settings, book: Book | None, kernel: Kernel
 ) -> AsyncIterator[Notifier | None]:
-    """Tell people as long as the block lasts. Whatever fails here, the lab runs."""
+    """Notify people as long as the block lasts. A failure here does not affect the lab."""
     if book is None:
         yield None
         return

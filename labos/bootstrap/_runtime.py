@@ -1,4 +1,4 @@
-"""A running lab: what it consists of, its nodes, and what it answers them."""
+"""A running lab: its parts, its nodes, and its answers to them."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class LabRuntime:
     http: HttpServer
     desk: Desk
     log_check: LogCheck | None = None
-    """The check of the whole log, once it has begun."""
+    """The check of the whole log, after it has begun."""
     guard: Guard | None = None
     """The certificates of a secure bus."""
 
@@ -76,7 +76,7 @@ class LabRuntime:
         self.cut_short: list[str] = []
         """The actions, with their runs, that had not ended when the lab was closed."""
         self.left_to_standby = False
-        """Whether the lab is closed for a standby to go on with."""
+        """Whether the lab is closed so that a standby can take over."""
         self._unheard: dict[ModuleName, str] = {}
         self._worlds: dict[str, World] = {}
         self._detach = False
@@ -96,8 +96,8 @@ class LabRuntime:
     async def apply(
         self, cell: CompiledWorkcell, *, declare: bool | None = None, actor: str = "labos"
     ) -> None:
-        """Set up a workcell. Unless it is said otherwise, its stock is declared on a simulated bench, not
-        on a real one."""
+        """Set up a workcell. By default, its stock is declared on a simulated bench, but not on a real
+        one."""
         await self.service.apply(cell, actor, declare=self.simulated if declare is None else declare)
 
     def start_nodes(self, *, detach: bool = False) -> None:
@@ -114,8 +114,8 @@ class LabRuntime:
         self.supervised.start([NodeCommand(str(name), self._make_argv(name, detach)) for name in modules])
 
     async def leave_to_standby(self) -> bool:
-        """Whether this lab can be left to a standby: somebody has to stand by, and nodes that end with this
-        process would not outlive it. Raises StoreError."""
+        """Whether this lab can be left to a standby. A standby has to be ready, and the nodes must not end
+        together with this process. Raises StoreError."""
         standing_by = await asyncio.to_thread(self.store.standbys)
         mortal = self.supervised is not None and not self._detach
         if not standing_by or mortal:
@@ -125,12 +125,12 @@ class LabRuntime:
         return True
 
     def is_stopping(self, module: ModuleName) -> bool:
-        """Whether the node of a module was told to end."""
+        """Whether LabOS has asked the node of a module to end."""
         return self.supervised is not None and self.supervised.is_stopping(module)
 
     def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:
-        """Nodes of removed modules end, those of ``changed`` ones are started again as soon as they
-        have finished what they are doing, those of new ones are started."""
+        """Adapt the nodes to the workcells: nodes of removed modules end, nodes of ``changed`` modules are
+        restarted after their present actions, and nodes of new modules are started."""
         if self.supervised is not None:
             task = asyncio.get_running_loop().create_task(self._follow(self.supervised, changed))
             self._following.add(task)
@@ -146,7 +146,8 @@ class LabRuntime:
 
     def _make_argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
         spec = self.kernel.state.modules.by_name[module].spec
-        driver = [] if "about" in spec.config else [spec.driver]  # no driver describes a foreign node
+        # A foreign node has no driver's description.
+        driver = [] if "about" in spec.config else [spec.driver]
         return (
             *(sys.executable, "-m", "labos", "node", "start", *driver),
             *("--name", local(module), "--workcell", workcell_of(module)),
@@ -183,7 +184,7 @@ class LabRuntime:
         return msgspec.json.encode(reply)
 
     async def on_setup_of(self, key: str, payload: bytes) -> bytes:
-        """The same on a key of its own for each module, which only its node may ask on a secure bus."""
+        """The same on a separate key for each module; on a secure bus only the module's node may query it."""
         try:
             module = read(payload, _setup_request).module
         except Unreadable as error:

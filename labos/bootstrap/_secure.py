@@ -1,4 +1,4 @@
-"""A bus with certificates: whose they are, and what follows when they change while the lab runs."""
+"""A bus with certificates: their owners, and the consequences when they change while the lab runs."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from labos.pki import MEMBERS, Authority, Credentials, Members, PartyIdentity, R
 from labos.settings import Settings, last_kernel
 
 POLL_S = 1.0
-"""How often it is looked whether a certificate was issued, renewed or revoked."""
+"""How often changes of certificates are checked: issued, renewed, revoked (seconds)."""
 
 RENEW_S = 3600.0
 LOOK_S = 5.0
-"""How often it is looked for certificates that are due, and for nodes that cannot be heard."""
+"""How often certificates that are due, and nodes that do not answer, are searched (seconds)."""
 
 State = tuple[object, ...]
-"""What a session was opened with; another one means that it has to be opened anew."""
+"""The data with which a session was opened; if they change, it has to be opened again."""
 
 _log = structlog.get_logger(__name__)
 
 
 class Guard:
-    """The certificates of who runs a bus, or joins one as a kernel. ``modules`` tells whose nodes run here:
-    their certificates are renewed with its own."""
+    """The certificates of a party that runs a bus, or joins one as a kernel. ``modules`` returns the modules
+    whose nodes run here: their certificates are renewed together with its own."""
 
     def __init__(
         self,
@@ -57,12 +57,12 @@ class Guard:
     # -- before the bus is open --------------------------------------------------------------
 
     def prepare(self, modules: Iterable[str] = ()) -> Security:
-        """Its certificate, and those of the nodes that run here; an authority is made if there is none.
+        """Its certificate, and those of the nodes that run here; if there is no authority, one is made.
         Blocks. Raises NotFound, Refused, BadInput."""
         if self._own is None:
             self._find_authority()
             self._renew(modules)
-        self._used = self._state()  # what changes from here on is heeded
+        self._used = self._state()  # changes after this point are noticed
         credentials = self.credentials
         credentials.check(SystemClock().now_ns())
         self._check_identity(credentials)
@@ -77,7 +77,7 @@ class Guard:
         return Security(self.credentials, self.members().admitted if self._runs_bus else ())
 
     def members(self) -> Members:
-        """Who may speak on the bus that it runs. Raises NotFound, BadInput."""
+        """The parties with access to the bus that it runs. Raises NotFound, BadInput."""
         received = self.received_list
         if received is not None and received.file.is_file():
             return received.read()
@@ -85,7 +85,7 @@ class Guard:
 
     @property
     def received_list(self) -> ReceivedList | None:
-        """The list of members where the authority is elsewhere."""
+        """The list of members if the authority is on another computer."""
         return ReceivedList(self._own) if self._own is not None else None
 
     def _read_signed_list(self) -> bytes:
@@ -93,20 +93,21 @@ class Guard:
         file = (self._own or self.authority.folder) / MEMBERS
         if not file.is_file():
             return b""
-        members = self.members()  # one that is not believed here is told to nobody
+        members = self.members()  # a list that is not valid here is not sent to others
         return msgspec.json.encode(members) if members.signature else b""
 
     def find_node_folder(self, module: str) -> Path:
-        """Where the certificate of a node is that runs here."""
+        """The folder of the certificate of a node that runs here."""
         return self.authority.credentials(PartyIdentity("node", module, self.who.lab)).folder
 
     def issue_for(self, modules: Iterable[str]) -> None:
-        """Certificates for nodes that run here and have none. Blocks. Raises Refused, BadInput."""
+        """Issue certificates for nodes that run here and have none. Blocks. Raises Refused, BadInput."""
         if self.authority.issues:
             self.authority.issue_all(PartyIdentity("node", module, self.who.lab) for module in modules)
 
     def _find_authority(self) -> None:
-        """One is made for a lab that never had one and runs its bus itself. Raises NotFound."""
+        """The authority. One is made for a lab that never had one and runs its bus itself. Raises
+        NotFound."""
         if self.authority.exists:
             return
         if not self._runs_bus:
@@ -126,7 +127,8 @@ class Guard:
         self.authority.init(f"LabOS authority of {socket.gethostname()}"[:64])
 
     def _renew(self, modules: Iterable[str]) -> None:
-        """Its own certificate, and those of the nodes that run here. Raises Refused, NotFound, BadInput."""
+        """Renew its own certificate, and those of the nodes that run here. Raises Refused, NotFound,
+        BadInput."""
         self.authority.ensure(self.who, addresses=list_addresses(self._settings))
         self.issue_for(modules)
 
@@ -143,7 +145,7 @@ class Guard:
     # -- while the bus runs ------------------------------------------------------------------
 
     async def watch(self, bus: ZenohBus) -> None:
-        """Heed what changes from now on."""
+        """Apply all changes from now on."""
         if self._runs_bus:
             self._onlooker = Onlooker(bus)
             await self._onlooker.start()
@@ -181,7 +183,7 @@ class Guard:
             except LabosError as error:
                 _log.warning("certificates_not_heeded", why=str(error))
                 await asyncio.sleep(LOOK_S)
-            except Exception:  # the next revocation must be heeded all the same
+            except Exception:  # the next revocation must be applied in any case
                 _log.exception("certificates_not_heeded")
                 await asyncio.sleep(LOOK_S)
 
@@ -196,7 +198,7 @@ class Guard:
         self._tell(unheard)
 
     def _state(self) -> State:
-        """What a session is opened with: its certificate, and who may do what."""
+        """The data with which a session is opened: its certificate, and the rights of all parties."""
         try:
             members = self.members().admitted if self._runs_bus else ()
         except LabosError:
@@ -205,7 +207,7 @@ class Guard:
 
 
 def list_addresses(settings: Settings) -> list[str]:
-    """The addresses under which the bus of this computer is connected to."""
+    """The addresses at which the bus of this computer can be reached."""
     here = {"127.0.0.1", "localhost", socket.gethostname(), *settings.addresses}
     if settings.host not in ("0.0.0.0", "::", ""):
         here.add(settings.host)

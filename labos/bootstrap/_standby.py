@@ -1,4 +1,4 @@
-"""A standby: follows the log of a lab that another kernel runs, until that one is gone."""
+"""A standby: it follows the log of a lab that another kernel runs, until that kernel is gone."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from labos.store import Holder, SqlEventStore, find_database_file, open_store
 from labos.version import VERSION
 
 POLL_S = 0.5
-"""How often a standby reads what is new, and looks whether the kernel is still there."""
+"""How often a standby reads new events, and checks whether the kernel is still there (seconds)."""
 
 SURE_S = 3.0
-"""A kernel whose lock is gone while its lease runs is given so long to take it again, as it does after the
-database has dropped its session; it tries every 2 s."""
+"""A kernel whose lock is gone while its lease is valid has this long to take the lock again (seconds). It
+needs this after the database has dropped its session; it tries every 2 s."""
 
 SETTLED_S = 12.0
-"""After the database was away a kernel is given so long to find it again: it looks every 5 s at least."""
+"""After an outage of the database, a kernel has this long to find it again (seconds); it tries at least every
+5 s."""
 
 _log = structlog.get_logger(__name__)
 
@@ -40,13 +41,14 @@ class Standby:
         self._unlocked_since: float | None = None
         self._away_until = float("-inf")
         self._ready = False
-        self._name = f"{VERSION} on {gethostname()}"[:40]  # the server keeps 63 bytes with what comes before
+        # The server stores 63 bytes, including the part before.
+        self._name = f"{VERSION} on {gethostname()}"[:40]
 
     async def wait(self, end: asyncio.Event, ready: Callable[[], None]) -> str:
-        """Follow the log until its kernel is gone; returns who that was, empty if ``end`` came before. A
-        kernel that gave its lab back in order is not replaced: somebody wanted it so. ``ready`` is
-        called as soon as the log has been read. Raises LogTooNew, LogDamaged."""
-        await asyncio.to_thread(load_drivers)  # what takes long at a start is done before it is needed
+        """Follow the log until its kernel is gone. Returns the name of that kernel; empty if ``end`` came
+        before. A kernel that released its lab in an orderly way is not replaced, because this was intended.
+        ``ready`` is called as soon as the log has been read. Raises LogTooNew, LogDamaged."""
+        await asyncio.to_thread(load_drivers)  # slow parts of a start are done before they are needed
         ending = asyncio.get_running_loop().create_task(self._hang_up_at(end))
         try:
             return await self._follow(end, ready)
@@ -54,7 +56,7 @@ class Standby:
             ending.cancel()
 
     async def _hang_up_at(self, end: asyncio.Event) -> None:
-        """It can be ended without waiting for a database that is frozen."""
+        """End the wait even if a call hangs in a frozen database."""
         await end.wait()
         self._store.hang_up()
 
@@ -66,7 +68,7 @@ class Standby:
                 await asyncio.to_thread(self.follower.catch_up)
                 await asyncio.to_thread(self._store.stand_by, self._name)
                 found = await asyncio.to_thread(self._store.find_holder)
-                if self._ready and now() - asked > SURE_S:  # it stood still, and for its kernel too
+                if self._ready and now() - asked > SURE_S:  # the database stood still, for the kernel too
                     self._away_until, self._unlocked_since = now(), None
                 if not self._ready:
                     self._ready = True
@@ -96,7 +98,8 @@ class Standby:
 
 @asynccontextmanager
 async def open_standby(settings: Settings) -> AsyncIterator[Standby]:
-    """A standby for the lab in a database. Raises BadInput where none is possible, StoreUnavailable."""
+    """A standby for the lab in a database. Raises BadInput for a database that allows none,
+    StoreUnavailable."""
     if find_database_file(settings.database) is not None:
         raise BadInput(
             "A standby needs a PostgreSQL database: the lock of a kernel on SQLite goes with its process.",

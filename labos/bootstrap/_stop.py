@@ -1,4 +1,4 @@
-"""An emergency stop with nothing but an address: where no kernel answers."""
+"""An emergency stop with only the address of a bus, if no kernel answers."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ LOOK_S = 0.5
 async def stop_over_bus(
     connect: Sequence[str], target: str, by: str, lab: str = "*", certificate: Path | None = None
 ) -> StopReport:
-    """Stop a module, a workcell or everything (``*``) that lives on a bus. On a secure one that takes the
-    ``certificate`` of the kernel, or of somebody who may stop. Raises BusError, BadInput, NotFound."""
+    """Stop a module, a workcell or all modules (``*``) that live on a bus. On a secure bus this needs the
+    ``certificate`` of the kernel, or of a party that may stop modules. Raises BusError, BadInput,
+    NotFound."""
     from labos.bus import Security, open_bus
 
     security = None

@@ -1,4 +1,4 @@
-"""A lab in a thread of its own, for programs that are not asynchronous."""
+"""A lab in its own thread, for programs that are not asynchronous."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ _log = structlog.get_logger(__name__)
 
 
 class LabThread:
-    """``open_lab`` as an ordinary context manager; talk to it over HTTP (``url``). With ``standby`` the
-    lab is opened when its kernel is gone, and not entered before; it is called when this one stands by.
+    """``open_lab`` as an ordinary context manager; programs use it over HTTP (``url``). With ``standby``, the
+    block is entered only when the lab's present kernel is gone and this one has opened the lab. ``standby``
+    is called when this one is ready to take over.
 
-    ``failure`` is set when the kernel cannot go on. Leaving the block closes the lab in order; a
-    KeyboardInterrupt while it closes makes it hurry.
+    ``failure`` is set when the kernel cannot continue. Leaving the block closes the lab in an orderly way; a
+    KeyboardInterrupt during this time makes it close faster.
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class LabThread:
         self._workcells, self._nodes, self._detach = workcells, nodes, detach
         self._declare, self._grace_s, self._standby = declare, grace_s, standby
         self.replaced = ""
-        """The kernel whose place this one took."""
+        """The kernel that this one has replaced."""
         self._opened, self._ended = threading.Event(), threading.Event()
         self._error: BaseException | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -61,7 +62,7 @@ class LabThread:
 
     @property
     def runtime(self) -> LabRuntime:
-        """The lab itself: belongs to the thread's event loop; read what does not change."""
+        """The lab itself. It belongs to the thread's event loop: read only attributes that do not change."""
         assert self._lab is not None
         return self._lab
 
@@ -95,7 +96,7 @@ class LabThread:
         return self._lab is not None and self._lab.left_to_standby
 
     def leave_to_standby(self) -> None:
-        """Close the lab for a standby to go on with, if somebody stands by; from any thread."""
+        """Close the lab so that a standby can take over, if one is ready; from any thread."""
         self._tell(self._begin_leaving)
 
     def _begin_leaving(self) -> None:
@@ -111,7 +112,7 @@ class LabThread:
             _log.warning("not_left_to_standby", why=str(error))
 
     def _stop(self) -> None:
-        # Not `join`: interrupted in it, Python 3.11 takes a thread that lives for one that has ended.
+        # Not `join`: if it is interrupted, Python 3.11 takes a living thread for an ended one.
         while not self._ended.is_set():
             try:
                 self._tell(lambda: self._end.set() if self._end is not None else None)
@@ -153,7 +154,7 @@ class LabThread:
                 except (
                     Refused,
                     StoreUnavailable,
-                ) as error:  # another one was quicker, or the database is away
+                ) as error:  # another standby was faster, or the database is away
                     if self._lab is not None:
                         raise
                     _log.info("not_taken_over", why=str(error))
@@ -178,5 +179,5 @@ class LabThread:
             if lab.kernel.failed.done():
                 self.failure = lab.kernel.failed.result()
                 self.failed.set()
-        if lab.kernel.failed.done():  # perhaps only as it closed
+        if lab.kernel.failed.done():  # perhaps this was only during the closing
             self.failure = lab.kernel.failed.result()

@@ -1,4 +1,4 @@
-"""Traces of a lab's runs, sent to a receiver of OpenTelemetry if one is named."""
+"""Traces of a lab's runs, sent to a receiver of OpenTelemetry if the settings name one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labos.version import VERSION
 
 @asynccontextmanager
 async def send_traces(settings: Settings, kernel: Kernel) -> AsyncIterator[OtlpSender | None]:
-    """Send what happens in the block; what still waits at its end is sent then. Raises BadInput."""
+    """Send the traces of the block; traces that still wait at its end are sent then. Raises BadInput."""
     if not settings.trace_receiver:
         yield None
         return

@@ -1,4 +1,5 @@
-"""Measures the time without human intervention of a running lab: first the past, then what happens."""
+"""Measures the time without human intervention of a running lab: first from past events, then from new
+ones."""
 
 from __future__ import annotations
 
@@ -15,16 +16,16 @@ from labos.services.log import Log, decode_event
 from labos.services.twh import HEARD, Meter
 
 PAGE = 500
-"""Events of the past that are read at once."""
+"""The number of past events that are read at once."""
 
 SHARE = 0.2
-"""The part of the time that reading the past takes, at the most: the kernel works meanwhile."""
+"""The largest part of the time for reading the past, because the kernel works in the same process."""
 
 RECENT = 20_000
-"""Events that are kept meanwhile, so that what was read meets what happens."""
+"""New events that are kept during the reading, to continue from the last past event without a gap."""
 
 KEEP = 1000
-"""Runs and experiments that have ended and are remembered, for what people say of them later."""
+"""Ended runs and experiments that are remembered for later reports of people about them."""
 
 _log = structlog.get_logger(__name__)
 
@@ -40,14 +41,14 @@ class UnattendedMeter:
         self._page: asyncio.Future[int] | None = None
 
     def start(self) -> None:
-        """Read the past in the background."""
+        """Read the past events in the background."""
         self._break_off()
         self.meter = None
         self._recent.clear()
         self._task = asyncio.get_running_loop().create_task(self._catch_up())
 
     async def close(self) -> None:
-        """End it, wherever it is; the page that is being read is read to its end."""
+        """Stop reading at any point; the present page is read to its end."""
         self._break_off()
         if self._page is not None:
             await asyncio.wait({self._page})
@@ -64,7 +65,7 @@ class UnattendedMeter:
                 _add(self.meter, entry)
 
     def on_reopened(self) -> None:
-        """There may be events that no listener has heard of: read everything again."""
+        """There may be events that no listener has received: read everything again."""
         self.start()
 
     async def _catch_up(self) -> None:
@@ -76,7 +77,7 @@ class UnattendedMeter:
                 self._page = loop.run_in_executor(None, self._read_page, meter, after)
                 after = await asyncio.shield(self._page)
                 await asyncio.sleep((self._clock.monotonic() - began) * (1 / SHARE - 1))
-        except LabosError as error:  # the kernel reads the log again too, and says so
+        except LabosError as error:  # the kernel reads the log again too, and reports the error
             _log.warning("past_not_measured", after=after, why=str(error))
             return
         for entry in self._recent:
@@ -86,7 +87,7 @@ class UnattendedMeter:
         self.meter = meter
 
     def _is_complete_after(self, after: int) -> bool:
-        """Whether no event is missing between those that were read and those that were heard."""
+        """Whether no event is missing between the past events and the received ones."""
         first = self._recent[0].position if self._recent else self._durable() + 1
         return after + 1 >= first
 

@@ -1,18 +1,19 @@
-"""Who may say and hear what on a secure bus, as access rules of Zenoh.
+"""The access rules of Zenoh for a secure bus: which party may send and receive which messages.
 
-Everything that no rule allows is denied, without a word to anybody. A rule's keys must include the whole key
-that a party declares or asks: a subscription to ``labos/**`` is denied although ``labos/L/cell/arm/state``
-would be allowed. ``**`` never matches a part that begins with ``@``, so those stand for themselves.
+Everything that no rule allows is denied, without an error on either side. A rule's keys must include the
+whole key that a party declares or queries: a subscription to ``labos/**`` is denied although
+``labos/L/cell/arm/state`` would be allowed. ``**`` never matches a part that begins with ``@``, so such parts
+are written out.
 
-=======  ======================================================================================
-node     answers and publishes for its module, shows its own signs of life, asks the kernel
-kernel   asks the nodes of its lab, hears them, tells them of their modules, announces events
-api      asks the kernel what its users ask for, under its own name
-viewer   hears the states, results and events of its lab
-stop     sees who lives in its lab, and may ask the `admin` operation, which stops modules
-bus      runs the bus; it is never let in as a party
-all      send a list of members, which counts only if the authority has signed it
-=======  ======================================================================================
+=======  ===================================================================================
+node     answers and publishes for its module, shows its own liveliness, queries the kernel
+kernel   queries and receives from the nodes of its lab, answers them, publishes events
+api      sends the requests of its users to the kernel, under its own name
+viewer   receives the states, results and events of its lab
+stop     sees which nodes live in its lab, and may query `admin`, which stops modules
+bus      runs the bus; it gets no access as a party
+all      send a list of members, which is valid only if the authority has signed it
+=======  ===================================================================================
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from labos.node.protocol import ANY_KERNEL, Keys
 from labos.pki import PROCESS_NAME, CertificateEntry, PartyIdentity
 
 ROUND_TRIP = "labos/@round-trip"
-"""What nobody shows: asked for to learn that everything before it has arrived."""
+"""A key that nobody shows: a query for it returns after everything before it has arrived."""
 
 MEMBERS = "labos/@members"
-"""Where lists of members are sent. Every holder of a certificate of the authority may do that, also one that
-is not in the present list: a kernel that has just got its certificate brings the list in which it stands."""
+"""The key on which lists of members are sent. Every holder of a certificate of the authority may send there,
+even if it is not in the present list: a kernel with a new certificate brings the list that contains it."""
 
 IN, OUT = "ingress", "egress"
 ALL = "all"
-"""The rule, and the subject, of everybody."""
+"""The rule and the subject for all parties."""
 
 Rule = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 """Flows, messages, keys."""

@@ -1,4 +1,4 @@
-"""What a session has declared, and how much of what it hears is let through."""
+"""The declarations of a session, and the limits for messages that it passes on."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import zenoh
 from labos.bus._opening import reason_of
 
 MOST_WAITING = 10_000
-"""Publications of one subscription, or queries for one key, that wait to be handled. More are dropped:
-publishers send again, a caller that asked gets no answer, and a flood must not take all memory."""
+"""The most publications of one subscription, or queries for one key, that wait to be handled. More are
+dropped: publishers send again, a caller gets no answer. So a flood cannot use up the memory."""
 
 MOST_TOKENS = 65_536
-"""Living keys that a watcher is told of."""
+"""The most living keys that a watcher reports."""
 
 _log = structlog.get_logger(__name__)
 
 
 class Declared:
-    """Something declared on the bus."""
+    """A declaration on the bus."""
 
     def __init__(self, declare: Callable[[], Any], siblings: dict[Declared, None]) -> None:
         self._declare = declare
@@ -45,18 +45,17 @@ class Declared:
             _log.debug("undeclare_failed", error=str(error))
 
     def declare_again(self) -> None:
-        """In a new session."""
+        """Declare it again in a new session."""
         if not self.closed:
             try:
                 self._entity = self._declare()
-            except (
-                zenoh.ZError
-            ) as error:  # the session has ended again: it is done when the session is opened the next time
+            except zenoh.ZError as error:
+                # The session has ended again: this is done when the next session is opened.
                 _log.warning("not_declared_again", error=reason_of(error))
 
 
 class KeyWatch:
-    """The living keys that a watcher was told of."""
+    """The living keys that a watcher has reported."""
 
     def __init__(self, deliver: Callable[[str, bool], None]) -> None:
         self._deliver = deliver
@@ -65,26 +64,26 @@ class KeyWatch:
 
     def note(self, key: str, living: bool) -> None:
         self._awaited.discard(key)
-        # A router that restarts tells a token again.
+        # A router that restarts reports a token again.
         if living == (key in self._alive) or (living and len(self._alive) >= MOST_TOKENS):
             return
         (self._alive.add if living else self._alive.discard)(key)
         self._deliver(key, living)
 
     def await_return(self) -> set[str]:
-        """The session is new: those who live are expected to show themselves again."""
+        """The session is new: return the known keys, which are expected to show themselves again."""
         self._awaited = set(self._alive)
         return self._awaited
 
     def miss(self, awaited: set[str]) -> None:
-        """Those who did not come back are gone."""
+        """Report the keys that did not come back as gone."""
         for key in list(awaited) if awaited is self._awaited else ():
             self.note(key, False)
 
 
 class Waiting:
-    """How much was handed over to the event loop, and how much of it is done. The receiving threads count
-    the one, the loop the other."""
+    """Counts the messages handed to the event loop, and those that it has handled. The receiving threads
+    increase the first number, the loop the second."""
 
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
@@ -92,7 +91,7 @@ class Waiting:
         self.taken = 0
 
     def take_place(self) -> bool:
-        """Whether one more may be handed over; it counts as handed over then."""
+        """Whether one more message may be handed over; it then counts as handed over."""
         if self._given - self.taken >= MOST_WAITING:
             return False
         self._given = next(self._numbers)
@@ -100,7 +99,7 @@ class Waiting:
 
 
 class Guarded:
-    """A listener that cannot hurt the loop, and that hears nothing after its handle is closed."""
+    """A listener whose errors do not harm the loop, and that receives nothing after its handle is closed."""
 
     def __init__(self, listener: Callable[[str, Any], None]) -> None:
         self._listener = listener

@@ -1,4 +1,5 @@
-"""Who is connected to a secure bus and cannot be heard: Zenoh denies without a word to either side."""
+"""Finds parties that are connected to a secure bus but denied by its rules: Zenoh reports this to neither
+side."""
 
 from __future__ import annotations
 
@@ -13,19 +14,19 @@ from labos.pki import CertificateEntry
 from labos.ports import Handle
 
 PATIENCE_S = 10.0
-"""A node that starts asks for its module and looks whether its name is free before it shows itself."""
+"""A starting node asks for its module and checks its name before it shows itself; this may take so long."""
 
 
 class Unheard(msgspec.Struct, frozen=True):
-    """``silent`` are nodes that are connected with a certificate and have not shown themselves; ``unknown``
-    the common names of certificates that may do nothing here."""
+    """``silent`` are nodes that are connected with a certificate and have not shown themselves. ``unknown``
+    are the common names of certificates that have no rights here."""
 
     silent: tuple[CertificateEntry, ...] = ()
     unknown: tuple[str, ...] = ()
 
 
 class Onlooker:
-    """Looks at who is connected to the bus that a session runs."""
+    """Checks the parties that are connected to the bus of a session."""
 
     def __init__(self, bus: ZenohBus, patience_s: float = PATIENCE_S) -> None:
         self._bus, self._patience_s = bus, patience_s
@@ -41,7 +42,7 @@ class Onlooker:
             self._handle.close()
 
     def look(self, admitted: Iterable[CertificateEntry]) -> Unheard:
-        """Who has been connected for a while and is not heard."""
+        """The parties that have been connected for ``patience_s`` and are not heard."""
         known = {entry.common_name: entry for entry in admitted}
         now = asyncio.get_running_loop().time()
         here = set(self._bus.list_connected())

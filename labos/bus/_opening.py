@@ -1,4 +1,4 @@
-"""How a session is opened: Zenoh's settings, and what it says when it cannot."""
+"""Opening a session: Zenoh's settings, and the errors when it fails."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from labos.errors import BusError
 Mode = Literal["client", "peer", "router"]
 
 LEASE_MS = 2000
-"""A frozen process is taken for gone after this long."""
+"""A frozen process counts as gone after this time."""
 
 RETRY_MS = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
-"""How often a client looks for a bus that went away."""
+"""The pauses between the attempts of a client to reach a bus that is gone."""
 
 
 class Opening:
-    """How a session is opened, and opened anew."""
+    """Opens a session, and opens it again."""
 
     def __init__(self, mode: Mode, listen: tuple[str, ...], connect: tuple[str, ...]) -> None:
         self._mode, self._listen, self._connect = mode, listen, connect
@@ -46,14 +46,14 @@ def config_of(mode: Mode, listen: Sequence[str], connect: Sequence[str], securit
         "mode": mode,
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
-        # Labs find each other by address only, so that two on one network never mix.
+        # Labs find each other only by address, so that two labs on one network are never mixed.
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
         # Messages above 3 KB can vanish in shared memory when the receiver stalls.
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
-        # Who takes nothing for that long while others wait for it is frozen too; microseconds.
+        # A party that accepts nothing for this long while others wait for it is frozen too; microseconds.
         "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE_MS * 1000,
         "connect/retry": RETRY_MS,
         **(security.make_settings(mode) if security is not None else {}),
@@ -91,6 +91,6 @@ def _explain_failure(reason: str, listen: Sequence[str], connect: Sequence[str],
 
 
 def reason_of(error: Exception) -> str:
-    """What Zenoh says, without the places in its source."""
+    """Zenoh's message, without the places in its source code."""
     text = re.sub(r" at /\S+\.rs:\d+\.?|, location: Some\(Location \{.*?\}\)", "", str(error))
     return text.strip().rstrip(".")

@@ -1,4 +1,4 @@
-"""What a secure session on the bus needs."""
+"""The data for a secure session on the bus."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ SCHEME = "tls/"
 
 
 class Security(msgspec.Struct, frozen=True):
-    """TLS with certificates on both sides. ``members`` are those who may speak, where this session runs the
-    bus; else the operator of the bus knows them."""
+    """TLS with certificates on both sides. ``members`` are the parties with access, if this session runs the
+    bus; otherwise the operator of the bus has this list."""
 
     credentials: Credentials
     members: tuple[CertificateEntry, ...] = ()
@@ -41,7 +41,7 @@ class Security(msgspec.Struct, frozen=True):
 
 
 def check_endpoints(endpoints: tuple[str, ...], *, secure: bool) -> None:
-    """Raises BadInput for an address of the wrong kind: a secure session speaks to nobody without TLS."""
+    """Raises BadInput for an address of the wrong kind: a secure session connects only with TLS."""
     for endpoint in endpoints:
         if endpoint.startswith(SCHEME) is not secure:
             kind, other = ("secure", "tcp/") if secure else ("not secure", SCHEME)

@@ -1,8 +1,8 @@
 """The bus on Eclipse Zenoh.
 
-Zenoh calls back on its own receive threads; the callbacks here only hand over to the event
-loop. Queryables are declared complete and queries go to the best matching one: otherwise two
-nodes of one name would both carry out an action.
+Zenoh calls back on its own receive threads; the callbacks here only pass messages to the event loop.
+Queryables are declared complete, and queries go to the best matching one. Otherwise two nodes with the same
+name would both carry out an action.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from labos.errors import BusError, LabosError, NoAnswer
 from labos.ports import AliveListener, Handle, Handler, Listener
 
 LARGEST_MESSAGE = 64 * 1024 * 1024
-"""Bytes of a message that is taken from the bus."""
+"""The most bytes of a message from the bus; larger ones are dropped."""
 
 LONGEST_REASON = 1000
-"""Characters of an error that an answer bears."""
+"""The most characters of an error in an answer."""
 
 RETURN_S = 5.0
-"""When a session was opened anew, so long those that lived before may take to show themselves again."""
+"""After a session was opened again, parties that lived before have this long to show themselves again."""
 
 REOPEN_S = 0.2
 """The first pause between two attempts to open a session anew; each doubles, up to 2 s."""
@@ -47,9 +47,9 @@ async def open_bus(
     connect: Sequence[str] = (),
     security: Security | None = None,
 ) -> ZenohBus:
-    """Join the bus. Endpoints read ``tcp/127.0.0.1:7447``, or ``tls/127.0.0.1:7447`` with ``security``; a
-    ``router`` is what everybody else connects to. A client raises BusError if nobody is there, or if it is
-    not let in; peers and routers keep trying, and what a peer declares reaches others a moment after the call
+    """Join the bus. Endpoints have the form ``tcp/127.0.0.1:7447``, or ``tls/127.0.0.1:7447`` with
+    ``security``. All others connect to the ``router``. A client raises BusError if there is no router, or if
+    it is refused. Peers and routers keep trying; a peer's declarations reach others shortly after the call
     returns. Raises BadInput for an address of the wrong kind.
     """
     opening = Opening(mode, tuple(listen), tuple(connect))
@@ -57,7 +57,7 @@ async def open_bus(
 
 
 class Traffic:
-    """What has gone over a session so far."""
+    """The traffic of a session since it was opened."""
 
     def __init__(self) -> None:
         self.queries = self.unanswered = self.published = self.dropped = 0
@@ -93,7 +93,7 @@ class ZenohBus:
                 settled.set_result(None)
 
         def on_reply(reply: Any) -> None:
-            if not replies:  # the first one counts; somebody may send thousands
+            if not replies:  # the first answer counts; a faulty process may send thousands
                 replies.append(reply)
                 self._hand_over(settle)
 
@@ -113,7 +113,7 @@ class ZenohBus:
             )
         except zenoh.ZError as error:
             raise BusError(f"The query to {key!r} could not be sent: {reason_of(error)}.") from error
-        # Zenoh keeps the time-out itself; this one is for a session that died under us.
+        # Zenoh has its own time-out; this one is for a session that has died.
         late = self._loop.call_later(timeout_s + 0.5, settle)
         try:
             await settled
@@ -126,11 +126,11 @@ class ZenohBus:
             raise
 
     async def serve(self, key: str, handler: Handler) -> Handle:
-        """Answer queries for ``key``, each in a task of its own; returns when the router knows."""
+        """Answer queries for ``key``, each in its own task; returns when the router knows the declaration."""
         return await self.serve_all(key, lambda _, payload: handler(payload))
 
     async def serve_all(self, key: str, handler: Callable[[str, bytes], Awaitable[bytes]]) -> Handle:
-        """The same for all keys of a form such as ``labos/L/@setup/*/*``: the handler is told which."""
+        """The same for all keys of a form such as ``labos/L/@setup/*/*``; the handler gets the key."""
 
         waiting = Waiting()
 
@@ -149,7 +149,7 @@ class ZenohBus:
         def on_query(query: Any) -> None:
             if waiting.take_place():
                 self._hand_over(start, query)
-            else:  # it is finalised here: the asker learns at once
+            else:  # it is finalised here: the caller is informed at once
                 self.traffic.dropped += 1
 
         handle = await self._declare(
@@ -160,7 +160,7 @@ class ZenohBus:
         return handle
 
     async def publish(self, key: str, payload: bytes) -> None:
-        """Send to all who subscribed. Waits rather than drops when the network is congested."""
+        """Send to all subscribers. If the network is congested, this waits and drops nothing."""
         await self._wait_until_ready()
         try:
             self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -195,7 +195,7 @@ class ZenohBus:
         return await self._declare(key, lambda: self._session.liveliness().declare_token(key))
 
     async def watch_alive(self, keys: str, listener: AliveListener) -> Handle:
-        """Call ``listener(key, alive)`` on the event loop; those alive now are told first."""
+        """Call ``listener(key, alive)`` on the event loop; keys that are alive now are reported first."""
         deliver = Guarded(listener)
         watch = KeyWatch(deliver)
 
@@ -213,26 +213,26 @@ class ZenohBus:
         return handle
 
     async def reopen(self, security: Security | None) -> None:
-        """Open the session anew, with other certificates or rules, which cannot be changed while it is open.
-        All that was declared is declared again; who lived before is missed only if he does not come back.
-        Tries until it succeeds: there is nothing else to go on with."""
+        """Open the session again, with other certificates or rules, which cannot be changed in an open
+        session. All declarations are repeated. Parties that lived before are reported as gone only if they do
+        not come back. It is tried until it succeeds, because there is no other session."""
         self._check_open()
         self._reopening = self._loop.create_task(self._reopen(security))
-        await asyncio.shield(self._reopening)  # half a session would be left behind
+        await asyncio.shield(self._reopening)  # otherwise a half-open session would be left
 
     def list_connected(self) -> list[str]:
-        """The common names of the certificates whose owners are connected, where this session runs a secure
-        bus; one name for each connection."""
+        """The common names of the certificates of connected parties, one for each connection, if this session
+        runs a secure bus."""
         if self._closed or not self._ready.is_set():
             return []
         return [link.auth_identifier for link in self._session.info.links() if link.auth_identifier]
 
     async def close(self) -> None:
-        """Leave the bus: take everything back and end all handlers. May be called again."""
+        """Leave the bus: undeclare everything and end all handlers. May be called again."""
         if self._closed:
             return
         self._closed = True
-        self._ready.set()  # those who wait learn that it is closed
+        self._ready.set()  # waiting callers are informed that it is closed
         if self._reopening is not None:
             await asyncio.wait({self._reopening})
         for task in list(self._answering):
@@ -244,7 +244,7 @@ class ZenohBus:
     # -- inside ------------------------------------------------------------------------------
 
     async def _answer(self, key: str, query: Any, handler: Callable[[str, bytes], Awaitable[bytes]]) -> None:
-        # Leaving the block finalises the query: the asker learns at once that no reply will come.
+        # Leaving the block finalises the query: the caller is informed at once that no reply will come.
         with query:
             payload = query.payload
             if "*" in key:
@@ -262,7 +262,8 @@ class ZenohBus:
                 _log.warning("reply_not_sent", key=key, error=str(error))
 
     def _find_destination(self, key: str) -> Any:
-        """Who may answer: Zenoh picks the best of the others, but would ask its own session too."""
+        """The locality of answers: Zenoh chooses the best of the others, but would also query its own
+        session."""
         ours = any(served == key and not handle.closed for served, handle in self._served)
         return zenoh.Locality.SESSION_LOCAL if ours else zenoh.Locality.REMOTE
 
@@ -276,7 +277,7 @@ class ZenohBus:
         return handle
 
     async def _round_trip(self) -> None:
-        """Wait until the router has seen what this session declared before: it answers in order."""
+        """Wait until the router has received this session's earlier declarations: it answers in order."""
         done: asyncio.Future[None] = self._loop.create_future()
 
         def settle() -> None:
@@ -297,7 +298,7 @@ class ZenohBus:
         try:
             self._loop.call_soon_threadsafe(function, *args)
         except RuntimeError:
-            pass  # The loop has been closed; nobody is left to be told.
+            pass  # the loop has been closed; there is no task to inform
 
     def _check_open(self) -> None:
         if self._closed:
@@ -331,14 +332,15 @@ class ZenohBus:
         self._ready.set()
 
     async def _wait_until_ready(self) -> None:
-        """Wait while the session is opened anew. Raises BusError if it has been closed."""
+        """Wait while the session is opened again. Raises BusError if it has been closed."""
         self._check_open()
         if not self._ready.is_set():
             await self._ready.wait()
             self._check_open()
 
     def _end_session(self, handles: Sequence[Declared]) -> None:
-        """Take everything back first: nobody is to hear of the end of what comes again at once."""
+        """Undeclare everything first: nobody should be informed of the end of declarations that come back at
+        once."""
         for handle in handles:
             handle.undeclare()
         self._session.close()

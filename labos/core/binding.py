@@ -143,7 +143,7 @@ class StartCheck:
         return check_hand(self.state, self.step, what.source)
 
     def check_entry(self, what: Carrying, place: StationName) -> Wait | None:
-        if place == what.stock:  # Several items of one kind may be taken at a time.
+        if place == what.stock:  # several items of one kind may be taken at a time
             return check_entry(self.state, self.run, place)
         return check_reachable(self.state, self.run, place)
 
@@ -202,7 +202,7 @@ class StartCheck:
         for place, number in Counter(list_arrivals(self.bound)).items():
             station = bench.stations[place]
             together = number > 1 and station.count + number > station.spec.capacity
-            if together or place in bench.shelves:  # No shelf was left for this one.
+            if together or place in bench.shelves:  # no shelf was left for this one
                 names = (place, f"{number} arrivals at once")
                 return Wait(reasons.Occupied(*names), list_keys_until_left_alone(self.state, place))
         for stack, number in Counter(effect.stock for effect in list_carried(self.bound)).items():
@@ -379,11 +379,11 @@ def check_entry(state: LabState, run: RunState, place: StationName) -> Wait | No
     if module.cut_off:
         return check_module(module)
     shut = check_door_open(state, place)
-    if shut:  # Nobody opens the doors of a module that is down before a person has checked it.
+    if shut:  # nobody opens the doors of a module that is down before a person has checked it
         return check_module(module) or shut
     if spec.claim:
         holder = find_other_holder(state, spec.module, run)
-    else:  # With storage behind a door, only the door can be kept by a run.
+    else:  # with storage behind a door, only the door can be kept by a run
         holder = find_other_keeper(state, spec.module, run) if spec.access else ""
     return Wait(reasons.Held(spec.module, holder), key) if holder else None
 

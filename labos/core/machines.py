@@ -64,7 +64,7 @@ RUN = (
     Transition(RunStarted, (_Q,), _A),
     Transition(RunCancelling, (_A, _L), _C),
     Transition(RunLeaving, (_C,), _L),
-    Transition(RunCompleted, (_A, _C), NOT_THERE),  # A completion takes precedence over a cancellation.
+    Transition(RunCompleted, (_A, _C), NOT_THERE),  # a completion takes precedence over a cancellation
     Transition(RunFailed, (_Q, _A, _C, _L), NOT_THERE),
     Transition(RunCancelled, (_Q, _A, _C, _L), NOT_THERE),
 )

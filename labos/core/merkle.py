@@ -186,7 +186,7 @@ def is_consistent(old: int, old_root: bytes, size: int, root: bytes, proof: Sequ
     if len(proof) != len(ranges):
         return False
     rest = list(zip(ranges, proof, strict=True))
-    if ranges[0][1] == old:  # The part that both trees share is given; otherwise it is the old tree itself.
+    if ranges[0][1] == old:  # the part that both trees share is given; otherwise it is the old tree itself
         first, rest = rest[0][1], rest[1:]
     else:
         first = old_root

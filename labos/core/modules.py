@@ -439,7 +439,7 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
     setup = module.spec.setup
     if setup is not None and setup.argument in event.args:
         others = [module.in_flight[name] for name in event.together if name in module.in_flight]
-        others = [other for other in others if other is not flight]  # One set-up serves all of them.
+        others = [other for other in others if other is not flight]  # one set-up serves all of them
         flight.setup_s = others[0].setup_s if others else setup.compute_cost_s(module.set_up_for, event.args)
         module.set_up_for = event.args[setup.argument]
     if event.args.get("slow") is True:
@@ -483,7 +483,7 @@ def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> No
     else:
         lessons.any_type = taught
     for flight in module.in_flight.values():
-        flight.proving = ()  # The action under way tries the pose first.
+        flight.proving = ()  # the action under way tries the pose first
 
 
 def fold_module_calibrated(modules: Modules, event: ModuleCalibrated, at: int) -> None:

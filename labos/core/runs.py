@@ -37,7 +37,7 @@ class StepStatus(StrEnum):
     UNKNOWN = "unknown"
     SKIPPED = "skipped"
 
-    __hash__ = str.__hash__  # Planning looks statuses up often, and Enum's own hash is slow.
+    __hash__ = str.__hash__  # planning looks statuses up often, and Enum's own hash is slow
 
 
 PENDING, IN_FLIGHT, DONE = StepStatus.PENDING, StepStatus.IN_FLIGHT, StepStatus.DONE

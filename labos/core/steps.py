@@ -79,7 +79,7 @@ class StepRecovering(RunEvent, frozen=True):
 def fold_window_breached(runs: Runs, event: WindowBreached, at: int) -> None:
     run = runs.get(event.run)
     if run is not None:
-        if not run.steps:  # The run waits for its start.
+        if not run.steps:  # the run waits for its start
             run.steps = make_first_states(runs.plan_of(run))
         run.steps[event.step].breached = True
 

@@ -166,7 +166,7 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
 
     KIND: ClassVar[str] = "contradiction"
     SUBJECT: ClassVar[str] = "station"
-    MOST_PIECES: ClassVar[int] = 200  # Each is also stored as a motion, with its station.
+    MOST_PIECES: ClassVar[int] = 200  # each is also stored as a motion, with its station
     station: StationName
     labware: tuple[LabwareId, ...]
     other_type: str = ""

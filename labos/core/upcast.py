@@ -45,7 +45,7 @@ def _upcast_topic(
     if kind in ("late_step", "failed_step"):
         return {"topic": kind, "step": int(subject.rpartition("#")[2])}
     if kind == "closing_waits":
-        return {"topic": kind, "user": ""}  # Only the choices name it.
+        return {"topic": kind, "user": ""}  # only the choices name it
     if kind == "barcode":
         reading = motions[0]
         read = {name: reading[name] for name in ("labware", "station", "barcode")}

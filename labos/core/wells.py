@@ -81,7 +81,7 @@ def list_doses(effect: Transfers | Draws) -> list[tuple[str, float]]:
         return []
     if not isinstance(wells, list | tuple):
         if wells:
-            return []  # Not known yet.
+            return []  # not known yet
         wells = ()
     if len(wells) != len(volumes):
         raise ValueError(

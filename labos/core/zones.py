@@ -42,7 +42,7 @@ def _find_reached(effects: Iterable[AnyEffect]) -> list[StationName]:
         if isinstance(effect, Carrying):
             places += effect.entered
         elif isinstance(effect, Needs) and effect.station:
-            places.append(effect.station)  # An arm that lifts a lid there does so too.
+            places.append(effect.station)  # an arm that lifts a lid there does so too
     return places
 
 

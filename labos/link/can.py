@@ -32,8 +32,8 @@ class CanMessage(msgspec.Struct, frozen=True):
 
 
 class _Bus(Life):
-    """A CAN interface. ``settings`` are those of python-can (``interface``, ``channel``,
-    ``bitrate`` and what the interface needs)."""
+    """A CAN interface. ``settings`` are those of python-can (``interface``, ``channel``, ``bitrate`` and the
+    settings of the interface)."""
 
     def __init__(
         self,
@@ -98,7 +98,7 @@ class CanLink(_Bus):
                 self.open()
             with self._judge():
                 while self._next(0.0) is not None:
-                    pass  # what came before the question is no answer to it
+                    pass  # messages before the question are no answer to it
                 deadline = time.monotonic() + timeout_s
                 self._put(question)
                 while (message := self._next(max(deadline - time.monotonic(), 0.0))) is not None:
@@ -151,9 +151,9 @@ class SdoLink(_Bus):
     """The object dictionary of one CANopen node: ``upload`` reads, ``download`` writes.
 
     An abort by the node is a DeviceError. After a failure, the link waits for ``late_s`` of silence before
-    the next question, because an answer contains only index and subindex, so that a late one could be
-    mistaken. ``emergency`` is called with the node's error messages (EMCY). ``identify`` and ``expected`` are
-    as in every link.
+    the next question, because an answer contains only index and subindex. A late answer could be mistaken for
+    the next one. ``emergency`` is called with the node's error messages (EMCY). ``identify`` and ``expected``
+    are as in every link.
     """
 
     def __init__(
@@ -243,7 +243,7 @@ class SdoLink(_Bus):
         class Network(canopen.Network):
             """Records sent and received messages in the transcript."""
 
-            NOTIFIER_CYCLE = 0.1  # for so long, closing waits for the thread that receives
+            NOTIFIER_CYCLE = 0.1  # closing waits this long for the receiving thread
 
             def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
                 note(link.name, ">", str(CanMessage(can_id, bytes(data))).encode())

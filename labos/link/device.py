@@ -23,8 +23,8 @@ _log = structlog.get_logger(__name__)
 
 
 class TimedDevice:
-    """A device with its own thread, so that it does one thing at a time. Subclasses implement how they wait
-    for input (``listen``), and what they do at later times (``after``).
+    """A device with its own thread, so that it does one thing at a time. Subclasses implement the wait for
+    input (``listen``), and plan later work with ``after``.
     """
 
     name: str
@@ -72,7 +72,7 @@ class TimedDevice:
         """The device has just been switched on."""
 
     def listen(self, timeout_s: float) -> None:
-        """Wait for input for this time, and do what it asks."""
+        """Wait for input for this time, and react to it."""
         raise NotImplementedError
 
     def damage(self, crash: Crash) -> None:
@@ -109,8 +109,8 @@ class TimedDevice:
 
 
 class HearingDevice(TimedDevice):
-    """A device at the far end of a line (``far_end``, which subclasses set). Subclasses implement what it
-    does with received bytes (``hear``)."""
+    """A device at the far end of a line (``far_end``, which subclasses set). Subclasses implement the
+    reaction to received bytes (``hear``)."""
 
     far_end: FarEnd
 
@@ -136,9 +136,9 @@ class HearingDevice(TimedDevice):
 
 
 class DeviceOnLine(HearingDevice):
-    """A device on a line with a bench around it. Subclasses implement what it does with each received line
-    (``obey``) or with received bytes (``hear``), and what it does later (``after``). ``line_end`` is the end
-    of received and sent lines.
+    """A device on a line with a bench around it. Subclasses implement the reaction to each received line
+    (``obey``) or to received bytes (``hear``), and plan later work with ``after``. ``line_end`` is the end of
+    received and sent lines.
     """
 
     line_end = b"\r\n"

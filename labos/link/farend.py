@@ -30,10 +30,10 @@ class FarEnd(Protocol):
         """The port that a serial link opens."""
 
     def read(self, timeout_s: float) -> bytes:
-        """The received bytes; empty when the time is up, or while nobody is connected."""
+        """The received bytes; empty when the time is up, or while no client is connected."""
 
     def write(self, data: bytes) -> None:
-        """Send something; it is lost if nobody is connected."""
+        """Send data; it is lost if no client is connected."""
 
     def unplug(self) -> None:
         """Cut the line of the connected side."""
@@ -94,15 +94,15 @@ class PtyEnd:
             return b""
 
     def write(self, data: bytes) -> None:
-        # A full line means that nobody reads: a device goes on talking all the same.
+        # A full line means that no client reads: a device continues to send all the same.
         with self._lock, contextlib.suppress(OSError):
             if self._far >= 0:
                 os.write(self._far, data)
 
 
 class TcpEnd:
-    """A TCP port that accepts one client at a time and sends it a greeting. ``clients`` counts the clients so
-    far."""
+    """A TCP port that accepts one client at a time and sends it a greeting. ``clients`` counts all
+    clients."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0, *, greeting: bytes = b"") -> None:
         self.host, self._greeting = host, greeting

@@ -57,7 +57,7 @@ class Terminated:
         piece = bytes(buffer[:at])
         begins = piece.rfind(self._start) if self._start else 0
         if begins != 0:
-            # From where a whole message begins, it can be believed; what is before it cannot.
+            # The buffer is valid from the beginning of a whole message on; the bytes before it are not.
             cut = begins if begins > 0 else at + len(self._end)
             raise _bad(buffer, cut, "it does not begin as messages do")
         del buffer[: at + len(self._end)]

@@ -42,7 +42,7 @@ class HttpReply:
 
 
 class HttpLink(Life):
-    """A device at a base URL. Each answer comes on the connection of its request, so that answers cannot be
+    """A device at a base URL. Each answer comes on the connection of its request. So answers cannot be
     confused, and a stop does not wait for the end of a long request. No request is sent twice, and no
     redirect is followed. ``script`` answers instead of a server.
     """
@@ -101,7 +101,7 @@ class HttpLink(Life):
     def _connect(self) -> None:
         import httpx
 
-        # HTTP connects when it asks; without a question to ask, being open means nothing more.
+        # HTTP connects for each request; without a request, being open has no further meaning.
         transport = httpx.MockTransport(self._answer_from_script) if self._script is not None else None
         self._client = httpx.Client(
             base_url=self._url, headers=self._headers, verify=self._verify, transport=transport

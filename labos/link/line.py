@@ -20,8 +20,8 @@ class Link(Life):
     """One device at the other end of a wire. May be used from several threads.
 
     ``answers`` distinguishes the answer to a question from other messages, if the protocol allows it. Without
-    it, after a missing answer, the link waits for ``late_s`` of silence (or connects again, if the wire then
-    discards old bytes) before the next question, so that a late answer is not mistaken for the next one.
+    it, a late answer could be mistaken for the next one. So after a missing answer, the link waits for
+    ``late_s`` of silence before the next question (or connects again, if the wire then discards old bytes).
     ``unasked`` is called with each message, and returns true for one that the device sends without a
     question. ``identify`` asks the device for its identity each time the link is opened. An answer other than
     ``expected`` (empty: other than the first time) raises WrongDevice.

@@ -41,7 +41,7 @@ class ScriptedWire:
         self._needs_open()
         self._sent += data
         while self._sent:
-            # What the device said meanwhile was heard, or not waited for, by the caller.
+            # The caller has received, or did not wait for, the device's messages before this point.
             turn = next(
                 (n for n in range(self._at, len(self._records)) if self._records[n].mark == ">"), None
             )

@@ -57,7 +57,7 @@ class SerialWire:
             raise needs("serial", error) from error
         try:
             self._device = serial.serial_for_url(self.port, timeout=0, **self._settings)
-        except Exception as error:  # termios has an error of its own, which Windows lacks
+        except Exception as error:  # termios has its own error class, which Windows lacks
             raise NotConnected(
                 f"{self.name} cannot be opened: {_reason(error)}.",
                 remedy="Check the cable, the name of the port, and that no other program uses it.",
@@ -81,9 +81,9 @@ class SerialWire:
         device, self._device = self._device, None
         if device is None:
             return
-        # pyserial does not close a connection to a converter that has hung up already.
+        # pyserial does not close a connection to a converter that has closed it already.
         connection = getattr(device, "_socket", None)
-        with suppress(Exception):  # it is gone
+        with suppress(Exception):  # the port is gone
             device.close()
         if connection is not None:
             connection.close()
@@ -91,14 +91,14 @@ class SerialWire:
     @contextmanager
     def _translate(self, effects: str = "unknown") -> Iterator[serial.Serial]:
         """The only place where errors of pyserial and the system for an open port are translated.
-        ``effects``: what is known about the effects of the sent bytes."""
+        ``effects``: the knowledge about the effects of the sent bytes."""
         if self._device is None:
             raise LinkLost(f"{self.name} is not open.", effects="none")
         try:
             yield self._device
         except Exception as error:
-            # pyserial stumbles over its own closed descriptor when a port vanishes, and lets errors
-            # of termios through, which Windows lacks.
+            # If a port vanishes, pyserial fails on its own closed descriptor, and passes on errors of
+            # termios, which Windows lacks.
             raise LinkLost(
                 f"{self.name} is gone: {_reason(error)}.",
                 effects=effects,

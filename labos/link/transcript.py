@@ -55,7 +55,7 @@ class _Recorder:
                 self._file.write(f"{at:.6f}\t{link}\t!\tthe transcript is full\n")
                 self._file.close()
                 return
-            # A node that is killed must not take with it what it last heard.
+            # A node that is killed must not lose the last received bytes.
             self._file.flush()
 
     def close(self) -> None:
@@ -99,7 +99,7 @@ def keep_transcript(path: str | Path) -> Iterator[None]:
 
 
 def note(link: str, mark: Mark, data: bytes = b"") -> None:
-    """Record what a link has done or received."""
+    """Record an operation of a link, or bytes that it has received."""
     if _current is not None:
         _current.write(link, mark, data)
 

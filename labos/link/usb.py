@@ -93,7 +93,7 @@ class UsbWire:
         if device is not None:
             import usb.util
 
-            with suppress(Exception):  # it is gone
+            with suppress(Exception):  # the device is gone
                 usb.util.dispose_resources(device)
 
     @contextmanager

@@ -1,7 +1,8 @@
-"""Requests to a node besides its actions: none of them moves the device, except to a stop.
+"""Requests to a node besides its actions. None of them moves the device, except a stop.
 
-What moves is an action, journalled and carried out at most once. A stop is never fenced, waits
-for no journal and needs no log; who stopped the module and when is reported until it is reset.
+Everything that moves is an action, which is journalled and carried out at most once. A stop is never fenced,
+and needs neither the journal nor the log. The node reports who stopped the module, and when, until it is
+reset.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _request = msgspec.json.Decoder(AdminRequest)
 
 
 class _Command(msgspec.Struct):
-    """All that a stop needs."""
+    """The part of a command that a stop needs."""
 
     command: str
 
@@ -40,11 +41,11 @@ _command = msgspec.json.Decoder(_Command)
 
 
 class Admin:
-    """The commands of ``admin``. ``admission`` fences, ``synced`` waits for the journal, ``fail`` puts
-    the node into an error, ``rewind`` rewinds the journal, ``shut_down``
-    asks the node to end, ``carrying`` names the action that carries labware just now, ``trace`` begins or
-    ends the transcript of the device's wires and names its file. ``stops`` counts stops, so that an action
-    that was only accepted before one does not begin after it."""
+    """The commands of ``admin``. ``admission`` fences, and ``synced`` waits for the journal. ``fail`` puts
+    the node into an error, ``rewind`` rewinds the journal, and ``shut_down`` asks the node to end.
+    ``carrying`` names the action that carries labware now. ``trace`` begins or ends the transcript of the
+    device's wires, and names its file. ``stops`` counts stops, so that an action that was only accepted
+    before a stop does not begin after it."""
 
     def __init__(
         self,
@@ -81,7 +82,7 @@ class Admin:
         return _encode(await self._answer(request))
 
     def list_commands(self) -> dict[str, Command]:
-        """By name."""
+        """The commands by name."""
         return {
             "stop": self._stop,
             "estop": self._stop_in_emergency,
@@ -93,7 +94,7 @@ class Admin:
         }
 
     def note_recovery(self) -> None:
-        """The module was reset: the emergency is over."""
+        """The module was reset: the emergency has ended."""
         self.stopped_at, self.stopped_by = 0, ""
 
     async def _answer(self, request: AdminRequest) -> AdminReply:
@@ -120,7 +121,7 @@ class Admin:
 
     async def _stop_in_emergency(self, args: dict[str, Any]) -> int:
         by = cut_name(args.get("by"))
-        if not self.stopped_at or by != self.stopped_by:  # pressed twice, or heard twice, it is one stop
+        if not self.stopped_at or by != self.stopped_by:  # several requests of one person are one stop
             self.stopped_at, self.stopped_by = self._clock.now_ns(), by
         try:
             await self._stop(args)
@@ -157,7 +158,7 @@ class Admin:
 
 
 def _stop_in(payload: bytes) -> AdminRequest | None:
-    """The stop that an otherwise unreadable message asks for: it needs none of the rest."""
+    """The stop in a message that is otherwise unreadable: a stop does not need the rest of the message."""
     try:
         command = _command.decode(payload).command
     except (msgspec.MsgspecError, ValueError, RecursionError):

@@ -1,7 +1,8 @@
-"""Who may ask a node for what: its own lab, its newest kernel, and nothing that no kernel would ask.
+"""Which requests a node accepts: those of its own lab and its newest kernel, with values that a kernel can
+send.
 
-One message must not be able to put a module out of work for good. An epoch or a position that is far
-from all that the node has seen is no kernel's: it is refused, and nothing of it is kept.
+A single message must not put a module out of work permanently. So an epoch or a position that is far above
+all that the node has seen is refused, and is not stored.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from labos.node.protocol import (
 
 
 class NotAdmitted(BadInput):
-    """A request that the node does not heed. ``fenced``: another lab's, or an older kernel's."""
+    """A request that the node refuses. ``fenced``: it is from another lab, or from an older kernel."""
 
     def __init__(self, message: str, status: Literal["fenced", "refused"], *, remedy: str = "") -> None:
         super().__init__(message, remedy=remedy)
@@ -32,7 +33,7 @@ class NotAdmitted(BadInput):
 
 
 class Admission:
-    """Of one module, that answers in the lab ``lab``."""
+    """The admission of requests for one module in the lab ``lab``."""
 
     def __init__(self, module: str, lab: str, journal: Journal) -> None:
         self._module, self._lab, self._journal = module, lab, journal
@@ -58,12 +59,12 @@ class Admission:
         journal.raise_epoch(epoch)
 
     def check(self, message: ActionMessage) -> None:
-        """Whether a kernel can have sent this. Keeps nothing. Raises NotAdmitted."""
+        """Check that a kernel can have sent this message. Nothing is stored. Raises NotAdmitted."""
         if flaw := self._find_flaw(message):
             raise NotAdmitted(f"No kernel sends such a message to {self._module}: {flaw}.", "refused")
 
     def check_position(self, position: object) -> int:
-        """A position to count from. Raises NotAdmitted."""
+        """A position that a kernel can have sent. Raises NotAdmitted."""
         if type(position) is not int or not 0 <= position <= GREATEST:
             raise NotAdmitted(
                 f"No log has the position {cut(repr(position), 80)}.",

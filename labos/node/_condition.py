@@ -1,4 +1,4 @@
-"""The condition a node is in: IDLE, BUSY with something, or in ERROR; and its device's connection."""
+"""The condition of a node (IDLE, BUSY with an activity, or ERROR), and its connection to the device."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _log = structlog.get_logger(__name__)
 
 
 class DeviceCondition:
-    """``doing`` is what keeps the device busy: an exclusive action's id, or words; ``error`` what is
-    wrong, until a recovery; ``connected`` whether the device answered. ``changed`` tells the state,
-    ``spawn`` starts what goes on by itself."""
+    """``doing`` is the activity of the device: an exclusive action's id, or a text. ``error`` is the error
+    until a recovery. ``connected``: whether the device answered. ``changed`` reports the state; ``spawn``
+    starts background tasks."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class DeviceCondition:
         return "BUSY" if self.doing else "IDLE"
 
     async def connect(self) -> None:
-        """Connect the device; one that is not there leaves the node in ERROR."""
+        """Connect the device. If the device does not answer, the node is in ERROR."""
         self.doing = "connecting to the device"
         self.error = ""
         try:
@@ -72,8 +72,8 @@ class DeviceCondition:
         self.connected = True
 
     async def look(self) -> None:
-        """Ask the device what is wrong with it. What it says becomes the node's error and ends by
-        itself, unless the node is in an error already, which it does not touch."""
+        """Ask the device for its error. It becomes the node's error, and ends by itself. If the node is in an
+        error already, that error is not changed."""
         if not self.connected:
             return
         try:
@@ -90,32 +90,33 @@ class DeviceCondition:
             await self._changed()
 
     async def mark_busy_until_rest(self) -> None:
-        """BUSY until the device stands still, without keeping anybody waiting."""
+        """Be BUSY until the device stands still, in a background task."""
         if not await self._is_idle():
             self._wait_for_idle()
 
     def release(self, doing: str) -> None:
-        """What kept the device busy has ended, unless something else began meanwhile."""
+        """The activity has ended, unless another one began meanwhile."""
         if self.doing == doing:
             self.doing = ""
 
     async def fail(self, error: str) -> None:
-        """Something is wrong with the node itself."""
+        """Put the node itself into an error."""
         self.error = cut(error)
         _log.error("node_in_error", module=self._module, error=self.error)
         await self._changed()
 
     def explain_cannot_begin(self, spec: ActionSpec, doing: str) -> str:
-        """Why the action may not begin now; ``doing`` is how to name what runs."""
+        """Why the action may not begin now. ``doing`` is the name of the action that runs."""
         if self.error and not (spec.recovers and (self.connected or spec.name == "reset")):
             return f"{self._module} is in error: {self.error}"
-        # The device may need this very recovery to come to rest.
+        # This recovery may be needed for the device to become idle.
         if spec.exclusive and self.doing and not (spec.recovers and self.doing == AWAITING_REST):
             return f"{self._module} is busy: {doing}."
         return ""
 
     def judge(self, spec: ActionSpec, outcome: Outcome) -> bool:
-        """What the end of an action means; True if it brought the module out of an error."""
+        """Apply the outcome of an action to the condition. Returns whether it ended an error of the
+        module."""
         if outcome.succeeded and spec.recovers:
             self.error = ""
             return True
@@ -124,7 +125,7 @@ class DeviceCondition:
         return False
 
     async def settle(self) -> None:
-        """BUSY until the device is seen to stand still."""
+        """Be BUSY until the device was observed standing still."""
         self.doing = AWAITING_REST
         if await self._is_idle():
             self.doing = ""
@@ -141,7 +142,7 @@ class DeviceCondition:
             await asyncio.sleep(self._idle_poll_s)
             if await self._is_idle():
                 break
-        # A recovery may have begun, or ended, meanwhile.
+        # A recovery may have begun or ended meanwhile.
         self.release(AWAITING_REST)
         await self._changed()
 

@@ -1,7 +1,7 @@
-"""Starts that the device carries out together: none of them begins before all have come.
+"""Starts of actions that the device carries out at once: none of them begins before all have arrived.
 
-What is in the device takes part, whether its start has come or not. So if one does not come in time, or may
-not begin, none of them begins: each is void, and the lab requests what it wants anew.
+All labware in the device takes part, even if the start for it has not arrived. So if one start does not
+arrive in time, or may not begin, none begins: all are void, and the lab requests new attempts.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from labos.node.journal import Journal
 from labos.node.protocol import JointStart
 
 GATHER_S = 3.0
-"""So long the starts of actions are waited for that are carried out together. It is less than the kernel
-waits for an answer."""
+"""The wait for the other starts of a joint action, in seconds. It is shorter than the kernel's wait for an
+answer."""
 
 
 class _Group(msgspec.Struct):
-    """The starts that have come, by action, and why none of them begins (None: that is open; empty: they
-    do)."""
+    """The starts that have arrived, by action. ``decided`` is the reason why none of them begins. It is empty
+    if they begin, and pending while this is open."""
 
     names: tuple[str, ...]
     decided: asyncio.Future[str]
@@ -30,7 +30,7 @@ class _Group(msgspec.Struct):
 
 
 class Gathering:
-    """The starts of one node that wait for others."""
+    """The starts of one node that wait for other starts."""
 
     def __init__(self, journal: Journal, *, wait_s: float = GATHER_S) -> None:
         self._journal, self._wait_s = journal, wait_s
@@ -39,9 +39,8 @@ class Gathering:
     async def gather(
         self, start: JointStart, why_not: Callable[[], str], begin: Callable[[list[JointStart]], Any]
     ) -> str:
-        """Wait for the other starts. When they are complete, and nothing is against it (``why_not``),
-        ``begin`` is called once for all of them, at once. Returns why none of them begins; empty if they
-        do."""
+        """Wait for the other starts. When all have arrived, and ``why_not`` gives no reason against it,
+        ``begin`` is called once for all of them. Returns why none of them begins; empty if they do."""
         group = self._groups.get(start.together)
         if group is None:
             decided = asyncio.get_running_loop().create_future()
@@ -65,12 +64,13 @@ class Gathering:
             return group.decided.result()
 
     def break_up(self, action: str, why: str) -> None:
-        """An action may not begin, so that none does that was to be carried out together with it."""
+        """An action may not begin, so none of the actions begins that were to be carried out together with
+        it."""
         for group in [group for group in self._groups.values() if action in group.names]:
             self._give_up(group, f"It is carried out together with {action}, and that is not: {why}")
 
     def _find_late(self, group: _Group) -> str:
-        """Why a start may not begin any more that was waiting; empty if all may."""
+        """Why a waiting start may not begin any more; empty if all may begin."""
         journal = self._journal
         for start in group.starts.values():
             known = journal.find(start.action, start.attempt) or journal.is_void(start.action, start.attempt)

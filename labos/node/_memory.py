@@ -1,7 +1,7 @@
-"""What a node remembers: the fold of its journal's records, and of nothing else.
+"""The memory of a node: the fold of its journal's records.
 
-``apply`` is the only way to change it, for a record that is just being written and for one that is
-read back. So a journal that is opened again remembers what it did before.
+Only ``apply`` changes it, both for new records and for records that are read from a file. So a journal that
+is opened again has the same memory as before.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _Status = Literal["running", "finished", "interrupted"]
 
 
 class Attempt(msgspec.Struct):
-    """An attempt that was accepted. ``why`` is what the node knows of an interruption."""
+    """An attempt that was accepted. ``why`` describes an interruption, if there was one."""
 
     action: str
     attempt: int
@@ -51,7 +51,7 @@ class Attempt(msgspec.Struct):
 
 
 class Known(msgspec.Struct):
-    """All that is remembered of one action. No attempt up to ``void`` may start."""
+    """The remembered data of one action. No attempt up to ``void`` may start."""
 
     attempts: dict[int, Attempt] = {}
     void: int = 0
@@ -59,8 +59,8 @@ class Known(msgspec.Struct):
 
 
 class Memory(msgspec.Struct):
-    """``pruned`` is the position up to which a kernel of epoch ``pruned_by`` acknowledged; ``seen``
-    the greatest position of a request; ``corrections`` what people have put right."""
+    """``pruned`` is the position that a kernel of the epoch ``pruned_by`` acknowledged. ``seen`` is the
+    greatest position of a request. ``corrections`` are the corrections by people."""
 
     id: str = ""
     lab: str = ""
@@ -72,21 +72,21 @@ class Memory(msgspec.Struct):
     corrections: list[Corrected] = []
 
     def list_attempts(self) -> list[Attempt]:
-        """All that is not forgotten, in the order in which it was accepted."""
+        """All remembered attempts, in the order in which they were accepted."""
         return [attempt for known in self.actions.values() for attempt in known.attempts.values()]
 
     def list_spent(self, position: int) -> list[Attempt]:
-        """What an acknowledgement of ``position`` lets the node forget."""
+        """The attempts that the node may forget after an acknowledgement of ``position``."""
         return [attempt for attempt in self.list_attempts() if _is_spent(attempt, position)]
 
     def is_spent(self, position: int) -> bool:
-        """Whether an acknowledgement of ``position`` lets the node forget something."""
+        """Whether the node may forget something after an acknowledgement of ``position``."""
         return any(self._keep_remainder(known, position) is not known for known in self.actions.values())
 
     # -- the fold ----------------------------------------------------------------------------
 
     def apply(self, record: Record) -> None:
-        """Raises KeyError where an attempt is spoken of that is not known, JournalDamaged."""
+        """Raises KeyError for a record about an unknown attempt, JournalDamaged."""
         match record:
             case Opened():
                 if record.format != FORMAT:
@@ -164,7 +164,7 @@ class Memory(msgspec.Struct):
 
     @staticmethod
     def _keep_remainder(known: Known, position: int) -> Known | None:
-        """What is still to be remembered of an action; itself if that is all."""
+        """The part of an action that must still be remembered; the same object if that is all of it."""
         attempts = {n: a for n, a in known.attempts.items() if not _is_spent(a, position)}
         if not attempts and known.void_position <= position:
             return None
@@ -175,7 +175,7 @@ class Memory(msgspec.Struct):
     # -- reading -----------------------------------------------------------------------------
 
     def replay(self, records: list[Record]) -> None:
-        """Take in what a file holds. Raises JournalDamaged."""
+        """Apply the records of a file. Raises JournalDamaged."""
         if records and not isinstance(records[0], Opened):
             raise JournalDamaged("The node's journal has lost its beginning.", remedy=REMEDY)
         forgotten: dict[tuple[str, int], Attempt] = {}
@@ -196,8 +196,8 @@ class Memory(msgspec.Struct):
                 ) from error
 
     def _restore_forgotten(self, action: str, number: int, forgotten: dict[tuple[str, int], Attempt]) -> None:
-        """Before there was a record of it, what was taken up after a restart looks in the file as if it
-        had been forgotten while it ran. It was not: it was still running."""
+        """Restore an action that was resumed after a restart. In journals from before there was a record for
+        this, such an action looks as if it had been forgotten while it ran, but it was still running."""
         known = self.actions.get(action)
         if (known is None or number not in known.attempts) and (action, number) in forgotten:
             attempt = forgotten.pop((action, number))
@@ -207,7 +207,7 @@ class Memory(msgspec.Struct):
     # -- writing anew ------------------------------------------------------------------------
 
     def list_records(self) -> list[Record]:
-        """The shortest journal that is remembered like this one."""
+        """The shortest list of records that gives the same memory."""
         records: list[Record] = [Opened(self.id, FORMAT), *self.corrections]
         if self.lab:
             records.append(Bound(self.lab))

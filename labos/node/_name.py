@@ -1,7 +1,7 @@
-"""One module, one node: a node takes its name only when no other living node bears it.
+"""One module, one node: a node takes its module's name only if no other living node has it.
 
-Two that start at the same instant see that the other one wants the name before either has it: the one
-with the smaller instance gets it. One that comes a moment later sees that the name is taken.
+Of two nodes that start at the same time, each sees that the other wants the name before either has it: the
+one with the smaller instance id gets it. A node that starts later sees that the name is taken.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 async def claim(
     bus: Bus, keys: Keys, module: str, instance: str, *, settle_s: float, grace_s: float
 ) -> Handle:
-    """Take the name, and hold it until what this gives is closed. Look for ``settle_s`` for another node,
-    and as long again after taking it; wait ``grace_s`` for one that is seen to go away. Raises NameTaken."""
+    """Take the name, and hold it until the returned handle is closed. Look for other nodes for ``settle_s``
+    seconds before taking it, and for the same time afterwards. Wait ``grace_s`` seconds for another node that
+    is going away. Raises NameTaken."""
     others = _Others(instance)
     watches = [
         await bus.watch_alive(keys.alive(module, "*"), others.note_alive),
@@ -31,7 +32,7 @@ async def claim(
         await asyncio.sleep(settle_s)
         await others.go_away(grace_s)
         held.append(await bus.declare_alive(keys.name(module, instance, "has")))
-        # Somebody may have taken it in the same moment, before either could know.
+        # Another node may have taken it at the same moment, before either could know.
         await asyncio.sleep(settle_s)
         if others.has_earlier_claim():
             raise _make_name_taken_error(module)
@@ -48,8 +49,8 @@ async def claim(
 
 
 class _Others:
-    """Nodes of the same name, as they are seen. One that froze or lost its line a moment ago still looks
-    alive."""
+    """Other nodes of the same name, by their liveliness. A node that froze or lost its connection a moment
+    ago still counts as living."""
 
     def __init__(self, instance: str) -> None:
         self._instance = instance
@@ -64,20 +65,20 @@ class _Others:
         self._note(instance, stage, living)
 
     def come_first(self) -> bool:
-        """Whether another one has the name, or wants it and goes before this one."""
+        """Whether another node has the name, or wants it and takes precedence."""
         return any(
             stages - {"wants"} or ("wants" in stages and instance < self._instance)
             for instance, stages in self._stages.items()
         )
 
     def has_earlier_claim(self) -> bool:
-        """Whether one that goes before this one has the name too."""
+        """Whether a node that takes precedence also has the name."""
         return any(
             stages - {"wants"} and instance < self._instance for instance, stages in self._stages.items()
         )
 
     async def go_away(self, limit_s: float) -> None:
-        """Wait until nobody comes first. Raises TimeoutError."""
+        """Wait until no other node takes precedence. Raises TimeoutError."""
         async with asyncio.timeout(limit_s):
             while self.come_first():
                 self._changed.clear()

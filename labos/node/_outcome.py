@@ -1,4 +1,4 @@
-"""What a driver's method returns or raises, as the outcome of its action."""
+"""Converts the return value or exception of a driver's method to the outcome of its action."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _log = structlog.get_logger(__name__)
 
 
 async def call(method: ActionMethod, kwargs: dict[str, Any], run_blocking: RunBlocking) -> Any:
-    """A driver's method; a plain one runs in the driver's thread."""
+    """Call a driver's method. A method without ``async`` runs in the driver's thread."""
     if inspect.iscoroutinefunction(method):
         return await method(**kwargs)
     context = copy_context()
@@ -35,9 +35,9 @@ async def call(method: ActionMethod, kwargs: dict[str, Any], run_blocking: RunBl
 async def find_outcome(
     name: str, calling: Awaitable[Any], *, broken_off: Callable[[], bool], **which: str
 ) -> Outcome:
-    """How the action ``name`` ended. A cancellation is the node's own if ``broken_off`` says so, and
-    is raised; any other is the driver's doing, and nobody knows what the device did. ``which`` goes
-    into the node's log with a driver's surprise. Raises OutcomeUnknown."""
+    """The outcome of the action ``name``. If ``broken_off`` returns true, a cancellation comes from the node,
+    and is raised. Any other cancellation comes from the driver, and the effects on the device are unknown.
+    Unexpected errors of the driver are written to the node's log with ``which``. Raises OutcomeUnknown."""
     try:
         result = await calling
     except OutcomeUnknown:
@@ -56,16 +56,16 @@ async def find_outcome(
 
 
 def describe_error(error: BaseException) -> str:
-    """An error as a person reads it, no longer than the log takes it."""
+    """An error as text for people, within the length limit of the log."""
     try:
         said = str(error)
-    except Exception as fault:  # a driver's own class of errors
+    except Exception as fault:  # the driver may have its own class of errors
         said = f"(its text cannot be read: {type(fault).__name__})"
     return cut(said if isinstance(error, LabosError) else f"{type(error).__name__}: {said}")
 
 
 def _make_success(name: str, result: Any) -> Outcome:
-    """The outcome of an action that did all it should; a result that cannot be encoded is a failure."""
+    """The outcome of an action without an error. A result that cannot be encoded is a failure."""
     try:
         plain = msgspec.to_builtins(result, str_keys=True)
         flaw = find_flaw(plain)

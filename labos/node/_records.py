@@ -20,7 +20,7 @@ REMEDY = "Find out what stands where, then move the journal away; the node begin
 
 
 class Record(msgspec.Struct, frozen=True, tag_field="t", omit_defaults=True):
-    """Something the node must not forget."""
+    """A record of the node's memory."""
 
 
 class Opened(Record, frozen=True, tag="journal"):
@@ -41,13 +41,13 @@ class EpochRaised(Record, frozen=True, tag="epoch"):
 
 
 class Restarted(Record, frozen=True, tag="restarted"):
-    """The node started again; what ran before was interrupted."""
+    """The node started again; the actions that were running were interrupted."""
 
 
 class Accepted(Record, frozen=True, tag="accepted"):
-    """This attempt will be carried out as soon as this record is on disk; in a compacted
-    journal, it may have been ``interrupted`` since. ``effects`` is what it was to do to labware; journals of
-    earlier versions do not say."""
+    """This attempt will be carried out as soon as this record is on disk. In a compacted journal, it may have
+    been ``interrupted`` since. ``effects`` are its planned effects on labware; journals of earlier versions
+    do not have them."""
 
     action: str
     attempt: int
@@ -58,7 +58,7 @@ class Accepted(Record, frozen=True, tag="accepted"):
 
 
 class Handled(Record, frozen=True, tag="handle"):
-    """The device calls the attempt by this name."""
+    """The device's own id of the attempt."""
 
     action: str
     attempt: int
@@ -80,9 +80,9 @@ class Voided(Record, frozen=True, tag="void"):
 
 
 class Pruned(Record, frozen=True, tag="pruned"):
-    """The lab knows the end of everything requested up to ``position``; a kernel of ``epoch`` said
-    so (0: not noted). In a compacted journal ``seen`` is the greatest position of a request that the
-    node has seen, also of those that it has forgotten."""
+    """The lab has recorded the end of everything requested up to ``position``; a kernel of ``epoch``
+    acknowledged it (0: not noted). In a compacted journal, ``seen`` is the greatest position of any request
+    that the node has seen, including forgotten ones."""
 
     position: int
     epoch: int = 0
@@ -90,8 +90,8 @@ class Pruned(Record, frozen=True, tag="pruned"):
 
 
 class Rewound(Record, frozen=True, tag="rewound"):
-    """The lab's log was put back from an older copy: what a kernel of ``epoch`` requests is counted
-    from behind ``position`` on. Requests of older kernels are fenced. ``seen`` as in ``Pruned``."""
+    """The lab's log was restored from an older copy: requests of a kernel of ``epoch`` are counted from after
+    ``position``. Requests of older kernels are fenced. ``seen`` is as in ``Pruned``."""
 
     position: int
     epoch: int
@@ -99,14 +99,14 @@ class Rewound(Record, frozen=True, tag="rewound"):
 
 
 class TakenUp(Record, frozen=True, tag="taken_up"):
-    """The device goes on with what was interrupted."""
+    """The device continues an interrupted action."""
 
     action: str
     attempt: int
 
 
 class GivenUp(Record, frozen=True, tag="given_up"):
-    """Nobody can say how a running attempt ended."""
+    """It cannot be found out how a running attempt ended."""
 
     action: str
     attempt: int
@@ -121,8 +121,8 @@ class Withdrawn(Record, frozen=True, tag="withdrawn"):
 
 
 class Corrected(Record, frozen=True, tag="corrected"):
-    """A person has put right an epoch or an acknowledged position that no kernel of the lab can have
-    told; ``by`` is who said so; ``at_ns`` (UTC) and ``why``."""
+    """A person has corrected an epoch or an acknowledged position that no kernel of the lab can have sent.
+    ``by`` is the person, ``at_ns`` the time (UTC ns), ``why`` the reason."""
 
     epoch: int
     position: int
@@ -155,7 +155,7 @@ _decode = msgspec.json.Decoder(list[AnyRecord]).decode
 
 
 def encode(record: Record) -> bytes:
-    """One record, as it stands in a line. Raises ValueError for text that is no Unicode."""
+    """One record, in the form of a line. Raises ValueError for text that is not Unicode."""
     return _encode(record)
 
 
@@ -166,7 +166,7 @@ def write_line(records: Iterable[bytes]) -> bytes:
 
 
 def read_lines(data: bytes) -> tuple[list[Record], bytes]:
-    """All records, and the bytes that hold them without a torn end. Raises JournalDamaged."""
+    """All records, and the bytes that contain them without a torn end. Raises JournalDamaged."""
     records: list[Record] = []
     start = 0
     while start < len(data):
@@ -174,11 +174,11 @@ def read_lines(data: bytes) -> tuple[list[Record], bytes]:
         line = data[start:] if newline < 0 else data[start:newline]
         body = _check_body(line)
         if body is None and newline < 0:
-            # Perhaps only the mark of its end is gone, and somebody was answered for it.
+            # Perhaps only the newline at its end is missing, and it was already answered.
             line = line[:-1]
             body = _check_body(line)
         if body is None:
-            # What a power cut leaves of the last write has no end, or sectors of zeros in it.
+            # After a power cut, the last write may have no end, or sectors of zeros in it.
             if newline < 0 or (newline + 1 == len(data) and b"\0" in line):
                 return records, data[:start]
             raise JournalDamaged(

@@ -1,7 +1,7 @@
-"""Arguments of a call against what an action declares, as they are sent.
+"""Checks the arguments of a call against the declarations of an action.
 
-Nothing is coerced silently, except an integer where a float is wanted. What a value may be is
-said in ``labos.core.arguments``.
+Nothing is converted silently, except an integer to a float. The allowed values are defined in
+``labos.core.arguments``.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from labos.errors import ActionInvalid
 
 
 class ArgumentProblem(msgspec.Struct, frozen=True):
-    """What is wrong with one argument; ``argument`` as the caller wrote it."""
+    """The fault of one argument; ``argument`` is the name that the caller wrote."""
 
     argument: str
     message: str
 
 
 def list_problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[ArgumentProblem]:
-    """Everything that is wrong with a call, in the order of declaration; unknown names last."""
+    """All faults of a call, in the order of declaration; unknown names last."""
     found: list[ArgumentProblem] = []
     meant = list_names(spec)
     for arg in spec.args:
@@ -47,9 +47,9 @@ def list_problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[ArgumentPro
 
 
 def bind(spec: ActionSpec, args: Mapping[str, Any]) -> dict[str, Any]:
-    """The call's arguments under their declared names, defaults left out.
+    """The call's arguments under their declared names; defaults are left out.
 
-    Raises ActionInvalid with one sentence about the first thing that is wrong.
+    Raises ActionInvalid with one sentence about the first fault.
     """
     for problem in list_problems(spec, args):
         raise ActionInvalid(f"{spec.name}: argument {problem.argument!r} {problem.message}.")

@@ -1,8 +1,8 @@
-"""Files of a node: those that an action is given, and those that it leaves behind.
+"""Files of a node: those that are given to an action, and those that it returns.
 
-Both are known by the SHA-256 of their bytes and travel over the bus in pieces, so that an
-instrument's PC needs no share and no second port. What was fetched stays beside the node, and is
-looked at again before each use.
+Both have the SHA-256 of their bytes as id, and are sent over the bus in parts, so that an instrument's PC
+needs no shared folder and no second port. Fetched files are stored beside the node, and are verified before
+each use.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from labos.ports import Bus
 
 PIECE = 1024 * 1024
-"""Bytes that travel at once."""
+"""The most bytes in one part."""
 LARGEST = 256 * 1024 * 1024
-"""Bytes of a file."""
+"""The most bytes of a file."""
 STALLED_S = 0.2
-"""The pause after a part that did not bring a file further."""
+"""The pause after a part after which no more bytes had arrived (seconds)."""
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
@@ -38,22 +38,22 @@ _reply = msgspec.json.Decoder(FileReply)
 
 
 class Attachment(msgspec.Struct, frozen=True):
-    """A file within an action's result: ``content`` is its bytes, or the path where they are. In
-    the log stands ``{"file": name, "sha256": …, "bytes": …}``; the lab has it before the result."""
+    """A file within an action's result. ``content`` is its bytes, or the path of the file. The log has
+    ``{"file": name, "sha256": …, "bytes": …}`` instead; the lab gets the file before the result."""
 
     name: str
     content: bytes | Path
 
 
 class Files:
-    """The lab's files as a node reaches them; ``folder`` is where it keeps those it has fetched."""
+    """A node's access to the lab's files. ``folder`` is the folder for fetched files."""
 
     def __init__(self, bus: Bus, key: str, folder: Path, *, timeout_s: float = 10.0) -> None:
         self._bus, self._key, self._folder, self._timeout_s = bus, key, folder, timeout_s
 
     async def fetch(self, sha256: str, name: str) -> Path:
-        """The file of that digest, under its own name. Raises DeviceError (nothing moved) if the
-        lab has no such file, waits for a lab that is away."""
+        """The file of that digest, under its own name. Raises DeviceError (nothing moved) if the lab has no
+        such file, and waits for a lab that is away."""
         path = self._folder / sha256[:16] / _simplify_name(name)
         if await asyncio.to_thread(_is_whole, path, sha256):
             return path
@@ -77,15 +77,15 @@ class Files:
         return path
 
     async def send(self, attachment: Attachment) -> dict[str, Any]:
-        """Hand a file over to the lab; returns what stands for it in the result. Waits for a lab
-        that is away. Raises DeviceError (all was done) if the lab does not take it."""
+        """Send a file to the lab; returns its reference for the result. Waits for a lab that is away. Raises
+        DeviceError (all was done) if the lab does not accept the file."""
         data = await _read_content(attachment)
         if len(data) > LARGEST:
             raise DeviceError(
                 f"The file {attachment.name} has {len(data)} bytes; {LARGEST} are allowed.", effects="all"
             )
         name = digest(data)
-        sent: int | None = None  # the lab has not said yet how much of it it has
+        sent: int | None = None  # the lab has not yet answered how many bytes it has
         while sent is None or sent < len(data):
             piece = data[sent : sent + PIECE] if sent is not None else b""
             reply = await self._ask(KeepFile(name, len(data), sent or 0, piece))
@@ -110,7 +110,8 @@ class Files:
 
 
 async def hand_over(result: Any, files: Files | None, depth: int = 0) -> Any:
-    """A result with each attachment in it handed to the lab. Raises DeviceError."""
+    """A result in which each attachment was sent to the lab and replaced by its reference. Raises
+    DeviceError."""
     if depth > DEPTH_LIMIT:
         raise DeviceError(
             f"All was done, but the result cannot be recorded: it is nested deeper than {DEPTH_LIMIT} "
@@ -144,8 +145,8 @@ async def _read_content(attachment: Attachment) -> bytes:
 
 
 def _simplify_name(name: str) -> str:
-    """The last part of a file's name, as every system can write it: of a long one the end, which says what
-    kind of file it is."""
+    """The last part of a file's name, in a form that is valid on every system. A long name is shortened at
+    its beginning, because the end shows the kind of file."""
     last = PurePosixPath(name.replace("\\", "/")).name
     short = last.encode("utf-8", "replace")[-NAME_LIMIT:].decode("utf-8", "ignore")
     return re.sub(r"[^\w.\- ]", "_", short).strip(". ") or "file"
@@ -159,7 +160,7 @@ def _is_whole(path: Path, sha256: str) -> bool:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Whole or not at all; nothing depends on it after a crash."""
+    """Write a complete file or none. No sync is needed, because nothing depends on it after a crash."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:

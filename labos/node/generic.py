@@ -1,7 +1,7 @@
-"""A simulated module that follows from its description alone, for instruments that no driver simulates.
+"""A simulated module that is made from its description alone, for instruments without a driver's simulator.
 
-It waits as long as an action takes and does to the simulated bench what the action's effects say. It
-measures nothing: an action returns what its description says, or the barcode that it reads.
+It takes the time of an action, and carries out the action's effects on the simulated bench. It measures
+nothing: the result of an action is the one in its description, or the barcode that it reads.
 """
 
 from __future__ import annotations
@@ -38,16 +38,17 @@ from labos.node.node import ActionMethod, Node, Setup, current_together
 from labos.node.world import World, lid_of
 
 SCATTER = 0.1
-"""Durations differ from the nominal one by up to this fraction of it."""
+"""Durations differ from the nominal one by at most this fraction of it."""
 
 WASTE = ("trash", "waste")
 
 VERBS = {("sealed", True): "seal", ("sealed", False): "peel"}
-"""What the simulated bench calls it when a variable of labware is set; else by the action's name."""
+"""The simulated bench's words for setting a variable of labware; otherwise the action's name is used."""
 
 
 def attach_files(told: Any) -> Any:
-    """A result in the form of the description, with its files as ``{file: name, text: content}``."""
+    """A result from a description, with its files in the form ``{file: name, text: content}`` as
+    attachments."""
     if isinstance(told, dict) and told.keys() == {"file", "text"}:
         return Attachment(str(told["file"]), str(told["text"]).encode())
     if isinstance(told, dict):
@@ -56,7 +57,7 @@ def attach_files(told: Any) -> Any:
 
 
 class GenericDevice:
-    """Carries actions out on the simulated bench as their effects say. Raises DeviceError without a bench."""
+    """Carries out effects of actions on the simulated bench. Raises DeviceError without a bench."""
 
     def __init__(self, setup: Setup, description: Description) -> None:
         if setup.world is None:
@@ -75,7 +76,7 @@ class GenericDevice:
         self.world.leave(self.name)
 
     async def carry_out(self, spec: ActionSpec, args: dict[str, Any]) -> Any:
-        """Do what an action's effects say, in its time. Raises DeviceError, Crash."""
+        """Carry out an action's effects, within its duration. Raises DeviceError, Crash."""
         if not spec.exclusive:
             await asyncio.sleep(self._draw_duration_s(spec.duration_s) / self._setup.pace)
             return self._work(spec, self._resolve(spec, args))
@@ -100,7 +101,7 @@ class GenericDevice:
         return self._at_work is None
 
     def stop(self) -> None:
-        """All motion ends here and now; what is in the hand stays in it."""
+        """Stop all motion at once; labware in the hand stays in it."""
         self._is_stopped = True
         if self._at_work is not None:
             self._at_work.cancel()
@@ -110,7 +111,7 @@ class GenericDevice:
         self.world.leave(self.name)
 
     def find_held_plate(self) -> str:
-        """What the hand holds, or empty."""
+        """The plate in the hand; empty if there is none."""
         return self._find_top(f"hand:{self.name}")
 
     # -- what an action does -----------------------------------------------------------------
@@ -124,7 +125,7 @@ class GenericDevice:
         ]
 
     def _check(self, effects: Iterable[AnyEffect]) -> None:
-        """Raises DeviceError: nothing has moved then."""
+        """Raises DeviceError before anything has moved."""
         for effect in effects:
             if not isinstance(effect, Requires) or effect.of != "module":
                 continue
@@ -147,13 +148,14 @@ class GenericDevice:
             await self._take_time(0.3 * took_s)
 
     def _find_ends(self, effect: Move | Take) -> tuple[str, str]:
-        """Where a motion begins and ends; its own hand is a place too."""
+        """The start and the end of a motion; the module's own hand is a possible place."""
         hand = {f"{self.name}.{s.name}" for s in self._description.stations if s.kind == "gripper"}
         ends = (effect.source, effect.target)
         return tuple(f"hand:{self.name}" if place in hand else place for place in ends)  # type: ignore[return-value]
 
     def _find_lid_at(self, place: str, effect: Move | Take, kind: type[Move]) -> str:
-        """The lid of the plate at a place, where it is the lid that is carried from or to it."""
+        """The place of the plate's lid if the effect carries the lid from or to there; otherwise the place
+        itself."""
         return lid_of(self._find_top(place)) if isinstance(effect, kind) else place
 
     def _put_down(self, place: str, grip: str) -> None:
@@ -164,7 +166,7 @@ class GenericDevice:
             self.world.release(self.name, place, grip)
 
     def _work(self, spec: ActionSpec, effects: Iterable[AnyEffect]) -> Any:
-        """What is done without carrying anything."""
+        """Carry out the effects that carry nothing."""
         at, result = "", attach_files(spec.returns)
         changed: dict[str, Any] = {}
         for effect in effects:
@@ -183,7 +185,7 @@ class GenericDevice:
             self.variables |= changed
             self.world.work(self.name, "set", **changed)
             self._move_gates()
-        elif current_together.get():  # it is done to all that stands in the device
+        elif current_together.get():  # it is done to all labware in the device
             for place in self._list_taken():
                 self.world.work(self.name, spec.name, place)
         else:
@@ -191,7 +193,8 @@ class GenericDevice:
         return result
 
     def _move_gates(self) -> None:
-        """Places that can be reached only while a variable has a value are shut while it has another."""
+        """Close the places that can be reached only while a variable has a certain value, if it has another
+        value."""
         for station in self._description.stations:
             place = self._setup.place(station.name)
             is_shut = any(self.variables.get(name) != value for name, value in station.access.items())
@@ -201,7 +204,7 @@ class GenericDevice:
     # -- inside ------------------------------------------------------------------------------
 
     async def _take_time(self, nominal_s: float) -> None:
-        """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
+        """Wait for lab seconds. Raises DeviceError if the device is stopped during this time."""
         self._at_work = asyncio.ensure_future(
             asyncio.sleep(self._draw_duration_s(nominal_s) / self._setup.pace)
         )
@@ -214,16 +217,16 @@ class GenericDevice:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
 
     def _draw_duration_s(self, nominal_s: float) -> float:
-        """How long it takes this time."""
+        """A random duration for this execution, in lab seconds."""
         return nominal_s * self._random.uniform(1 - SCATTER, 1 + SCATTER)
 
     def _place(self, text: str) -> str:
-        """A place as the bench names it: without workcell, ``module.place``."""
+        """The bench's name of a place: ``module.place``, without the workcell."""
         bare = local(StationName(text)).replace(".positions.", ".")
         return bare if "." in bare else self._setup.place(bare)
 
     def _find_own_place(self) -> str:
-        """The module's own station where labware stands; empty if there is none."""
+        """The module's own station with labware; empty if there is none."""
         taken, own = self._list_taken(), self._list_own()
         return taken[0] if taken else own[0] if own else ""
 
@@ -231,7 +234,7 @@ class GenericDevice:
         return [self._setup.place(s.name) for s in self._description.stations if s.kind != "gripper"]
 
     def _list_taken(self) -> list[str]:
-        """The module's own stations, and their shelves, where labware stands."""
+        """The module's own stations, and their shelves, with labware."""
         own = self._list_own()
         shelves = [f"{place}." for place in own]
         return [
@@ -246,7 +249,7 @@ class GenericDevice:
 
 
 def _set_before(world: World, device: str) -> dict[str, Any]:
-    """The variables that a device has set before it was started again."""
+    """The variables that a device has set before its restart."""
     found: dict[str, Any] = {}
     for motion in world.motions("set"):
         if motion.device == device:
@@ -292,11 +295,11 @@ def make_generic_node(description: Description) -> type[Node]:
 
 
 def extend_node(base: type[Node], description: Description) -> type[Node]:
-    """A driver's simulated node that offers more than the driver knows: ``description`` is the driver's
-    with what was added. What the driver does not know follows from its effects; arguments that it does
-    not know are not passed on to it."""
+    """A driver's simulated node with additional actions. ``description`` is that of the driver with the
+    additions. Actions that the driver does not have are simulated by their effects. Arguments that it does
+    not know are not passed to it."""
     known = {spec.name: spec for spec in base.describe().actions}
-    # Doors and variables are the driver's: the generic device moves none of them.
+    # The driver controls doors and variables: the generic device moves none of them.
     stations = tuple(msgspec.structs.replace(station, access={}) for station in description.stations)
     added = msgspec.structs.replace(description, stations=stations, variables={})
     devices: dict[int, GenericDevice] = {}
@@ -327,13 +330,13 @@ def extend_node(base: type[Node], description: Description) -> type[Node]:
 
 
 def _replaces_action(spec: ActionSpec, known: ActionSpec) -> bool:
-    """Whether an action is another than the driver's of that name."""
+    """Whether an action replaces the driver's action of that name."""
     lacks = {arg.name for arg in known.args} - {arg.name for arg in spec.args}
     return bool(lacks) or spec.effects != known.effects
 
 
 def _drop_new_arguments(method: ActionMethod, spec: ActionSpec, known: ActionSpec) -> ActionMethod:
-    """A driver's method for an action that was given more arguments than it knows."""
+    """A driver's method for an action with more arguments than the driver knows."""
     new = {arg.name for arg in spec.args} - {arg.name for arg in known.args}
 
     def without(args: dict[str, Any]) -> dict[str, Any]:

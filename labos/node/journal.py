@@ -1,13 +1,12 @@
-"""A node's durable memory: which attempts it accepted, and what became of them.
+"""A node's durable memory: the attempts that it accepted, and their outcomes.
 
-The journal is a file of lines, ``<CRC-32> <JSON list of records>``. A line is one write and one
-sync, so it holds everything that happened while the previous one was being written. A torn last
-line was never answered for and is cut off; damage anywhere else means that the node cannot know
-what it has done, and it must not start.
+The journal is a file of lines, ``<CRC-32> <JSON list of records>``. A line is one write and one sync, so it
+holds everything that happened while the previous one was being written. The node has never answered anything
+that depends on a torn last line, so this line is cut off. Damage anywhere else means that the node cannot
+know what it has done, and it must not start.
 
-Questions are answered from memory, at once. What was recorded takes effect for every later
-question immediately, and is on disk when ``synced`` returns: nothing may be answered to anybody,
-and nothing may move, before that.
+Queries are answered from memory, at once. A record takes effect for every later query immediately, and is on
+disk when ``sync`` returns. Before that, the node may send no answer and move nothing.
 """
 
 from __future__ import annotations
@@ -54,22 +53,22 @@ _log = structlog.get_logger(__name__)
 
 
 class JournalFile(Protocol):
-    """Where a journal is kept. One call at a time."""
+    """The storage of a journal. Only one call at a time."""
 
     async def read(self) -> bytes:
-        """Everything, empty if there is nothing yet."""
+        """All bytes; empty if there are none yet."""
 
     async def append(self, data: bytes) -> None:
-        """Write behind the end; on disk on return. Raises OSError, leaving the old end."""
+        """Append bytes; they are on disk on return. Raises OSError, and then the old end is unchanged."""
 
     async def replace(self, data: bytes) -> None:
-        """Put ``data`` in place of everything, all or nothing; on disk on return."""
+        """Replace all bytes by ``data``, all or nothing; on disk on return."""
 
     async def close(self) -> None: ...
 
 
 class _Nowhere:
-    """The file of a journal that is only looked at."""
+    """The storage of a journal that is only read."""
 
     async def read(self) -> bytes:
         return b""
@@ -92,7 +91,7 @@ class JournalError(NodeError):
 
 
 class Journal:
-    """See the module. Made by ``Journal.open``."""
+    """The journal of a node; see the module's docstring. Made by ``Journal.open``."""
 
     def __init__(self, file: JournalFile) -> None:
         self.memory = Memory()
@@ -110,7 +109,7 @@ class Journal:
     async def open(cls, file: JournalFile, ids: Ids) -> Journal:
         """Read a journal, or begin one. Attempts that had not ended are ``interrupted``.
 
-        Raises JournalDamaged, and lets the file go then.
+        Raises JournalDamaged; then the file is released.
         """
         journal = cls(file)
         try:
@@ -122,7 +121,7 @@ class Journal:
 
     @classmethod
     def read(cls, data: bytes) -> Journal:
-        """The journal that a file holds, to look at only. Raises JournalDamaged."""
+        """The journal in a file, only for reading. Raises JournalDamaged."""
         journal = cls(_NOWHERE)
         journal.memory.replay(read_lines(data)[0])
         return journal
@@ -135,27 +134,27 @@ class Journal:
 
     @property
     def lab(self) -> str:
-        """The lab that the node belongs to; empty before the first one spoke to it."""
+        """The lab to which the node belongs; empty before the first message of a lab."""
         return self.memory.lab
 
     @property
     def epoch(self) -> int:
-        """Of the newest kernel that the node obeys."""
+        """The epoch of the newest kernel that the node obeys."""
         return self.memory.epoch
 
     @property
     def pruned(self) -> int:
-        """The position up to which the lab acknowledged."""
+        """The position that the lab has acknowledged."""
         return self.memory.pruned
 
     @property
     def pruned_by(self) -> int:
-        """The epoch of the kernel that acknowledged; 0 if that is not noted."""
+        """The epoch of the kernel that acknowledged; 0 if it is not noted."""
         return self.memory.pruned_by
 
     @property
     def seen(self) -> int:
-        """The greatest position of a request that the node has seen, forgotten or not."""
+        """The greatest position of a request that the node has seen, including forgotten requests."""
         return self.memory.seen
 
     def find(self, action: str, attempt: int) -> Attempt | None:
@@ -170,7 +169,7 @@ class Journal:
         return entry.attempts[max(numbers)] if entry and numbers else None
 
     def find_last_attempt(self, action: str) -> int:
-        """The greatest number of an attempt, accepted or void, that is remembered; 0 if none is."""
+        """The greatest remembered number of an attempt, accepted or void; 0 if there is none."""
         entry = self.memory.actions.get(action)
         return max(entry.void, *entry.attempts, 0) if entry else 0
 
@@ -182,15 +181,15 @@ class Journal:
         return attempt <= entry.void or any(n > attempt for n in entry.attempts)
 
     def is_forgotten(self, position: int) -> bool:
-        """Whether requests that old are refused unread."""
+        """Whether requests with this position are so old that they are refused unread."""
         return position <= self.pruned
 
     def open_attempts(self) -> list[Attempt]:
-        """All that is not forgotten, in the order in which it was accepted."""
+        """All remembered attempts, in the order in which they were accepted."""
         return self.memory.list_attempts()
 
     def list_unacknowledged(self) -> list[Unacknowledged]:
-        """``open_attempts`` as they are reported."""
+        """``open_attempts`` in the form for reports."""
         return [
             Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position, a.effects)
             for a in self.open_attempts()
@@ -199,7 +198,7 @@ class Journal:
     # -- changes: in force at once, durable after ``synced`` ---------------------------------
 
     def bind(self, lab: str) -> None:
-        """Belong to a lab for good."""
+        """Bind the node to a lab permanently."""
         if self.lab and self.lab != lab:
             raise ValueError(f"journal {self.id} belongs to lab {self.lab}, not {lab}")
         if not self.lab:
@@ -230,39 +229,39 @@ class Journal:
         self._record(Ended(action, attempt, outcome))
 
     def take_up(self, attempt: Attempt) -> None:
-        """What was interrupted goes on. If the node dies again, it is interrupted again."""
+        """An interrupted attempt continues. If the node dies again, it is interrupted again."""
         if attempt.status == "interrupted":
             self._record(TakenUp(attempt.action, attempt.attempt))
 
     def give_up(self, attempt: Attempt, why: str) -> None:
-        """Nobody can say how a running attempt ended."""
+        """It cannot be found out how a running attempt ended."""
         if attempt.status == "running":
             self._record(GivenUp(attempt.action, attempt.attempt, why))
 
     def forbid_attempts(self, action: str, attempt: int, position: int) -> None:
-        """Let no attempt up to ``attempt`` start any more."""
+        """Make all attempts up to ``attempt`` void: they can never start."""
         entry = self.memory.actions.get(action)
         if attempt > (entry.void if entry else 0):
             self._record(Voided(action, attempt, position))
 
     def withdraw(self, action: str, attempt: int) -> None:
-        """Take back an acceptance that could not be written: nothing moved, nothing will."""
+        """Take back an acceptance that could not be written: nothing has moved, and nothing will move."""
         self._record(Withdrawn(action, attempt))
 
     def prune(self, position: int) -> None:
-        """Forget what was requested up to ``position`` and is not running; refuse it from now on."""
+        """Forget requests up to ``position`` that are not running, and refuse them from now on."""
         if position > self.pruned or self.memory.is_spent(position):
             self._record(Pruned(position, self.epoch))
 
     def rewind(self, position: int) -> None:
-        """Take requests from behind ``position`` on again, although more was acknowledged. What was
-        requested up to there stays forgotten."""
+        """Accept requests after ``position`` again, although later ones were acknowledged. Requests up to
+        ``position`` stay forgotten."""
         if position < self.pruned:
             self._record(Rewound(position, self.epoch))
 
     def correct(self, *, epoch: int, position: int, by: str, at_ns: int, why: str) -> None:
-        """Put the epoch and the acknowledged position right, by a person's word (``labos node
-        reset-epoch``). Raises BadInput where one would rise."""
+        """Correct the epoch and the acknowledged position at the request of a person (``labos node
+        reset-epoch``). Raises BadInput where one would increase."""
         for what, wanted, known in (("epoch", epoch, self.epoch), ("position", position, self.pruned)):
             if not 0 <= wanted <= known:
                 raise BadInput(
@@ -272,7 +271,7 @@ class Journal:
         self._record(Corrected(epoch, position, by, at_ns, why))
 
     async def sync(self) -> None:
-        """Wait until everything recorded so far is on disk. Raises JournalError."""
+        """Wait until all records until now are on disk. Raises JournalError."""
         wanted = self._recorded
         while self._durable < wanted:
             if self.broken:
@@ -282,14 +281,14 @@ class Journal:
                 )
             if self._writing is None:
                 self._writing = asyncio.get_running_loop().create_task(self._write())
-            # A caller that is cancelled must not take the others' write with it.
+            # If one caller is cancelled, the write of the others must continue.
             await asyncio.shield(self._writing)
 
     async def mend(self) -> None:
-        """After a failed write: write everything that is in memory again. Raises JournalError."""
+        """After a failed write, write the whole memory again. Raises JournalError."""
         if not self.broken:
             return
-        # Of two at once, the later one's picture would lack what was written after the earlier.
+        # Of two such writes, the later one would not contain the records written after the earlier one.
         async with self._mending:
             if not self.broken:
                 return
@@ -302,7 +301,7 @@ class Journal:
             self._durable, self._size, self.broken = recorded, len(data), ""
 
     async def close(self) -> None:
-        """Write what is left and let the file go."""
+        """Write the remaining records and release the file."""
         try:
             await self.sync()
         except JournalError:
@@ -328,7 +327,7 @@ class Journal:
             await self.sync()
 
     def _record(self, record: Record) -> None:
-        line = encode(record)  # what cannot be written must not be remembered either
+        line = encode(record)  # a record that cannot be written must not be remembered either
         self.memory.apply(record)
         self._queue.append(line)
         self._recorded += 1
@@ -358,14 +357,14 @@ class Journal:
             self._writing = None
 
     def _snapshot(self) -> bytes:
-        """The whole journal as one that was just written; what is forgotten is left out."""
+        """The whole journal in the form of a new one, without forgotten attempts."""
         return b"".join(write_line([encode(record)]) for record in self.memory.list_records())
 
 
 def knows_more(acknowledged: int, by: int, end: int, starts: Sequence[tuple[int, int]]) -> bool:
-    """Whether a node has been told of more events than a log holds: everything up to ``acknowledged``, by
-    a kernel of epoch ``by`` (0: not noted). The log ends at ``end``; ``starts`` are the epochs of its
-    kernels and the positions where they began. What a kernel acknowledged stands before the next one
-    began."""
+    """Whether a node received an acknowledgement of more events than a log has. A kernel of epoch ``by`` (0:
+    not noted) acknowledged everything up to ``acknowledged``. The log ends at ``end``; ``starts`` are the
+    epochs of its kernels and the positions where they began. A kernel can only acknowledge positions before
+    the start of the next kernel."""
     next_begins = next((position for epoch, position in starts if by and epoch > by), end + 1)
     return acknowledged >= next_begins

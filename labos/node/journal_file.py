@@ -12,9 +12,9 @@ from labos.private import FILE, make_folder, replace_file
 
 
 class FileJournalFile:
-    """One file, written and synced in a thread of its own so that the event loop never waits
-    for the disk. ``<path>.lock`` keeps a second process out; the system lets it go when its
-    owner dies. Raises JournalError."""
+    """One file, written and synced in its own thread, so that the event loop never waits for the disk.
+    ``<path>.lock`` excludes a second process; the system releases it when its owner dies. Raises
+    JournalError."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -55,19 +55,19 @@ class FileJournalFile:
         if self._fd < 0:
             self._open()
         try:
-            # A disk that fills up takes a part and says how much.
+            # A disk that is nearly full accepts a part, and returns its length.
             rest = memoryview(data)
             while rest:
                 rest = rest[os.write(self._fd, rest) :]
             os.fsync(self._fd)
         except OSError:
-            # A half line in the middle of a journal would be damage.
+            # A part of a line in the middle of a journal would be damage.
             os.ftruncate(self._fd, self._end)
             raise
         self._end += len(data)
 
     def _replace(self, data: bytes) -> None:
-        self._release()  # Windows does not replace a file that is open
+        self._release()  # Windows cannot replace an open file
         replace_file(self.path, data)
         self._open()
 

@@ -21,22 +21,22 @@ from labos.errors import Unreadable
 T = TypeVar("T")
 
 TEXT_LIMIT = 2_000
-"""Characters of a text that a device or its driver says."""
+"""The most characters of a text from a device or its driver."""
 
 NAME_LIMIT = 200
-"""Characters of a name: of an action, of who pressed a stop."""
+"""The most characters of a name: of an action, or of the person who stopped a module."""
 
 DEPTH_LIMIT = 50
 """How deep lists and tables may be nested."""
 
 RESULT_LIMIT = 48 * 1024
-"""Bytes of JSON that a result may take; what is larger belongs in a file."""
+"""The most bytes of JSON of a result; larger data belongs in a file."""
 
 MESSAGE_LIMIT = 256 * 1024
-"""Bytes of a request. The lab's own have 64 KB at most."""
+"""The most bytes of a request. Requests of LabOS itself have at most 64 KB."""
 
 REPLY_LIMIT = 4 * 1024 * 1024
-"""Bytes of an answer, and of a message with a part of a file."""
+"""The most bytes of an answer, and of a message with a part of a file."""
 
 _LOGGED = 20_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:@-]{0,199}")
@@ -48,9 +48,8 @@ _encode = msgspec.json.Encoder().encode
 
 
 def cut(text: str, limit: int = TEXT_LIMIT) -> str:
-    """A text in the form in which it is sent and recorded: not longer than ``limit`` characters, without
-    control characters, and with nothing that has no UTF-8. The whole of what is cut goes to the node's
-    log file."""
+    """A text in the form for sending and recording: at most ``limit`` characters, without control characters
+    and unpaired surrogates. If a text is cut, the whole text is written to the node's log file."""
     clean = strip_unprintable(text)
     if len(clean) <= limit:
         return clean
@@ -60,7 +59,7 @@ def cut(text: str, limit: int = TEXT_LIMIT) -> str:
 
 
 def _log_once(text: str) -> None:
-    """Once: a device may say the same every second."""
+    """Log a text only once, because a device may send the same text every second."""
     mark = hash(text)
     if mark not in _logged:
         _logged.append(mark)
@@ -68,12 +67,12 @@ def _log_once(text: str) -> None:
 
 
 def cut_name(text: object) -> str:
-    """What somebody says who they are, as one short line; empty if it is no text."""
+    """The name that a sender gives itself, as one short line; empty if it is not text."""
     return cut(" ".join(text[:10_000].split()), NAME_LIMIT) if isinstance(text, str) else ""
 
 
 def is_name(text: str) -> bool:
-    """Whether an id is one that can stand in a key of the bus and in a message to a person."""
+    """Whether an id is valid in a key of the bus and in a message to a person."""
     return _NAME.fullmatch(text) is not None
 
 
@@ -124,13 +123,13 @@ def _is_unicode(text: str) -> bool:
 def read(
     payload: bytes, decoder: msgspec.json.Decoder[T], *, whose: str = "", limit: int = MESSAGE_LIMIT
 ) -> T:
-    """A message from the bus, of ``limit`` bytes at most; ``whose`` names who sent it. Raises Unreadable."""
+    """A message from the bus, of at most ``limit`` bytes. ``whose`` names the sender. Raises Unreadable."""
     what = f"The message of {whose}" if whose else "The message"
     if len(payload) > limit:
         raise Unreadable(f"{what} has {len(payload)} bytes; {limit} are allowed.")
     try:
         return decoder.decode(payload)
-    except (msgspec.MsgspecError, ValueError) as error:  # a number of 5,000 digits is a ValueError
+    except (msgspec.MsgspecError, ValueError) as error:  # a number of 5,000 digits raises ValueError
         raise Unreadable(f"{what} cannot be read: {cut_text(str(error), NAME_LIMIT)}.") from error
     except RecursionError:
         raise Unreadable(f"{what} is nested too deep to be read.") from None

@@ -1,7 +1,7 @@
-"""For drivers whose actions are configured by a table: the parts of such tables, and how they are read.
+"""Parts for drivers with a configuration table, and functions for reading such tables.
 
-A driver gives its class a ``config_table``; the workcell file holds the table below that key of
-``config``, or names a file that does. Errors in it are reported with file, line, column and remedy.
+A driver gives its class a ``config_table``. The workcell file has the table below that key of ``config``, or
+names a file with it. Faults in it are reported with file, line, column and remedy.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    # Reading specs takes time and memory, which nodes without a table can do without.
+    # Reading specs takes time and memory, which nodes without a table do not need.
     for home, names in _HOMES.items():
         if name in names:
             return getattr(import_module(home), name)

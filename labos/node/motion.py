@@ -1,4 +1,4 @@
-"""What is known of a motion that has begun."""
+"""The knowledge about a motion that has begun."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from labos.errors import DeviceError
 
 @contextmanager
 def under_way() -> Iterator[None]:
-    """A motion has begun: whatever goes wrong from now on, nobody can say that nothing moved. A link that
-    fails before a question knows only of that question."""
+    """A motion has begun: after any later error it is unknown whether something moved. A link that fails
+    before a request only knows about that request."""
     try:
         yield
     except DeviceError as error:

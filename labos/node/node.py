@@ -1,4 +1,4 @@
-"""A node as an instrument's author sees it: a class with typed ``@action`` methods.
+"""The base class of nodes, for authors of drivers: a class with typed ``@action`` methods.
 
 ::
 
@@ -10,11 +10,11 @@
         async def seal(self, time: Annotated[float, Param(unit="s", minimum=0.5, maximum=9.9)] = 3.0) -> None:
             await self.device.seal(time)
 
-Methods may be ``async def``, or plain ``def`` for blocking drivers: those run in a thread of
-their own. Raise DeviceError to report a failure, with what is known of the motion.
+Methods may be ``async def``, or plain ``def`` for blocking drivers: those run in a thread of their own. Raise
+DeviceError to report a failure, with what is known of the motion.
 
-Every node has the action ``reset``, from the method of that name. A driver whose reset moves says
-so: ``@action(Move(…), recovers=True)`` above its own ``reset``.
+Every node has the action ``reset``, from the method of that name. A driver whose reset moves says so:
+``@action(Move(…), recovers=True)`` above its own ``reset``.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ INTERRUPTED = "its node was restarted in mid-motion"
 
 
 class Param(msgspec.Struct, frozen=True):
-    """What a type hint cannot say of an argument. ``place`` marks a station, ``file`` a file
-    whose content is pinned at submission; limits in ``unit``."""
+    """Properties of an argument that a type hint cannot express. ``place`` marks a station, ``file`` a file
+    whose content is pinned at submission. Limits are in ``unit``."""
 
     unit: str = ""
     minimum: float | None = None
@@ -66,12 +66,12 @@ File = Annotated[str, Param(file=True)]
 
 
 class Setup(msgspec.Struct):
-    """The configuration that a node gets when it starts. ``poses`` are a manipulator's taught locations,
-    ``poses_of`` those that differ for a labware type, by type, ``pace`` is how much faster than real time
-    simulated devices run, ``world`` is the simulated bench (None with a real device), ``wire`` whether
-    its devices are reached over simulated wires where the driver has them; ``unit_file`` keeps which unit
-    the device is (``labos.node.unit``), empty for one that is not kept. ``firmware`` is the version that
-    the device tells when it is recognised, empty if it tells none."""
+    """The configuration that a node gets when it starts. ``poses`` are a manipulator's taught locations, and
+    ``poses_of`` those that differ for a labware type, by type. ``pace`` is the speed-up factor of simulated
+    devices, and ``world`` the simulated bench (None with a real device). ``wire``: simulated devices are
+    reached over simulated wires, if the driver has them. ``unit_file`` stores the serial number of the device
+    (``labos.node.unit``); empty if it is not stored. ``firmware`` is the version that the device reports when
+    it is identified; empty if it reports none."""
 
     name: str
     workcell: str
@@ -87,7 +87,8 @@ class Setup(msgspec.Struct):
     firmware: str = ""
 
     def poses_for(self, labware_type: str) -> dict[str, list[float]]:
-        """Where the manipulator finds stations with labware of a type: its own poses, else the stations'."""
+        """The poses of stations for labware of a type: those for the type, otherwise those for any
+        labware."""
         return {**self.poses, **self.poses_of.get(labware_type, {})}
 
     def place(self, station: str) -> str:
@@ -95,8 +96,8 @@ class Setup(msgspec.Struct):
         return f"{self.name}.{station}"
 
     def setting(self, key: str, example: str = "…") -> Any:
-        """What the workcell file says of this module under a key that the driver cannot do without.
-        Raises DeviceError: nothing was asked of the device."""
+        """The setting of this module in the workcell file under a key that the driver needs. Raises
+        DeviceError: no request was sent to the device."""
         if (value := self.config.get(key)) in (None, ""):
             raise DeviceError(
                 f"{self.name}: its configuration has no {key!r}.",
@@ -118,13 +119,13 @@ def action(
     dangerous: str = "",
     duration_from: str = "",
 ) -> Callable[[F], F]:
-    """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders. One that
-    ``recovers`` may start while the module is in error, and its success ends the error. What is
-    done ``by_person`` stands in the inbox, and ends when a person says so. ``dangerous`` names what may hurt
-    or cannot be undone (``laser``, ``hot``, ``irreversible`` …): a workcell may ask for a second person
-    then. ``duration_from`` is where its duration is found if it depends on the arguments: ``{seconds}``,
-    ``20 + {minutes}`` in the unit of the parameter, ``{file:protocol:resources.seconds}``; ``duration_s``
-    counts where nothing is found there."""
+    """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders. One that ``recovers``
+    may start while the module is in error, and its success ends the error. An action ``by_person`` is in the
+    inbox, and ends when a person reports its end. ``dangerous`` names a danger, or an effect that cannot be
+    undone (``laser``, ``hot``, ``irreversible`` …); then a workcell may require a second person.
+    ``duration_from`` is the source of its duration if that depends on the arguments: ``{seconds}``, ``20 +
+    {minutes}`` in the unit of the parameter, ``{file:protocol:resources.seconds}``. If it has no value there,
+    ``duration_s`` is used."""
 
     def mark(method: F) -> F:
         method.__labos_action__ = {  # type: ignore[attr-defined]
@@ -145,22 +146,22 @@ def action(
 
 
 handle_keeper: ContextVar[Callable[[str], Awaitable[None]] | None] = ContextVar("handle_keeper", default=None)
-"""Where ``Node.note_handle`` writes to; the server sets it around each action."""
+"""The function that ``Node.note_handle`` calls; the server sets it for each action."""
 
 
 current_action: ContextVar[str] = ContextVar("current_action", default="")
-"""The id of the action that a method carries out; the server sets it around each action."""
+"""The id of the action that a method carries out; the server sets it for each action."""
 
 
 current_together: ContextVar[tuple[str, ...]] = ContextVar("current_together", default=())
-"""The ids of all actions that a method carries out in one go; empty if it carries out one. The server sets it
-around each of them."""
+"""The ids of all actions that a method carries out at once; empty for a single action. The server sets it for
+each of them."""
 
 
 class Node:
-    """Base of every instrument. Subclasses set the class attributes and write actions. What a driver
-    offers may follow from a table in the module's configuration (``labos.node.mapping``). ``counters`` are
-    how it counts from a file what an action uses up, by resource (``labos.core.counts``)."""
+    """Base of every instrument. Subclasses set the class attributes and write actions. The actions of a
+    driver may depend on a table in the module's configuration (``labos.node.mapping``). ``counters`` are
+    functions that read from a file how much an action uses up, by resource (``labos.core.counts``)."""
 
     driver: ClassVar[str] = ""
     version: ClassVar[str] = "1"
@@ -191,10 +192,11 @@ class Node:
         """Open the device. Raise DeviceError with a remedy if it is not there."""
 
     async def close(self) -> None:
-        """Let go of the device."""
+        """Disconnect from the device."""
 
     async def is_idle(self) -> bool:
-        """Whether the device stands still: asked after a restart, before new work is taken."""
+        """Whether the device stands still. The server calls it after a restart, before the node accepts new
+        work."""
         return True
 
     @action(recovers=True)
@@ -205,43 +207,43 @@ class Node:
         """Stop all motion at once. A convenience, not a safety function."""
 
     async def settle(self, action: str, done: bool) -> None:
-        """The lab has learnt otherwise how an action ended that may still run here: a person said
-        so. Told more than once."""
+        """A person has reported the outcome of an action that may still run here. It may be called more than
+        once."""
 
     async def resources(self) -> dict[str, float]:
         """Levels as the device itself reports them, by resource name."""
         return {}
 
     async def note_handle(self, handle: str) -> None:
-        """Journal the device's own id of what an action is about to start (an OT-2 run id), so
-        that it can be found again after a crash. Call it within an action, before the start."""
+        """Journal the device's own id of the work that an action is about to start (an OT-2 run id), so that
+        it can be found again after a crash. Call it within an action, before the start."""
         keep = handle_keeper.get()
         if keep is not None:
             await keep(handle)
 
     async def take_up(self, name: str, handle: str) -> Any:
-        """Go on with an action that was under way when the node died: wait for its end, and return or
-        raise what its method would have. ``handle`` is what ``note_handle`` kept, empty if nothing.
-        Raise OutcomeUnknown where the device cannot tell. Nothing may be started here."""
+        """Continue an action that was under way when the node died: wait for its end, and return or raise
+        what its method would have. ``handle`` is the id from ``note_handle``; empty if there is none. Raise
+        OutcomeUnknown if the device cannot report the outcome. Nothing may be started here."""
         raise OutcomeUnknown(INTERRUPTED)
 
     async def trouble(self) -> str:
-        """The device's present error, asked for every few seconds; empty if there is none. It ends by itself,
-        without a reset."""
+        """The device's present error; empty if there is none. It is queried every few seconds. The error ends
+        by itself, without a reset."""
         return ""
 
     async def observe(self) -> dict[str, Any]:
-        """What the device can see: variables by name, ``labware`` by station."""
+        """The observations of the device: variables by name, ``labware`` by station."""
         return {}
 
     @classmethod
     def for_config(cls, config: dict[str, Any]) -> type[Node]:
-        """The class for a module with this configuration: this one, unless what it offers follows from
-        a table there. Raises BadInput."""
+        """The class for a module with this configuration: this class, unless its actions depend on a table
+        there. Raises BadInput."""
         return cls
 
     def methods(self) -> dict[str, ActionMethod]:
-        """What carries each action out."""
+        """The method that carries out each action."""
         return {name: getattr(self, name) for name, _ in list_actions(type(self))}
 
     @classmethod
@@ -256,8 +258,8 @@ class Node:
 
 
 def list_actions(cls: type[Node]) -> list[tuple[str, Callable[..., Any]]]:
-    """(name, function) of every action, in order of definition, bases first, recoveries last. A
-    method that overrides an action without saying more is the action its base declared."""
+    """(name, function) of every action, in order of definition, bases first, recoveries last. A method that
+    overrides an action without a decorator keeps the declaration of its base."""
     found: dict[str, Callable[..., Any]] = {}
     for base in reversed(cls.__mro__):
         found.update((name, m) for name, m in vars(base).items() if hasattr(m, "__labos_action__"))
@@ -265,7 +267,7 @@ def list_actions(cls: type[Node]) -> list[tuple[str, Callable[..., Any]]]:
 
 
 def describe_action(name: str, method: Callable[..., Any]) -> ActionSpec:
-    """Derive an action's description from its signature. Raises TypeError where a hint is missing."""
+    """Derive an action's description from its signature. Raises TypeError for a missing type hint."""
     hints = typing.get_type_hints(method, include_extras=True)
     args = []
     for parameter in list(inspect.signature(method).parameters.values())[1:]:

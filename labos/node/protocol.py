@@ -1,11 +1,11 @@
 """The messages between kernel and node: the six operations and two publications.
 
-Keys: ``labos/<lab>/<workcell>/<module>/{about,action,reset,resources,state,admin}`` answer
-queries; ``…/result/<action>`` and ``…/state`` are published. All messages are JSON.
+Keys: ``labos/<lab>/<workcell>/<module>/{about,action,reset,resources,state,admin}`` answer queries;
+``…/result/<action>`` and ``…/state`` are published. All messages are JSON.
 
-An *attempt* is one sending of an action. A node carries out an attempt at most once, ever:
-it writes the attempt to its journal before it moves, and an attempt that it was asked about and
-had not heard of is written down as void before it answers.
+An *attempt* is one sending of an action. A node carries out an attempt at most once, ever: it writes the
+attempt to its journal before it moves, and if it is asked about an attempt that it has not received, it
+records the attempt as void before it answers.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ EffectsDone = Literal["all", "none", "partial", "unknown"]
 NodeStatus = Literal["IDLE", "BUSY", "ERROR"]
 
 EPOCH_JUMP = 2**32
-"""How far above the greatest epoch that a node has seen the next one may lie. ``labos db restored`` and
-``labos restore`` leap to the seconds since 2026, whatever the epoch was: that is never further."""
+"""The largest step from the greatest epoch that a node has seen to the next one. ``labos db restored`` and
+``labos restore`` set the epoch to the seconds since 2026, from any epoch before: this step is never
+larger."""
 
 POSITION_JUMP = 2**32
-"""How far an acknowledged position may lie behind the last request that the node has seen: what a lab
-logs while one action lasts. A refused acknowledgement costs room in the journal, nothing else."""
+"""The largest distance of an acknowledged position from the last request that the node has seen: what a lab
+logs during one action. A refused acknowledgement only costs space in the journal."""
 
 ATTEMPT_JUMP = 100
-"""How far an attempt may lie above the last one that the node knows of the same action; they follow each
-other one by one."""
+"""The largest step from the last known attempt of an action to the next one; attempts are numbered one by
+one."""
 
 GREATEST = 2**53 - 1
-"""No epoch and no position is greater: what every JSON reader reads exactly."""
+"""The greatest epoch or position: every JSON reader reads numbers up to this one exactly."""
 
 
 class Message(msgspec.Struct, frozen=True, tag_field="op"):
@@ -58,9 +59,10 @@ class Start(Message, frozen=True, tag="start"):
 
 
 class JointStart(Start, frozen=True, tag="start_together", kw_only=True):
-    """Carry out an action ``together`` with others, in one go: these are the names of all of them. The device
-    begins when a start of each has come; else none of them begins. It gets one command, with the arguments of
-    the first, and the outcome holds for each. A node of a version that does not know this refuses it."""
+    """Carry out an action ``together`` with others, at once: these are the ids of all of them. The device
+    begins when a start of each has arrived; otherwise none of them begins. It gets one command, with the
+    arguments of the first, and the outcome is valid for each. A node of an older version refuses this
+    message."""
 
     together: tuple[str, ...]
 
@@ -187,7 +189,8 @@ class Unacknowledged(msgspec.Struct, frozen=True):
 
 
 PROTOCOL = 1
-"""The version of this protocol. It counts up when nodes or kernels of the version before could not go on."""
+"""The version of this protocol. It increases when nodes or kernels of the version before can no longer work
+with the new ones."""
 
 OLDEST_PROTOCOL = 1
 """The oldest version of nodes and kernels that this one works with."""
@@ -319,7 +322,7 @@ class Keys:
         self.root = f"labos/{lab}"
 
     def operation(self, module: str, operation: str) -> str:
-        """``module`` is ``workcell/module``."""
+        """The key of an operation. ``module`` is ``workcell/module``."""
         return f"{self.root}/{module}/{operation}"
 
     def result(self, module: str, action: str) -> str:
@@ -329,7 +332,7 @@ class Keys:
         return f"{self.root}/@alive/{module}/{instance}"
 
     def name(self, module: str, instance: str, stage: str) -> str:
-        """Liveliness of a node that ``wants`` the module's name, or ``has`` it."""
+        """The liveliness key of a node that ``wants`` the module's name, or ``has`` it."""
         return f"{self.root}/@name/{module}/{instance}/{stage}"
 
     @property
@@ -350,11 +353,11 @@ class Keys:
 
     @property
     def setup(self) -> str:
-        """Where the kernel answers SetupRequests."""
+        """The key on which the kernel answers SetupRequests."""
         return f"{self.root}/@setup"
 
     def setup_of(self, module: str) -> str:
-        """The same for one module: on a secure bus its node may ask here only."""
+        """The same for one module: on a secure bus its node may query only this key."""
         return f"{self.root}/@setup/{module}"
 
     @property
@@ -363,11 +366,11 @@ class Keys:
 
     @property
     def files(self) -> str:
-        """Where the kernel answers FileRequests."""
+        """The key on which the kernel answers FileRequests."""
         return f"{self.root}/@files"
 
     def requests_of(self, process: str, epoch: int | str) -> str:
-        """Where the kernel of an epoch answers an API process."""
+        """The key on which the kernel of an epoch answers an API process."""
         return f"{self.root}/@requests/{process}/{epoch}"
 
     def events(self, family: str) -> str:
@@ -379,7 +382,7 @@ class Keys:
 
     @staticmethod
     def module_of(key: str) -> str:
-        """``workcell/module`` of an operation, result or alive key."""
+        """``workcell/module`` in an operation, result or alive key."""
         parts = key.split("/")
         start = 3 if parts[2] == "@alive" else 2
         return f"{parts[start]}/{parts[start + 1]}"

@@ -1,4 +1,5 @@
-"""Passwords and tokens of devices. The workcell file is kept for ever: it names them and never holds them."""
+"""Passwords and tokens of devices. The workcell file is stored permanently, so it only names them and never
+contains them."""
 
 from __future__ import annotations
 
@@ -11,9 +12,9 @@ from labos.errors import DeviceError
 
 
 def secret_of(config: Mapping[str, Any], key: str, *, file_key: str = "") -> str:
-    """The secret that a config names: as ``<key>_env`` by a variable of the node's environment, or as
-    ``<key>_file`` (or ``file_key``) by a file on the node's computer. Empty if it names none. Raises
-    DeviceError (``none``) if it names both, a variable that is not set, or a file that cannot be read."""
+    """The secret that a config names: ``<key>_env`` names a variable of the node's environment, and
+    ``<key>_file`` (or ``file_key``) a file on the node's computer. Empty if it names none. Raises DeviceError
+    (``none``) if it names both, a variable that is not set, or a file that cannot be read."""
     by_variable, by_file = f"{key}_env", file_key or f"{key}_file"
     variable, path = str(config.get(by_variable) or ""), str(config.get(by_file) or "")
     if variable and path:

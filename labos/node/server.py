@@ -1,8 +1,8 @@
-"""The service that answers for a module: it carries actions out, at most once each.
+"""The service that represents a module: it carries actions out, at most once each.
 
-Every decision is made at once, in memory, between two awaits; the answer goes out, and the
-device moves, only when the journal has it on disk. So of a start and a voiding question that
-cross, exactly one wins, and several decisions share one sync.
+Every decision is made at once, in memory, between two awaits. The answer is sent, and the device moves, only
+when the journal has the decision on disk. So if a start and a query that makes it void cross each other,
+exactly one of them takes effect. Several decisions share one sync.
 """
 
 from __future__ import annotations
@@ -67,12 +67,11 @@ _reset_message = msgspec.json.Decoder(Start)
 class NodeServer:
     """Answers for one module on the bus.
 
-    ``run_blocking`` runs plain ``def`` actions, by default in one thread of their own. ``files``
-    reaches the lab's files; without it an action is given their names only.
-    ``settle_s`` is how long to look for another node of this name, ``grace_s`` how long to wait
-    for one that is seen to go away. ``stopping`` is set when somebody asked for a shutdown. ``metrics`` is
-    the address that ``about`` tells; ``on_end`` is told of each action that ends, with None where nobody
-    knows how.
+    ``run_blocking`` runs plain ``def`` actions, by default in one thread of their own. ``files`` gives access
+    to the lab's files; without it an action only gets their names. ``settle_s`` is how long to look for
+    another node of this name, ``grace_s`` how long to wait for one that is going away. ``stopping`` is set
+    when a shutdown was requested. ``metrics`` is the address in the answer of ``about``. ``on_end`` is called
+    for each action that ends, with its outcome, or None if that is unknown.
     """
 
     def __init__(
@@ -144,8 +143,8 @@ class NodeServer:
     # -- life --------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Take the module's name, answer, and connect the device. A device that is not there
-        leaves the node in ERROR, answering. Raises NameTaken."""
+        """Take the module's name, answer requests, and connect the device. If the device does not answer, the
+        node is in ERROR, but answers requests. Raises NameTaken."""
         name = await claim(
             self._bus,
             self._keys,
@@ -178,7 +177,7 @@ class NodeServer:
 
     async def retire(self) -> None:
         """Withdraw from the bus and accept no more actions; returns when the running ones have ended and
-        their results are sent. A person's work goes on without the node. Questions are answered until
+        their results are sent. A person's work continues without the node. Queries are answered until
         ``close``."""
         self._retired = True
         if self._alive is not None:
@@ -188,8 +187,8 @@ class NodeServer:
             await asyncio.wait(running)
 
     async def close(self) -> None:
-        """Let go of name and device. What runs is broken off and stands in the journal as
-        interrupted."""
+        """Release the name and the device. Running actions are broken off, and are interrupted in the
+        journal."""
         if self._closed:
             return
         self._closed = True
@@ -199,7 +198,7 @@ class NodeServer:
         for task in tasks:
             task.cancel()
         if tasks:
-            # A driver that does not let itself be cancelled must not keep the node from ending.
+            # A driver that ignores its cancellation must not keep the node from ending.
             await asyncio.wait(tasks, timeout=5.0)
         self._worker.close()
         try:
@@ -221,7 +220,7 @@ class NodeServer:
         return self._condition.status
 
     def state(self) -> StateReport:
-        """What ``state`` answers now."""
+        """The present answer of ``state``."""
         by_status: dict[str, list[str]] = {"running": [], "finished": [], "interrupted": []}
         for attempt in self.journal.open_attempts():
             by_status[attempt.status].append(attempt.action)
@@ -239,7 +238,7 @@ class NodeServer:
         )
 
     def about(self) -> AboutReport:
-        """What ``about`` answers now."""
+        """The present answer of ``about``."""
         description = msgspec.to_builtins(self._description)
         return AboutReport(
             module=self.module,
@@ -272,7 +271,7 @@ class NodeServer:
     # -- operations --------------------------------------------------------------------------
 
     async def _on_about(self, _: bytes) -> bytes:
-        # What is told as open must still be there after a crash.
+        # Actions that are reported as open must still be in the journal after a crash.
         await self._sync_if_possible()
         return _encode(self.about())
 
@@ -327,7 +326,8 @@ class NodeServer:
         journal = self.journal
         spec = self._description.action(start.name)
         if spec is not None and spec.recovers:
-            with contextlib.suppress(JournalError):  # it is told as any acceptance that cannot be written
+            # It is reported like any acceptance that cannot be written.
+            with contextlib.suppress(JournalError):
                 await journal.mend()
         if start.journal != journal.id:
             await journal.sync()
@@ -336,7 +336,7 @@ class NodeServer:
             )
         if told := self._reply_from_journal(start.action, start.attempt, start.position):
             if told.attempt != start.attempt and told.status not in ("void", "forgotten"):
-                # This attempt must not run later either, when the earlier one is forgotten.
+                # This attempt must not run later either, after the earlier one is forgotten.
                 journal.forbid_attempts(start.action, start.attempt, start.position)
                 if told.status != "finished":
                     told = self._reply("refused", f"Attempt {told.attempt} is {told.status}.", told.attempt)
@@ -371,14 +371,14 @@ class NodeServer:
         return await self._accept(start)
 
     def _begin(self, starts: Sequence[Start], spec: ActionSpec, kwargs: dict[str, Any]) -> None:
-        """Write starts to the journal, and let the device begin once that is on disk: once for all."""
+        """Write starts to the journal. When they are on disk, the device begins, once for all of them."""
         attempts = [
             self.journal.accept(start.action, start.attempt, start.position, spec.name, start.effects)
             for start in starts
         ]
         if spec.exclusive:
             self._condition.doing = starts[0].action
-        # The task waits for the sync too: the asker may be gone before it is done.
+        # The task itself waits for the sync, because the asker may be gone before it is done.
         task = asyncio.get_running_loop().create_task(
             self._carry_out(attempts, spec, kwargs, starts[0].files, self._stops)
         )
@@ -399,7 +399,7 @@ class NodeServer:
         del self._begun[start.action]
         try:
             await self.journal.sync()
-            # It begins now, and may be over at once: then this one message tells all.
+            # It begins now, and may end at once: then this one message contains everything.
             await asyncio.sleep(0)
         finally:
             self._unanswered.discard(start.action)
@@ -418,7 +418,7 @@ class NodeServer:
         return f"{running.name} ({running.action})" if running else self._condition.doing
 
     def _find_carrying_action(self) -> str:
-        """The action that carries labware just now; empty if none does."""
+        """The action that carries labware now; empty if there is none."""
         for attempt in self.journal.open_attempts():
             spec = self._description.action(attempt.name)
             effects = spec.effects if spec is not None and not spec.by_person else ()
@@ -427,8 +427,8 @@ class NodeServer:
         return ""
 
     def _reply_from_journal(self, action: str, attempt: int, position: int) -> ActionReply | None:
-        """What the journal says of an attempt, if it says anything. An earlier attempt that was
-        accepted is the action's truth."""
+        """The answer about an attempt from the journal; None if the journal does not have one. If an earlier
+        attempt was accepted, the answer is about that one."""
         known = self.journal.find(action, attempt) or self.journal.find_earlier(action, attempt)
         if known is not None:
             return self._reply_about(known)
@@ -444,7 +444,7 @@ class NodeServer:
             self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)
             self._gathering.break_up(ask.action, "the lab has asked for it meanwhile.")
         await self.journal.sync()
-        # While that was written, the action may have ended, or its acceptance may have failed.
+        # During the write, the action may have ended, or its acceptance may have failed.
         told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         return told or self._reply("unheard")
 
@@ -456,11 +456,11 @@ class NodeServer:
         pinned: dict[str, str],
         stops: int,
     ) -> None:
-        """Let the device do what attempts ask for: of several, once for all of them."""
+        """Let the device carry out attempts; several of them at once, with one call."""
         try:
             await self.journal.sync()
         except JournalError:
-            # The asker is told that it was refused: nothing moved, and nothing will.
+            # The asker gets the answer that it was refused: nothing has moved, and nothing will.
             for attempt in attempts:
                 self.journal.withdraw(attempt.action, attempt.attempt)
                 del self._running[attempt.action]
@@ -484,7 +484,7 @@ class NodeServer:
         started_ns: int,
         stops: int,
     ) -> None:
-        """Wait for the driver, and record how it ended, if that can be known."""
+        """Wait for the driver, and record the outcome, if it can be known."""
         self._tell_driver(attempts)
         try:
             outcome = await find_outcome(
@@ -522,7 +522,7 @@ class NodeServer:
             self._on_end(spec.name, outcome)
             del self._running[attempt.action]
         self._condition.release(attempts[0].action)
-        # One that was stopped meanwhile stays in error: only a later recovery ends that.
+        # An action that was stopped meanwhile leaves the node in error: only a later recovery ends that.
         stopped = self._stops != stops and self._condition.error
         if not stopped and self._condition.judge(spec, outcome):
             self._admin.note_recovery()
@@ -538,7 +538,8 @@ class NodeServer:
     async def _call(
         self, spec: ActionSpec, kwargs: dict[str, Any], pinned: dict[str, str], stops: int
     ) -> Any:
-        """The driver's method, with the files it is given at hand and those it leaves handed over."""
+        """Call the driver's method. The files that it needs are fetched before, and the files that it returns
+        are sent afterwards."""
         if self._files is not None and pinned:
             named = {arg.name for arg in spec.args if arg.type == "file"}
             for name in named & kwargs.keys():
@@ -550,7 +551,7 @@ class NodeServer:
         return await hand_over(result, self._files)
 
     def _tell_driver(self, attempts: Sequence[Attempt]) -> None:
-        """Which action this is, and where to keep a handle that the device gives to it."""
+        """Set the action and the function for its handle, which the driver's method uses."""
 
         async def keep(handle: str) -> None:
             if find_flaw(handle, limit=TEXT_LIMIT):
@@ -570,8 +571,8 @@ class NodeServer:
     # -- recovery ----------------------------------------------------------------------------
 
     def _find_left_running(self) -> list[tuple[Attempt, ActionSpec]]:
-        """What was under way when the node died and its driver can ask the device about: it counts as
-        running from before anybody can ask."""
+        """The actions that were under way when the node died, and about which its driver can ask the device.
+        They count as running before the node answers any query."""
         found = []
         if type(self.node).take_up is not Node.take_up:
             for attempt in self.journal.open_attempts():
@@ -591,7 +592,7 @@ class NodeServer:
         return await hand_over(await self.node.take_up(attempt.name, attempt.handle), self._files)
 
     async def _reset(self, **kwargs: Any) -> Any:
-        """The action ``reset``: the driver's own, or the connection that could not be made before."""
+        """The action ``reset``: that of the driver, or a new attempt to connect."""
         result = None
         if self._condition.connected:
             result = await call(self.node.reset, kwargs, self._run_blocking)
@@ -617,7 +618,7 @@ class NodeServer:
         await self._publish(self._keys.operation(self.module, "state"), self.state)
 
     async def _publish(self, key: str, message: Callable[[], msgspec.Struct]) -> None:
-        """A publication that is lost costs time, not truth: it must not break what runs."""
+        """Publish a message. A lost publication costs only time, so its failure must not affect actions."""
         try:
             await self._bus.publish(key, _encode(message()))
         except Exception as error:

@@ -1,7 +1,7 @@
 """A driver's declaration for the torture suite, beyond its description: one value, ``TORTURE``.
 
-It stands in the driver's module, or in a module ``torture`` beside it. All of it may be left out: then
-each action is tried with the arguments that follow from its description, on a simulated bench.
+It is in the driver's module, or in a module ``torture`` beside it. It may be left out: then each action is
+tried with arguments that are derived from its description, on a simulated bench.
 
 ::
 
@@ -24,30 +24,30 @@ from labos.node.world import World
 
 
 class WiredDevice(Protocol):
-    """A simulated device at the far end of a real wire, in a thread of its own. It keeps its own truth in
-    ``setup.world``; what it does there is what counts."""
+    """A simulated device at the far end of a real wire, in its own thread. ``setup.world`` is its real state;
+    the suite judges by what the device does there."""
 
     @property
     def address(self) -> str:
-        """What a driver opens: a serial port, ``socket://host:port``, or an address of TCP or HTTP."""
+        """The address that a driver opens: a serial port, ``socket://host:port``, or an address of TCP or
+        HTTP."""
 
     def start(self) -> None:
-        """Power on."""
+        """Switch on."""
 
     def close(self) -> None:
-        """Power off."""
+        """Switch off."""
 
 
 class Case(msgspec.Struct, frozen=True):
     """An example call of an action, and the bench it needs.
 
-    ``stock`` says what stands where before (``{"default": "plate96"}``, ``plate96+lid96`` with a lid);
-    empty: as follows from the effects. ``prepare`` is what else somebody has to do to the simulated device
-    (None if it lives in the node) and the bench.
-    ``files`` are arguments that name files: the name and the text of each, by argument.
-    ``ends`` is where the plate that is moved stands afterwards, if the effects do not name the place.
-    ``refused`` is a part of the message with which this device declines the action; nothing moves then.
-    ``record`` turns the arguments into what the device then notes of its set points, in the facts of one of
+    ``stock`` is the labware at stations before the call (``{"default": "plate96"}``, ``plate96+lid96`` with a
+    lid); if it is empty, it is derived from the effects. ``prepare`` makes further changes to the simulated
+    device (None if it is a part of the node) and the bench. ``files`` has the name and the text of each file,
+    by the argument that names it. ``ends`` is the place of the moved plate afterwards, if the effects do not
+    name it. ``refused`` is a part of the message with which this device declines the action; nothing moves
+    then. ``record`` converts the arguments to the set points that the device records in the facts of one of
     its motions: ``lambda args: {"speed_rpm": args["speed"]}``.
     """
 
@@ -62,9 +62,9 @@ class Case(msgspec.Struct, frozen=True):
 
 
 class Fault(msgspec.Struct, frozen=True):
-    """How a device is made to fail: ``strike`` is given the simulated device (None if it lives in the
-    node) and the bench, before the action and in its middle; ``mend`` puts it right again, if a reset does
-    not."""
+    """A way to make a device fail. ``strike`` gets the simulated device (None if it is a part of the node)
+    and the bench; it is called before the action and in its middle. ``mend`` repairs the device, if a reset
+    does not."""
 
     name: str
     strike: Callable[[Any, World], None]
@@ -72,11 +72,12 @@ class Fault(msgspec.Struct, frozen=True):
 
     @classmethod
     def by_setting(cls, name: str, attribute: str, *, to: Any = True, back: Any = False) -> Fault:
-        """A fault that an attribute of the simulated device stands for."""
+        """A fault that sets an attribute of the simulated device."""
 
         def set_to(value: Any) -> Callable[[Any, World], None]:
             def change(device: Any, world: World) -> None:
-                getattr(device, attribute)  # raises AttributeError for one that the device does not have
+                # Raises AttributeError for an attribute that the device does not have.
+                getattr(device, attribute)
                 setattr(device, attribute, value)
 
             return change
@@ -85,8 +86,8 @@ class Fault(msgspec.Struct, frozen=True):
 
 
 class Foreign(msgspec.Struct, frozen=True):
-    """Software of others that has driven the simulated device, or that the driver has driven.
-    ``shown_by`` names the test that does it."""
+    """Software of others that has driven the simulated device, or that the driver has driven. ``shown_by``
+    names the test for it."""
 
     software: str
     version: str
@@ -94,7 +95,7 @@ class Foreign(msgspec.Struct, frozen=True):
 
 
 class Hardware(msgspec.Struct, frozen=True):
-    """The real instrument that the driver was tried on."""
+    """The real instrument on which the driver was tried."""
 
     serial: str
     date: str
@@ -102,19 +103,19 @@ class Hardware(msgspec.Struct, frozen=True):
 
 
 class Torture(msgspec.Struct, frozen=True, kw_only=True):
-    """What the suite needs.
+    """The declaration for the torture suite.
 
-    ``device`` makes the simulated device at the far end of its wire; without it the device lives in the
-    node and no wire can be cut. ``config`` turns the address of the wire into the module's configuration
-    (``{"port": address}`` if left out). ``waits`` are constants of modules, as
-    ``{"my.driver:MOTION_S": 5.0}``: how long the driver waits for motions that take seconds here and
-    minutes in a lab. ``motion`` is the action that is interrupted, the longest that moves labware if left
-    out; ``moments`` say when, by turns, as seen on the simulated device and the bench (after a share of the
-    time that it takes, if left out). ``clear`` is what a person who takes all plates away does to the device,
-    as opening its fingers. ``unasked`` is what the device may say without having been asked, as its manual
-    has it: lines with their ends. ``left_out`` names checks that cannot be made, with the reason. Other
-    settings of the module stand in ``settings``, taught places in ``poses``, of which ``regrip`` is the one
-    where the grip is changed, the level of each resource in ``supplies``.
+    ``device`` makes the simulated device at the far end of its wire; without it the device is a part of the
+    node and no wire can be cut. ``config`` converts the address of the wire to the module's configuration
+    (``{"port": address}`` if left out). ``waits`` are constants of modules, as ``{"my.driver:MOTION_S":
+    5.0}``: the driver's time limits for motions, which take seconds here and minutes in a lab. ``motion`` is
+    the action that is interrupted; if left out, it is the longest that moves labware. ``moments`` are
+    conditions on the simulated device and the bench at which it is interrupted, in turn; if left out, it is
+    interrupted after a part of its duration. ``clear`` is what a person who takes all plates away does to the
+    device, for example open its fingers. ``unasked`` are the messages that the device may send without a
+    request according to its manual: lines with their ends. ``left_out`` names checks that cannot be made,
+    with the reason. ``settings`` has other settings of the module, and ``poses`` its taught places;
+    ``regrip`` among them is the place where the grip is changed. ``supplies`` has the level of each resource.
     """
 
     cases: tuple[Case, ...] = ()

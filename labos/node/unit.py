@@ -1,8 +1,8 @@
-"""Which unit of its kind a device is: the serial number that it tells when it is connected.
+"""The serial number of a device, which it reports when it is connected.
 
-Two robots of one model answer alike, and what was taught to one is wrong for the other. So a serial number is
-pinned: by ``serial:`` in the module's configuration, else by the first unit that was ever connected, which is
-kept in a file beside the node's journal.
+Two robots of one model answer alike, but the poses that one was taught are wrong for the other. So a serial
+number is pinned: by ``serial:`` in the module's configuration, otherwise by the first unit that was
+connected. That number is stored in a file beside the node's journal.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 def see_unit(setup: Setup, serial: Any) -> None:
-    """Compare the serial number that a device tells whenever it is connected (empty or None if it tells none)
-    with the one that is pinned. The first one is remembered, a simulated device is not looked at. Raises
-    WrongDevice for another unit, NotConnected if it cannot be read or kept which one is pinned."""
+    """Compare the serial number that a device reports (empty or None if it reports none) with the pinned one;
+    called at each connection. The first serial number is stored. A simulated device is not checked. Raises
+    WrongDevice for another unit, NotConnected if the pinned number cannot be read or stored."""
     if setup.world is not None:
         return
     found = "" if serial is None else str(serial).strip()
@@ -45,7 +45,8 @@ def see_unit(setup: Setup, serial: Any) -> None:
 
 
 def find_pinned_unit(setup: Setup) -> str:
-    """The serial number that the module's device has to have; empty if none is pinned or can be read."""
+    """The serial number that the module's device has to have; empty if none is pinned or it cannot be
+    read."""
     pinned = str(setup.config.get("serial") or "")
     if pinned or setup.world is not None or not setup.unit_file:
         return pinned
@@ -55,7 +56,7 @@ def find_pinned_unit(setup: Setup) -> str:
 
 
 def read_known_unit(file: Path) -> str:
-    """The serial number that is kept there; empty if none is. Raises NotConnected."""
+    """The serial number in a file; empty if there is none. Raises NotConnected."""
     try:
         told = json.loads(file.read_text(encoding="utf-8"))
         return str(told["serial"])
@@ -69,7 +70,7 @@ def read_known_unit(file: Path) -> str:
 
 
 def keep_unit(file: Path, serial: str) -> None:
-    """Remember a unit durably. Raises NotConnected."""
+    """Store a serial number durably. Raises NotConnected."""
     try:
         replace_file(file, json.dumps({"serial": serial}).encode())
     except OSError as error:
@@ -77,7 +78,7 @@ def keep_unit(file: Path, serial: str) -> None:
 
 
 def forget_unit(file: Path) -> None:
-    """The next unit that is connected is remembered. Raises NotConnected."""
+    """Delete the stored number; the next unit that is connected is stored. Raises NotConnected."""
     try:
         file.unlink(missing_ok=True)
     except OSError as error:

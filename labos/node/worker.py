@@ -1,7 +1,7 @@
 """A thread for calls that block: devices and disks.
 
-One thread, so that a device is never called twice at once and a file is written in order. It is
-a daemon: a driver that never returns must not keep the process from ending.
+It is one thread, so that a device is never called twice at once and a file is written in order. It is a
+daemon thread, so that a driver that never returns does not keep the process from ending.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 
 class Worker:
-    """Calls functions one after the other in a thread of its own."""
+    """Calls functions one after the other in its own thread."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -22,7 +22,7 @@ class Worker:
         self._thread: threading.Thread | None = None
 
     async def __call__(self, function: Callable[[], Any]) -> Any:
-        """The function's result, or what it raised."""
+        """Returns the function's result, or raises its exception."""
         loop = asyncio.get_running_loop()
         done: asyncio.Future[Any] = loop.create_future()
 
@@ -39,12 +39,12 @@ class Worker:
             except Exception as error:
                 settled = (done.set_exception, error)
             except BaseException as error:
-                # What would end the thread, or the process, ends the call only.
+                # An exception that would end the thread or the process ends only the call.
                 settled = (done.set_exception, RuntimeError(f"{type(error).__name__}: {error}"))
             try:
                 loop.call_soon_threadsafe(settle, *settled)
             except RuntimeError:
-                pass  # The loop has been closed while it worked.
+                pass  # the loop has been closed during the call
 
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name=self._name, daemon=True)
@@ -53,7 +53,7 @@ class Worker:
         return await done
 
     def close(self) -> None:
-        """Let the thread end after what it was given."""
+        """Let the thread end after the calls that it has got."""
         self._jobs.put(None)
 
     def _work(self) -> None:

@@ -1,9 +1,9 @@
-"""The simulated bench: what really happened, kept apart from what LabOS believes.
+"""The simulated bench: the real events there, separate from LabOS' own state.
 
-A world is a motion log in an SQLite file that simulated devices write and LabOS never does. It
-knows places, plates, hands and gates, and nothing of effects, events or occupancy: a test
-compares it with the log, and agreement does not come by construction. Devices in several
-processes share one file; in the seeded simulation it lives in memory.
+A world is a log of motions in an SQLite file. Simulated devices write it, LabOS never does. It has places,
+plates, hands and gates, but no effects, events or occupancy. So a test can compare it with the log, and they
+cannot agree merely by construction. Devices in several processes share one file; in the seeded simulation it
+is in memory.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from typing import Any, NoReturn
 import msgspec
 
 FLOOR = "floor"
-"""The place of what fell down: no hand reaches there."""
+"""The place of plates that fell down: no hand can reach it."""
 
 MISHAPS = ("misses", "drops", "keeps")
-"""What goes wrong unnoticed in a hand: its fingers close beside the plate, lose it on the way, or do not
-let go of it."""
+"""Unnoticed faults of a hand: its fingers close beside the plate, lose the plate on the way, or do not
+release it."""
 
 
 class Crash(Exception):
-    """Something happened on the bench that must never happen: plate on plate, a hand in a
-    closed gate, a grip in empty air."""
+    """An event on the bench that must never happen: a plate on a plate, a hand in a closed gate, a grip
+    without a plate."""
 
 
 class Motion(msgspec.Struct, frozen=True):
-    """One thing that a device really did."""
+    """One real motion or operation of a device."""
 
     seq: int
     device: str
@@ -42,12 +42,12 @@ class Motion(msgspec.Struct, frozen=True):
 
 
 def lid_of(plate: str) -> str:
-    """The place on a plate where its lid lies; a lid is a plate of its own to the world."""
+    """The place on a plate where its lid lies; the world treats a lid as a plate."""
     return f"lid:{plate}"
 
 
 class World:
-    """Plates at places. Names of places are those that the devices were taught."""
+    """Plates at places. The names of places are those that the devices were taught."""
 
     def __init__(self, path: str = ":memory:") -> None:
         self.path = path
@@ -84,21 +84,21 @@ class World:
     # -- setting the scene -------------------------------------------------------------------
 
     def furnish(self, place: str, capacity: int = 1) -> None:
-        """There is a place that holds so many plates."""
+        """Add a place with room for a number of plates."""
         with self._turn():
             self._record("bench", "furnish", place, "", {"capacity": capacity})
 
     def share(self, zone: str, *places: str) -> None:
-        """Hands that reach for these places, and devices of these names at work, are in each
-        other's way."""
+        """Make a zone: hands that reach for these places, and devices of these names that work, can
+        collide."""
         with self._turn():
             for place in places:
                 if self._zones.get(place) != zone:
                     self._record("bench", "share", place, "", {"zone": zone})
 
     def stock(self, place: str, kind: str, count: int = 1) -> list[str]:
-        """Somebody puts fresh plates at a place, on top of what is there, with lids on if the kind
-        says so (``plate96+lid96``); returns the plates."""
+        """A person puts fresh plates at a place, on top of those there, with lids if the kind has one
+        (``plate96+lid96``). Returns the plates."""
         with self._turn():
             kind, _, lid = kind.partition("+")
             first = sum(not plate.startswith("lid of") for plate in self._kinds) + 1
@@ -110,17 +110,18 @@ class World:
             return fresh
 
     def fit(self, place: str, kind: str, *grips: str) -> None:
-        """Fingers get round plates of a kind at a place in these ways only."""
+        """Set the only possible grips for plates of a kind at a place."""
         with self._turn():
             self._record("bench", "fit", place, "", {"kind": kind, "grips": grips})
 
     def lie(self, place: str, frame: int = 0, only: int | None = None) -> None:
-        """How far a nest is turned in the room, and the only way plates go into it (degrees)."""
+        """Set the rotation of a nest in the room, and the only rotation in which it accepts plates
+        (degrees)."""
         with self._turn():
             self._record("bench", "lie", place, "", {"frame": frame, "only": only})
 
     def way(self, plate: str) -> int:
-        """How far a plate is turned in its nest."""
+        """The rotation of a plate in its nest (degrees)."""
         with self._turn():
             return self._ways.get(plate, 0)
 
@@ -140,18 +141,19 @@ class World:
             self._record("person", "empty", place, "", {})
 
     def trip(self, device: str, how: str) -> None:
-        """The next motion of a hand goes wrong (``misses``, ``drops`` or ``keeps``), and it does not
-        notice."""
+        """The next motion of a hand goes wrong (``misses``, ``drops`` or ``keeps``), and the hand does not
+        notice it."""
         with self._turn():
             self._record("bench", "trip", device, "", {"how": how})
 
     def label(self, plate: str, text: str) -> None:
-        """Somebody sticks a barcode on a plate (``""``: takes it off)."""
+        """A person puts a barcode on a plate (``""``: removes it)."""
         with self._turn():
             self._record("person", "label", "", plate, {"text": text})
 
     def supply(self, device: str, resource: str, amount: float) -> None:
-        """A person puts so much of something into a device; what nobody ever supplied is endless."""
+        """A person puts an amount of a resource into a device. A resource that was never supplied is
+        unlimited."""
         with self._turn():
             self._record("person", "supply", device, "", {"resource": resource, "amount": amount})
 
@@ -201,7 +203,7 @@ class World:
             return plate
 
     def mishap(self, device: str) -> str:
-        """What goes wrong with the motion that a hand begins now; empty if all goes well."""
+        """The fault of the motion that a hand begins now; empty if there is none."""
         with self._turn():
             if not self._trips.get(device):
                 return ""
@@ -210,7 +212,7 @@ class World:
             return how
 
     def drop(self, device: str) -> str:
-        """What the device's hand holds falls to the floor; returns the plate, empty if it held none."""
+        """The plate in the device's hand falls to the floor. Returns the plate; empty if there was none."""
         with self._turn():
             held = self._list_here(f"hand:{device}")
             if not held:
@@ -220,7 +222,7 @@ class World:
             return plate
 
     def enter(self, device: str, place: str) -> None:
-        """The device swings to a place; crashes if another one is in the same part of the bench."""
+        """The device moves to a place. It crashes if another device is in the same zone."""
         with self._turn():
             zone = self._zones.get(place, "")
             if not zone or zone in self._inside.get(device, ()):
@@ -231,19 +233,19 @@ class World:
             self._record(device, "enter", place, "", {})
 
     def leave(self, device: str) -> None:
-        """The device is out of everybody's way."""
+        """The device has left its zone."""
         with self._turn():
             if self._inside.get(device):
                 self._record(device, "leave", "", "", {})
 
     def gate(self, device: str, place: str, *, shut: bool) -> None:
-        """A lid or drawer in front of a place opens or shuts."""
+        """A lid or drawer in front of a place opens or closes."""
         with self._turn():
             self._record(device, "shut" if shut else "open", place, "", {})
 
     def work(self, device: str, verb: str, place: str = "", **facts: Any) -> str:
-        """The device does something to the topmost plate at a place (to nothing, if no place is
-        named); returns the plate. Crashes if the place is empty."""
+        """The device works on the topmost plate at a place (on nothing, if no place is named). Returns the
+        plate. It crashes if the place is empty."""
         with self._turn():
             plate = ""
             if place:
@@ -254,7 +256,7 @@ class World:
             return plate
 
     def use(self, device: str, resource: str, amount: float) -> None:
-        """The device uses something up. Crashes if there is less of it than that."""
+        """The device uses up an amount. It crashes if less is left."""
         with self._turn():
             left = self._supplies.get(device, {}).get(resource)
             if left is not None and amount > left:
@@ -262,14 +264,14 @@ class World:
             self._record(device, "use", device, "", {"resource": resource, "amount": amount})
 
     def crash(self, device: str, place: str, what: str) -> NoReturn:
-        """The device does damage that only it can know of; always raises Crash."""
+        """The device causes damage that only it can detect; always raises Crash."""
         with self._turn():
             self._crash(device, place, what)
 
     # -- looking -----------------------------------------------------------------------------
 
     def at(self, place: str) -> list[str]:
-        """Plates at a place, bottom to top; ``hand:<device>`` is a device's hand."""
+        """The plates at a place, bottom to top; ``hand:<device>`` is a device's hand."""
         with self._turn():
             return list(self._list_here(place))
 
@@ -278,18 +280,18 @@ class World:
             return self._kinds.get(plate, "")
 
     def barcode(self, plate: str) -> str:
-        """What is on a plate's label: plates come with one from the factory."""
+        """The barcode of a plate; plates have one from the factory."""
         with self._turn():
             return self._labels.get(plate, f"LB{plate.removeprefix('plate'):0>6}")
 
     def last(self, plate: str, *verbs: str) -> str:
-        """Which of these verbs happened to a plate last; empty if none ever did."""
+        """The last of these verbs that happened to a plate; empty if none did."""
         with self._turn():
             done = self._done.get(plate, {})
             return max((verb for verb in verbs if verb in done), key=lambda verb: done[verb], default="")
 
     def contents(self, plate: str) -> dict[str, dict[str, float]]:
-        """What was really pipetted into a plate, and not drawn out again: µL by well and liquid."""
+        """The liquids that were really pipetted into a plate and not drawn again: µL by well and liquid."""
         with self._turn():
             rows = self._db.execute(
                 "SELECT facts FROM motion WHERE verb = 'pipette' AND plate = ? ORDER BY seq", (plate,)
@@ -310,7 +312,7 @@ class World:
             return found
 
     def history(self, plate: str, *verbs: str) -> list[Motion]:
-        """What happened to a plate of these verbs, in order."""
+        """The motions of a plate with these verbs, in order."""
         rows = self._db.execute(
             "SELECT seq, device, verb, place, plate, facts FROM motion WHERE plate = ? ORDER BY seq", (plate,)
         )
@@ -321,32 +323,32 @@ class World:
         ]
 
     def is_shut(self, place: str) -> bool:
-        """Whether a lid or drawer keeps hands out of a place."""
+        """Whether a closed lid or drawer blocks a place."""
         with self._turn():
             return place in self._shut
 
     def find_level(self, device: str, resource: str) -> float | None:
-        """How much of something a device really has; None if nobody ever supplied it."""
+        """The real amount of a resource in a device; None if it was never supplied."""
         with self._turn():
             return self._supplies.get(device, {}).get(resource)
 
     def is_furnished(self, place: str) -> bool:
-        """Whether somebody said how much a place holds."""
+        """Whether the capacity of a place was set."""
         with self._turn():
             return place in self._capacity
 
     def places(self) -> dict[str, list[str]]:
-        """Every place with its plates, bottom to top."""
+        """All places with their plates, bottom to top."""
         with self._turn():
             return {place: list(plates) for place, plates in sorted(self._plates.items()) if plates}
 
     def last_motion(self) -> int:
-        """The number of what happened last."""
+        """The number of the last motion."""
         with self._turn():
             return self._seen
 
     def motions(self, verb: str = "", after: int = 0) -> list[Motion]:
-        """What happened, in order; ``after`` the motion of that number."""
+        """The motions in order; with ``after``, only those after the motion of that number."""
         rows = self._db.execute(
             "SELECT seq, device, verb, place, plate, facts FROM motion WHERE seq > ? ORDER BY seq", (after,)
         )
@@ -369,7 +371,8 @@ class World:
             self._crash(device, place, "reaches into a closed gate")
 
     def _compute_way(self, place: str, plate: str, how: str) -> int:
-        """Fingers come from where the nest faces: held the other way, a plate lies crosswise."""
+        """The rotation of a plate at a place. Fingers approach from the front of the nest, so a plate that is
+        held the other way lies crosswise."""
         held = self._held.get(plate, "")
         quarter = 0 if "" in (held, how) or held == how else 90 if how == "wide" else -90
         frames = self._frames.get(place, 0) - self._frames.get(self._from.get(plate, ""), 0)
@@ -392,7 +395,7 @@ class World:
                 self._catch_up()
                 yield
             finally:
-                # A crash is a fact too: what was recorded stays recorded.
+                # A crash is a fact too: its records stay.
                 self._db.execute("COMMIT")
 
     def _catch_up(self) -> None:
@@ -469,4 +472,4 @@ class World:
         if place:
             self._plates.setdefault(place, []).append(plate)
         else:
-            self._plates.pop(lid_of(plate), None)  # it leaves with its lid on
+            self._plates.pop(lid_of(plate), None)  # it leaves with its lid

@@ -1,7 +1,7 @@
-"""Files that describe the lab: workcells, workflows and labware, and what they compile to.
+"""Files that describe the lab (workcells, workflows, labware), and the results of compiling them.
 
-Workcell file → ``CompiledWorkcell`` (``load_workcell``); workflow file, payload and workcell →
-``Compiled`` (``compile_workflow``). Every fault names file, line, column, field and a remedy.
+Workcell file → ``CompiledWorkcell`` (``load_workcell``); workflow file, payload and workcell → ``Compiled``
+(``compile_workflow``). Every fault names file, line, column, field and a remedy.
 """
 
 from labos.spec.bench import BenchFile, Stock, make_default_stock

@@ -1,7 +1,7 @@
-"""``about:`` of a module: what its node offers, where no installed driver says it.
+"""``about:`` of a module: the description of its node, if there is no installed driver.
 
-A foreign node tells its actions and arguments, but not what they do to the bench. ``about:`` in the
-workcell file says both, so that a workflow can be checked and scheduled while the node is not there.
+A foreign node reports its actions and arguments, but not their effects on the bench. ``about:`` in the
+workcell file has both, so that a workflow can be checked and scheduled while the node is not running.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from labos.spec.mismatch import explain_plainly
 from labos.spec.parts import Name, Part, Seconds
 
 EMPTY: tuple[Any, ...] = ("", (), [], None)
-"""Values that say nothing."""
+"""Values that count as empty."""
 
 ArgType = Literal["str", "int", "float", "bool", "list", "dict", "any", "station", "file"]
 
@@ -41,8 +41,8 @@ class ArgAbout(Part):
 
 class ActionAbout(Part):
     """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``;
-    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``;
-    ``duration_from`` is the formula for the duration if it depends on arguments, such as ``20 +
+    ``returns`` is the result of the simulated module; it may contain a file as ``{file: name, text:
+    content}``. ``duration_from`` is the formula for the duration if it depends on arguments, such as ``20 +
     {seconds}``."""
 
     description: str = ""
@@ -97,17 +97,17 @@ class Extends(Part):
 
 
 GENERIC = "generic"
-"""The driver of a module that ``about:`` describes and no interface reaches: it can be simulated."""
+"""The driver of a module that is described by ``about:`` and has no interface: it can be simulated."""
 
 
 EFFECTS: dict[str, type[msgspec.Struct]] = {
     str(kind.__struct_config__.tag): kind for kind in get_args(AnyEffect)
 }
-"""The effects by the names that files write."""
+"""The types of effects by their names in files."""
 
 
 class BadEffect(ValueError):
-    """An effect that does not exist or lacks something; ``action`` and ``index`` say which."""
+    """An effect that does not exist or lacks a field; ``action`` and ``index`` name its place."""
 
     def __init__(self, message: str, action: str, index: int, remedy: str = "") -> None:
         super().__init__(message)
@@ -116,7 +116,7 @@ class BadEffect(ValueError):
 
 
 def description_of(about: About, driver: str) -> Description:
-    """As a driver's description. Raises BadEffect."""
+    """Convert ``about:`` to a driver's description. Raises BadEffect."""
     return make_from(
         Description,
         about,
@@ -128,7 +128,7 @@ def description_of(about: About, driver: str) -> Description:
 
 
 def extend(description: Description, more: Extends) -> Description:
-    """A driver's description with what the module offers beyond it. Raises BadEffect."""
+    """Add the further actions and stations of a module to its driver's description. Raises BadEffect."""
     actions = {action.name: action for action in description.actions}
     for name, written in more.actions.items():
         action, known = _make_action(name, written), description.action(name)
@@ -147,7 +147,7 @@ def extend(description: Description, more: Extends) -> Description:
 
 
 def add_reset(description: Description) -> Description:
-    """With the action ``reset``, which every node has, whether it was written down or not."""
+    """The description with the action ``reset``, which every node has, even if the file does not have it."""
     if description.action("reset") is not None:
         return description
     reset = ActionSpec(name="reset", description="Bring the device out of an error.", recovers=True)
@@ -155,8 +155,8 @@ def add_reset(description: Description) -> Description:
 
 
 def find_description(module: ModuleSpec, descriptions: Mapping[str, Description]) -> Description | None:
-    """What is known of a module: its own ``about:`` as it was applied, or what followed from a table that
-    its driver was told, else its driver's."""
+    """The description of a module. It comes from the module's own ``about:``, from the table that configures
+    its driver, or else from the driver."""
     written = module.config.get("about") or module.config.get("offers")
     if written:
         found = add_reset(description_of(About.model_validate(written), module.driver))
@@ -209,7 +209,7 @@ def _make_effect(action: str, index: int, written: Mapping[str, dict[str, Any] |
 
 
 def _find_form(name: str) -> str:
-    """How an effect is written; empty if there is none of that name."""
+    """The form of an effect in files; empty if there is no effect of that name."""
     kind = EFFECTS.get(name)
     if kind is None:
         return ""
@@ -220,7 +220,7 @@ def _find_form(name: str) -> str:
 
 
 def make_about(description: Description) -> dict[str, Any]:
-    """A description as what is written below ``about:``; what says nothing is left out."""
+    """A description in the form of ``about:``; empty values are left out."""
     plain = {
         "description": description.description,
         "manipulator": description.manipulator,

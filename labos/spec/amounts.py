@@ -1,12 +1,12 @@
-"""How much an action will use up, worked out when its run is submitted.
+"""The amount that an action will use up, computed when its run is submitted.
 
 A driver may state an amount as a number or as one place-holder:
 
 - ``{arg}``: the argument's own number; ``{arg.sum}``, ``{arg.count}``, ``{arg.max}`` of a list
-- ``{file:arg:path.to.value}``: a number in the YAML or JSON file that the argument names. The file may
-  in its turn state a place-holder of an argument. Behind a ``|`` stands what is assumed where the file
-  does not say, and the driver cannot count it from the file either: ``{file:protocol:resources.tips|8}``.
-  What is assumed is told as a warning.
+- ``{file:arg:path.to.value}``: a number in the YAML or JSON file that the argument names. The file
+  itself may contain a place-holder of an argument. The number after a ``|`` is used if the file does not
+  have the value and the driver cannot count it: ``{file:protocol:resources.tips|8}``. A warning reports
+  this assumption.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from labos.spec.source import Path_, parse
 _IN_FILE = re.compile(r"\{file:(?P<arg>\w+):(?P<path>[\w.\-]+)(?:\|(?P<otherwise>[\d.]+))?\}")
 
 FileOf = Callable[[str], bytes | None]
-"""The content of the file of that name; None where it cannot be had (a warning was given)."""
+"""Returns the content of the file with a name; None if it cannot be found (a warning was given)."""
 
 
 def list_arguments(text: str) -> set[str]:
@@ -36,8 +36,8 @@ def list_arguments(text: str) -> set[str]:
 def compute_amount(
     text: str, values: Mapping[str, Any], file_of: FileOf, counter: Counter | None = None
 ) -> Count:
-    """What a place-holder stands for; ``counter`` is how the driver counts it from the file. Raises
-    SpecError, with the place in the file where there is one."""
+    """The value of a place-holder. ``counter`` is the driver's function for counting it from the file. Raises
+    SpecError, with the place in the file if there is one."""
     in_file = _IN_FILE.fullmatch(text)
     if in_file is None:
         return Count(count_argument(text, values))
@@ -60,7 +60,7 @@ def compute_amount(
 
 
 def show_path(path: list[str]) -> str:
-    """How a number is written in a file: ``resources: {tips: N}``."""
+    """The form of a number in a file: ``resources: {tips: N}``."""
     text = "N"
     for part in reversed(path):
         text = f"{part}: {text}" if text == "N" else f"{part}: {{{text}}}"
@@ -70,7 +70,7 @@ def show_path(path: list[str]) -> str:
 def _read_from_file(
     name: str, content: bytes, path: list[str], values: Mapping[str, Any], *, must: bool
 ) -> float | None:
-    """What a file itself says; None if it does not, and need not."""
+    """The value that a file itself states; None if it has none and need not have one."""
     if not must and not name.lower().endswith((".yaml", ".yml", ".json")):
         return None
     source = parse(content, name, last_wins=True)

@@ -1,7 +1,7 @@
-"""Binds written arguments to what an action takes.
+"""Binds written arguments to the arguments of an action.
 
-What people write is read kindly (``2 min`` for seconds, ``175.0`` for a whole number); what a
-value may be is said in ``labos.core.arguments``, as nodes judge it.
+Values in files may have convenient forms (``2 min`` for seconds, ``175.0`` for a whole number). The allowed
+values are defined in ``labos.core.arguments``, which nodes use too.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from labos.spec.durations import SECONDS, match_quantity
 from labos.spec.findings import near
 
 Tell = Callable[[str, str, str], None]
-"""Called with an argument's written name (empty for the action itself), what is wrong, a remedy."""
+"""Called with an argument's written name (empty for the action itself), the fault, and a remedy."""
 
 _TEMPERATURE = ("C", "°C", "degC", "celsius")
 
 
 def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
-    """The arguments under their own names, defaults filled in. An optional argument that was
-    given nothing is left out. Faults go to ``tell``."""
+    """The arguments under their own names, with defaults filled in. An optional argument with an empty value
+    is left out. Faults go to ``tell``."""
     bound: dict[str, Any] = {}
     by_name = list_names(action)
     for name, value in written.items():
@@ -76,7 +76,7 @@ def _describe_name(arg: Arg, name: str) -> str:
 
 
 def _read(arg: Arg, value: Any) -> Any:
-    """The value that is meant by what was written. Raises ValueError."""
+    """The value for a written text. Raises ValueError."""
     if arg.type in ("int", "float"):
         value = _with_unit(arg, value) if isinstance(value, str) else value
         return int(value) if arg.type == "int" and isinstance(value, float) and value.is_integer() else value
@@ -106,5 +106,5 @@ def _with_unit(arg: Arg, text: str) -> Any:
 
 
 def _explain_how(arg: Arg) -> str:
-    """What the argument takes, as a remedy."""
+    """The values that the argument takes, as a remedy."""
     return f"Write {describe_arg(arg)} for {arg.name!r}."

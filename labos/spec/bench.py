@@ -1,4 +1,4 @@
-"""What stands where at first."""
+"""The first contents of the stations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DEFAULT_LABWARE, DEFAULT_LID = "plate96", "lid96"
 
 
 class Stock(msgspec.Struct, frozen=True):
-    """So many pieces of a labware type at a station."""
+    """A number of pieces of a labware type at a station."""
 
     station: StationName
     labware: str
@@ -25,17 +25,17 @@ class Stock(msgspec.Struct, frozen=True):
 
 
 class BenchFile(msgspec.Struct, frozen=True):
-    """What stands where when the lab is first declared; what is not named is empty. Of a lab that runs,
-    ``away_from_rest`` names the variables of modules that are not as they are at rest now: how they will be
-    when a run begins is not known."""
+    """The contents of the stations when the lab is first declared; stations that are not named are empty. For
+    a lab in operation, ``away_from_rest`` names the module variables that are not at their rest values now:
+    their values at the start of a run are not known."""
 
     stock: tuple[Stock, ...] = ()
     away_from_rest: dict[ModuleName, tuple[str, ...]] = {}
 
 
 def make_default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> BenchFile:
-    """Every stack full of plates, with lids of a type if one is named, and with ``room`` for some more: a
-    simulated bench for a file that declares no stock."""
+    """Full stacks of plates for a simulated bench, if a file declares no stock. With ``lid``, the plates have
+    lids of this type; ``room`` is the number of pieces for which room is left."""
     usual = f"{DEFAULT_LABWARE}+{lid}" if lid else DEFAULT_LABWARE
     return BenchFile(
         tuple(

@@ -1,4 +1,4 @@
-"""Campaign files: a workflow, the table of values it is carried out with, and on what terms."""
+"""Campaign files: a workflow, the table with the values of its runs, and the terms."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ MOST_ROWS = 100_000
 
 
 class Span(Part):
-    """Numbers from one to another, of which a Latin hypercube uses some; with ``whole``, only whole
-    numbers."""
+    """A range of numbers from which a Latin hypercube takes values; with ``whole``, only whole numbers."""
 
     from_: float = Field(alias="from")
     to: float
@@ -46,7 +45,7 @@ Values = Annotated[list[Any], Field(min_length=1)]
 
 
 class RowsEntry(Part):
-    """The source of the rows: exactly one of these. Keys may lead into tables: ``seal.time``."""
+    """The source of the rows: exactly one of these. Keys may refer to nested tables: ``seal.time``."""
 
     table: str = ""
     list_: list[dict[str, Any]] = Field(default=[], alias="list")
@@ -93,7 +92,7 @@ class CampaignFile(Part):
 
 
 class CampaignSource(msgspec.Struct, frozen=True):
-    """A campaign as its file says it: ``lines`` are its rows, ``terms`` those without a deadline."""
+    """A campaign as in its file. ``lines`` are its rows; ``terms`` are its terms without the deadline."""
 
     file: CampaignFile
     source: Source
@@ -124,8 +123,7 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
 
 
 def find_table_of_campaign(text: str) -> str:
-    """The name of the file in which a campaign's table stands; empty if there is none, or its text cannot be
-    read."""
+    """The name of the file with a campaign's table; empty if there is none, or if the text cannot be read."""
     try:
         rows = parse(text).data.get("rows")
     except SpecError:
@@ -144,7 +142,7 @@ def find_workflow_of_campaign(text: str) -> str:
 
 
 def find_beside(campaign: str | Path, name: str) -> Path:
-    """Where a file is that a campaign file names."""
+    """The path of a file that a campaign file names."""
     return Path(campaign).parent / name
 
 

@@ -1,4 +1,4 @@
-"""The way out of a run tried out on paper, from wherever the run may be cancelled."""
+"""A check of the ``on_cancel`` steps of a plan, for a cancellation after any of its steps."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from labos.spec.paper import Tell
 
 
 class CancelPaths:
-    """What is found on the way is told once: faults to ``error``, labware that is left where it is in the
-    way to ``warning``."""
+    """Reports each finding once: faults to ``error``; labware that is left in the way to ``warning``."""
 
     def __init__(self, plan: Plan, error: Tell, warning: Tell) -> None:
         self.plan, self.error, self.warning = plan, error, warning
@@ -26,14 +25,14 @@ class CancelPaths:
         self._left: set[StationName] = set()
 
     def check(self) -> None:
-        """What holds wherever the run is cancelled."""
+        """Check what does not depend on the place of the cancellation."""
         for index in self.steps:
             if any(what.stock for what in list_carried(self.plan.steps[index].effects)):
                 what = "A way out takes no new labware."
                 self.error(index, what, "Move what the run has on the bench, or leave this step out.")
 
     def try_out(self, dry: DryRun, last: int) -> None:
-        """Cancel the run after step ``last``, where ``dry`` stands then."""
+        """Cancel the run after step ``last``, in the present state of ``dry``."""
         mark = dry.mark()
         if mark in self._seen:
             return
@@ -59,7 +58,7 @@ class CancelPaths:
 
 
 def find_bench_on_paper(dry: DryRun) -> BenchOfRun:
-    """What a run finds on the bench where its dry run stands."""
+    """The parts of the bench that concern a run, in the present state of its dry run."""
     rests: dict[ModuleName, Mapping[str, Any]] = {name: m.rest for name, m in dry.modules.items()}
     left = {
         name

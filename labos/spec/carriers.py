@@ -1,5 +1,5 @@
-"""Finds who carries labware where a step names no module: one arm, or several, each to where the next one
-reaches."""
+"""Finds the arms that carry labware if a step names no module: one arm, or several with handovers between
+them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from labos.spec.about import find_description
 from labos.spec.stations import Stations
 
 TRANSFER = "transfer"
-"""The action of a step that names no module, with the arguments ``source`` and ``target``."""
+"""The action of a step without a module; it has the arguments ``source`` and ``target``."""
 
 BETWEEN = ("nest", "exchange", "deck")
-"""Kinds of station where labware may be put down on its way."""
+"""Kinds of stations where labware may be put down on its way."""
 
 
 class Hop(NamedTuple):
-    """A step on the way."""
+    """One part of a way."""
 
     module: str
     action: str
@@ -30,8 +30,8 @@ class Hop(NamedTuple):
 
 
 class Carriers:
-    """The ways in which labware is carried on a workcell from one station to another: those of its file; if
-    it names none, the actions of its modules that carry labware, at the cost of their nominal duration."""
+    """The ways for carrying labware between the stations of a workcell. They come from its file; if the file
+    has none, they are the carrying actions of its modules, with their nominal duration as cost."""
 
     def __init__(self, workcell: Workcell, descriptions: Mapping[str, Description]) -> None:
         self.stations = Stations(workcell.name, workcell.stations)
@@ -40,8 +40,8 @@ class Carriers:
         self._reach = {way.module: self._reach_of(way.module) for way in self.ways}
 
     def find_way(self, source: str, target: str) -> list[Hop]:
-        """The steps from one station to another that cost least; of equal ones the fewest. Raises SpecError
-        if there is no way, or for stations that this workcell does not have."""
+        """The way with the lowest cost from one station to another; with equal costs, the one with the fewest
+        parts. Raises SpecError if there is no way, or for stations that this workcell does not have."""
         start, end = self.stations.find(source), self.stations.find(target)
         if start == end:
             message = f"The labware is moved from {local(start)} to where it stands."
@@ -79,7 +79,7 @@ class Carriers:
     def _list_ways_onward(
         self, here: StationName, end: StationName
     ) -> Iterator[tuple[StationName, TransferWay]]:
-        """Where labware may be carried to from a station on its way to the end, and how."""
+        """The next stations on a way from a station to the end, each with the way to it."""
         near = set().union(*(places for places in self._reach.values() if here in places)) - {here}
         for there in sorted(near):
             spec = self.stations[there]
@@ -90,8 +90,9 @@ class Carriers:
                 yield there, way
 
     def _find_cheapest_way(self, here: StationName, there: StationName) -> TransferWay | None:
-        """How labware is carried from one station straight to another. Ways that hold for these two go before
-        those that hold for the first, these before those for the second, and these before all others."""
+        """The cheapest direct way from one station to another. Ways for exactly these two stations take
+        precedence over ways for the first one. These take precedence over ways for the second one, and these
+        over all others."""
         ranked: dict[tuple[bool, bool], list[TransferWay]] = {}
         for way in self.ways:
             if here in (way.from_stations or (here,)) and there in (way.to_stations or (there,)):
@@ -111,7 +112,8 @@ class Carriers:
         )
 
     def _reach_of(self, module: ModuleName) -> frozenset[StationName]:
-        """The stations that a module was taught, and its own; all of them if nothing is known of it."""
+        """The stations for which a module was taught poses, and its own stations; all stations if it has
+        neither."""
         places = [s for s in self.stations.by_name.values() if s.kind != "gripper" and not s.hotel]
         own = frozenset(s.name for s in places if s.module == module)
         if module not in self._taught and not own:
@@ -120,7 +122,7 @@ class Carriers:
 
 
 def _list_offered(workcell: Workcell, descriptions: Mapping[str, Description]) -> Iterable[TransferWay]:
-    """What the modules of a workcell can carry by themselves."""
+    """The ways that the modules of a workcell offer themselves."""
     for module in workcell.modules:
         known = find_description(module, descriptions)
         for action in known.actions if known is not None else ():
@@ -130,7 +132,7 @@ def _list_offered(workcell: Workcell, descriptions: Mapping[str, Description]) -
 
 
 def _find_end_arguments(action: ActionSpec) -> tuple[str, str] | None:
-    """The arguments between which an action carries labware, if it needs no others."""
+    """The two arguments between which an action carries labware, if it needs no others."""
     for effect in action.effects:
         if type(effect) is not Move:
             continue

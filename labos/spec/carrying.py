@@ -1,7 +1,8 @@
-"""How an arm grips and approaches labware at a station, where foreign workflows say it with each transfer.
+"""Grips and approaches of an arm at stations, which foreign workflows write in each transfer.
 
-It belongs to the station, not to the workflow: so said, the same workflow runs on a workcell with another
-arm. What all workflows of a workcell say alike goes to the workcell's file; the rest stays where it was.
+They belong to the station, not to the workflow: then the same workflow runs on a workcell with another arm.
+Values on which all workflows of a workcell agree go to the workcell's file; other values stay in the
+workflows.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ from labos.spec.uses import Use, iterate_entries
 from labos.spec.workcell import CompiledWorkcell
 
 APPROACH: Literal["approach"] = "approach"
-"""The key in an arm's ``config`` under which its driver is told how to approach stations."""
+"""The key in an arm's ``config`` for the approaches to stations; the driver reads it."""
 
 
 What = Literal["grip", "approach"]
 
 
 class TransferEnd(msgspec.Struct, frozen=True):
-    """What one argument says of one end of a transfer: ``value`` is a grip, or for an approach the taught
-    place on the way; None if it is known only when the workflow runs. ``arg`` is written so."""
+    """The value of one argument for one end of a transfer. ``value`` is a grip; for an approach it is the
+    taught place on the way. It is None if it is known only when the workflow runs. ``arg`` is the written
+    argument."""
 
     what: What
     arm: ModuleName
@@ -41,7 +43,7 @@ class TransferEnd(msgspec.Struct, frozen=True):
 
 
 class TransferReader:
-    """Reads what transfers on a workcell say of their ends."""
+    """Reads the ends of transfers on a workcell."""
 
     def __init__(self, cell: CompiledWorkcell, descriptions: Mapping[str, Description]) -> None:
         self.cell = cell
@@ -54,7 +56,7 @@ class TransferReader:
         self._own = {local(each.name) for each in cell.workcell.modules if not each.config.get("about")}
 
     def find_agreed(self, uses: Iterable[Use]) -> set[TransferEnd]:
-        """Those on which all of these uses agree; of the arguments only the values count."""
+        """The ends on which all of these uses agree; of the arguments only the values are compared."""
         said: dict[tuple[What, ModuleName, StationName], set[str | None]] = {}
         for use in uses:
             for end in self.list_ends(use.module, use.action, use.args):
@@ -66,7 +68,7 @@ class TransferReader:
         }
 
     def list_ends(self, module: str, action: str, args: Mapping[str, Any]) -> Iterator[TransferEnd]:
-        """What a step says of the ends of its transfer, at stations that the arm was taught."""
+        """The ends of a step's transfer, at stations that the arm was taught."""
         offered = self._offered[module].action(action) if module in self._offered else None
         if offered is None:
             return
@@ -95,7 +97,7 @@ class TransferReader:
 
 
 def add_ends(file: WorkcellFile, agreed: Iterable[TransferEnd]) -> tuple[WorkcellFile, dict[str, list[str]]]:
-    """A workcell's file that says these of its stations and arms, and the comments for its fields."""
+    """A workcell's file with these ends at its stations and arms, and the comments for its fields."""
     stations, comments = dict(file.stations), dict[str, list[str]]()
     approaches: dict[str, dict[str, str]] = {}
     for end in sorted(agreed, key=lambda end: (end.station, end.arm, end.what)):
@@ -121,8 +123,8 @@ def _add_approaches(entry: ModuleEntry, approaches: Mapping[str, str]) -> Module
 def drop_ends(
     file: WorkflowFile, cells: Sequence[tuple[TransferReader, set[TransferEnd]]]
 ) -> tuple[WorkflowFile, bool]:
-    """A workflow's file without what each of the workcells that it runs on says of its stations itself; and
-    whether anything has gone."""
+    """A workflow's file without the ends that all of its workcells state themselves, and whether any were
+    removed."""
     left = file.model_copy(deep=True)
     has_gone = False
     for _, entry in iterate_entries(left):

@@ -1,7 +1,7 @@
 """Steps that one of several modules may do: ``module: any ot2``, ``module: any ot2_a, ot2_b``.
 
-The workflow is compiled once for each choice. In every one of these plans a step that says ``same as`` has
-the module of the step that it names, and ``${<step>.module}`` in arguments is that module's name.
+The workflow is compiled once for each choice. In each of these plans, a step with ``same as`` has the module
+of the step that it names. ``${<step>.module}`` in arguments is the name of that module.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ _MODULE_OF = re.compile(r"\$\{(?!payload[.:])([^{}]+)\.module\}")
 
 
 class BoundWorkflow(msgspec.Struct, frozen=True):
-    """A workflow in which each step has one module, and which were chosen, by the steps' names."""
+    """A workflow in which each step has one module, and the chosen modules by the steps' names."""
 
     file: WorkflowFile
     chosen: dict[str, str] = {}
 
 
 def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> list[BoundWorkflow]:
-    """The workflow once for each choice of modules; as it is if it leaves none. Faults go to the remarks."""
+    """The workflow, once for each choice of modules; unchanged if there is no choice. Faults go to the
+    remarks."""
     known = {local(module.name): module.driver for module in workcell.modules}
     choices: dict[str, Sequence[str]] = {}
     for path, entry in _iterate_entries(file):
@@ -62,7 +63,7 @@ def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> li
 
 
 def list_choices(plans: Sequence[Plan]) -> dict[str, list[str]]:
-    """The modules between which plans choose, by the key of the step."""
+    """The modules among which the plans choose, by the key of the step."""
     found: dict[str, list[str]] = {}
     for steps in zip(*(plan.steps for plan in plans), strict=True):
         names = list(dict.fromkeys(local(step.module) for step in steps))
@@ -72,7 +73,7 @@ def list_choices(plans: Sequence[Plan]) -> dict[str, list[str]]:
 
 
 def describe_choices(choices: Mapping[str, Sequence[str]]) -> list[str]:
-    """What may be done by which modules, one sentence for each group of these."""
+    """One sentence for each group of steps with the same possible modules."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for key, names in choices.items():
         groups.setdefault(tuple(names), []).append(repr(key))
@@ -80,7 +81,7 @@ def describe_choices(choices: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
-    """The workflow once for each choice between modules that it names, whatever the workcell has."""
+    """The workflow, once for each choice between modules that it names, independent of the workcell."""
     choices = {
         entry.name: names
         for _, entry in _iterate_entries(file)
@@ -94,7 +95,7 @@ def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
 
 
 def is_left_open(entry: StepEntry) -> bool:
-    """Whether only a workcell tells which module a step, or a place in its arguments, belongs to."""
+    """Whether the module of a step, or of a place in its arguments, depends on the workcell."""
     return entry.module.startswith((ANY_OF, SAME_AS)) or any(
         _list_steps_meant(v) for _, v in _list_values(entry)
     )
@@ -113,7 +114,7 @@ def _split_names(module: str) -> list[str]:
 def _list_modules_meant(
     entry: StepEntry, path: Path_, known: Mapping[str, str], remarks: Remarks
 ) -> Sequence[str]:
-    """The modules of a step that says ``any``: those that it lists, or all with a driver."""
+    """The possible modules of a step with ``any``: those that it lists, or all with the driver."""
     names = _split_names(entry.module)
     if len(names) == 1 and "," not in entry.module:
         found = [name for name, driver in known.items() if driver == names[0]]
@@ -135,7 +136,7 @@ def _list_modules_meant(
 
 
 def _check_references(file: WorkflowFile, known: Mapping[str, str], remarks: Remarks) -> bool:
-    """Whether a step says that its module, or a place of it, is that of another one."""
+    """Check the references of steps to the modules of other steps."""
     names = [entry.name for path, entry in _iterate_entries(file) if _is_step(path) and entry.module]
     found = False
     for path, entry in _iterate_entries(file):
@@ -183,7 +184,7 @@ def _iterate_entries(file: WorkflowFile) -> Iterator[tuple[Path_, StepEntry]]:
 
 
 def _is_step(path: Path_) -> bool:
-    """Whether an entry is a step of the workflow itself, not one for emergencies."""
+    """Whether an entry is a step of the workflow itself, and not one for failures or cancellation."""
     return path[0] == "steps" and len(path) == 2
 
 
@@ -192,7 +193,7 @@ def _list_values(entry: StepEntry) -> Iterable[tuple[str, Any]]:
 
 
 def _list_steps_meant(value: Any) -> list[str]:
-    """The steps whose modules a value names."""
+    """The steps to whose modules a value refers."""
     if isinstance(value, str):
         return _MODULE_OF.findall(value)
     if isinstance(value, list | dict):
@@ -205,7 +206,7 @@ def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str
     modules = {
         e.name: chosen.get(e.name, e.module) for p, e in _iterate_entries(file) if _is_step(p) and e.module
     }
-    for _ in modules:  # one may be the same as one that is the same as a third
+    for _ in modules:  # a step may refer to one that itself refers to a third
         for name, module in modules.items():
             if module.startswith(SAME_AS) and module not in known:
                 modules[name] = modules.get(module.removeprefix(SAME_AS).strip(), module)

@@ -1,4 +1,4 @@
-"""Comments of a foreign file, and where they belong when it is written down anew."""
+"""Comments of a foreign file, and their places in the rewritten file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _COMMENT = re.compile(r"(^|\s)(#.*)$")
 
 
 class Comment(NamedTuple):
-    """A comment as it was written, from its ``#`` on; ``is_alone`` if nothing else stands on its line."""
+    """A comment as it was written, from its ``#``. ``is_alone``: its line has nothing else."""
 
     line: int
     text: str
@@ -40,9 +40,9 @@ def read_comments(text: str) -> list[Comment]:
 
 
 def place_comments(comments: list[Comment], form: SourceMapping) -> tuple[dict[str, list[str]], list[str]]:
-    """Comments by the field of the ``form`` that they belong to: one behind an entry to that entry, one on a
-    line of its own to the next entry, what stands above everything to the whole file (``""``). The second
-    list is what stands below everything."""
+    """The comments by the field of the ``form`` to which they belong. A comment behind an entry belongs to
+    this entry. A comment on a line of its own belongs to the next entry. Comments above everything belong to
+    the whole file (``""``). The second list has the comments below everything."""
     fields = dict[int, str]()
     for line, path in _iterate_lines(form, ()):
         fields.setdefault(line, name_field(path))
@@ -62,7 +62,7 @@ def place_comments(comments: list[Comment], form: SourceMapping) -> tuple[dict[s
 
 
 def _iterate_lines(value: Any, path: Path_) -> Iterator[tuple[int, Path_]]:
-    """Where the entries of a form were written, the outer ones first."""
+    """The lines of the entries of a form, the outer entries first."""
     if isinstance(value, SourceMapping):
         for key, item in value.items():
             if line := value.keys_at.get(key, value.at).line:

@@ -1,5 +1,5 @@
-"""The stations of a workcell: what the drivers describe, what the file adds and overrides, and
-which arm was taught which."""
+"""The stations of a workcell: from the drivers' descriptions, with the additions and changes of the file, and
+the arms that were taught them."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def compile_stations(
     foreign: bool,
     own: Mapping[str, LabwareType],
 ) -> Stations:
-    """All stations. ``drivers`` are the active modules' descriptions by module, ``own`` the labware types
-    of the lab's own files; in a foreign file, places that nobody describes are taken for nests."""
+    """All stations. ``drivers`` are the active modules' descriptions by module, ``own`` the labware types of
+    the lab's own files; in a foreign file, places without a description are assumed to be nests."""
     types = {**load_packaged_labware(), **own}
     warn_of_unknown(file, types, remarks)
     compiler = _StationCompiler(file, drivers, remarks, foreign)
@@ -68,7 +68,7 @@ class _StationCompiler:
                 self._put(self._describe(module, station))
 
     def add_written(self) -> None:
-        """Stations of the file that no driver describes."""
+        """Stations of the file that are in no driver's description."""
         known = self.make_index()
         for place, entry in self.file.stations.items():
             owner, _, last = place.rpartition(".")
@@ -90,13 +90,13 @@ class _StationCompiler:
                 self._put(self._add(place, entry.kind))
 
     def add_shelves(self) -> None:
-        """The shelves of the file's hotels, under their names only."""
+        """The shelves of the file's hotels, with full names only."""
         known = self.make_index()
         for place, entry in self.file.stations.items():
             try:
                 hotel = known.find(place)
             except SpecError:
-                continue  # told before, or its module is not active
+                continue  # reported before, or its module is not active
             for number in range(1, (entry.shelves or 0) + 1):
                 name = StationName(f"{hotel}.{number}")
                 if local(name) in self.file.stations:
@@ -106,7 +106,7 @@ class _StationCompiler:
                 self._put(StationSpec(name=name, kind="hotel", hotel=hotel))
 
     def reach_hotels(self) -> None:
-        """An arm reaches into a hotel if it was taught all its shelves."""
+        """An arm can reach into a hotel if it was taught all its shelves."""
         for hotel, shelves in self._list_hotels().items():
             taught = {arm for shelf in shelves for arm in self.stations[shelf].reach}
             for arm in taught:
@@ -123,7 +123,7 @@ class _StationCompiler:
             self._put(msgspec.structs.replace(self.stations[hotel], reach=reach))
 
     def fit_out_shelves(self) -> None:
-        """What is said of a hotel holds for each of its shelves."""
+        """Apply the settings of a hotel to each of its shelves."""
         for hotel, shelves in self._list_hotels().items():
             for shelf in shelves:
                 like = self.stations[hotel]
@@ -137,7 +137,7 @@ class _StationCompiler:
         return found
 
     def add_locations(self) -> None:
-        """Places that were taught, and the arms that can reach them."""
+        """Taught places, and the arms that can reach them."""
         for owner, places in self.file.locations.items():
             if owner not in self.modules and owner != "workcell":
                 tell = self.remarks.add_warning if self.foreign else self.remarks.error
@@ -161,17 +161,17 @@ class _StationCompiler:
                     self._put(msgspec.structs.replace(station, reach=reach))
 
     def override(self) -> None:
-        """What the file says of stations, over what the drivers say."""
+        """Override the drivers' descriptions of stations with those of the file."""
         known = self.make_index()
         for place, entry in self.file.stations.items():
             try:
                 name = known.find(place)
             except SpecError:
-                continue  # told before, or its module is not active
+                continue  # reported before, or its module is not active
             self._put(self._override(place, self.stations[name], entry))
 
     def fit_grips(self, held: Mapping[str, tuple[str, ...]]) -> None:
-        """Labware types that can be held by some grips only, wherever an arm was taught a place."""
+        """Limit the grips for labware types at all taught places to those by which the type can be held."""
         for labware, grips in held.items():
             for station in list(self.stations.values()):
                 known = station.reach_of.get(labware, {})
@@ -180,12 +180,12 @@ class _StationCompiler:
                     for arm, taught in {**station.reach, **known}.items()
                 }
                 if arms:
-                    # Grips that do not meet are told when something is carried there.
+                    # Grips without a match are reported when labware is carried there.
                     arms = {arm: fitting or ("none",) for arm, fitting in arms.items()}
                     self._put(msgspec.structs.replace(station, reach_of={**station.reach_of, labware: arms}))
 
     def keep_off_stacks(self, kinds: Sequence[str]) -> None:
-        """Labware types that may not stand upon one another."""
+        """Refuse labware types that are not stackable at stacks."""
         for station in list(self.stations.values()):
             if not kinds or station.kind != "stack" or station.capacity == 1:
                 continue
@@ -225,13 +225,13 @@ class _StationCompiler:
         )
 
     def _locate(self, owner: str, place: str) -> StationName | None:
-        """The station at a taught place; a new one where the file may add it."""
+        """The station at a taught place; a new one if the file may add it."""
         try:
             return self.make_index().find(place, owner if owner in self.drivers else "")
         except SpecError as error:
             module = place.partition(".")[0]
             if module in self.modules and module not in self.drivers:
-                return None  # the module is not active, or nothing serves it
+                return None  # the module is not active, or has no driver
             if module not in ("wc", self.file.name):
                 path = ("locations", owner, place)
                 if not self.foreign:
@@ -296,7 +296,7 @@ class _StationCompiler:
         return msgspec.structs.replace(station, reach=reach, reach_of=reach_of, aliases=aliases, **changes)
 
     def _find_observer(self, place: str, entry: StationEntry, kind: StationKind) -> dict[str, Any]:
-        """Who looks there, and when."""
+        """The observer of the station, and when it is asked."""
         if entry.observer is None:
             if entry.verify is not None:
                 message = f"{place!r} says when it is looked at, but not by which observer."

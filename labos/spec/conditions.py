@@ -13,14 +13,14 @@ from labos.spec.steps import Steps
 
 
 class StepConditions:
-    """The conditions of a workflow's steps. The steps that they read are added to ``feeds``; faults are
-    told where they were written."""
+    """The conditions of a workflow's steps. The steps whose results they read are added to ``feeds``. Faults
+    are reported at the place where they were written."""
 
     def __init__(self, steps: Steps, feeds: set[int]) -> None:
         self.steps, self.feeds = steps, feeds
 
     def find_condition(self, index: int) -> Condition | None:
-        """What has to hold for a step to be done, all conditions in one."""
+        """The condition under which a step is done, composed of all its conditions."""
         written = self.steps.layout.leaves[index].conditions
         found = [self._read(index, one, "when") for one in written]
         known = [one for one in found if one is not None]
@@ -31,7 +31,7 @@ class StepConditions:
         return self._make_condition(index, text, ("row", signs, tuple(tree for _, tree in known)), "when")
 
     def expect(self, index: int) -> Condition | None:
-        """What has to hold of a step's result."""
+        """The condition that a step's result has to fulfil."""
         leaf = self.steps.layout.leaves[index]
         if not leaf.entry.expect:
             return None
@@ -71,7 +71,7 @@ class StepConditions:
         return written.text, fill_in(tree, values)
 
     def _resolve_name(self, index: int, name: tuple[Any, ...], written: Written, path: Path_) -> Tree | None:
-        """A name of an earlier step's result, with the step's key."""
+        """The name of an earlier step's result, with the step's key."""
         if len(name) < 3 or name[2] != "result":
             what = f"Step {self.steps.keys[index]!r}: of an earlier step its result can be read."
             self.steps.error(what, path, 'Write `steps.Read.result.od`, or `steps["Read it"].result.od`.')

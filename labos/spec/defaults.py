@@ -1,4 +1,4 @@
-"""What a step takes from its module's entry in the workcell: retries, and how long it may take."""
+"""Defaults for steps from their module's entry in the workcell file: retries and time-outs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from labos.spec.source import Path_
 
 
 def retry_of(entry: ModuleEntry) -> RetryDefault | None:
-    """The retries that a module's entry asks for."""
+    """The retries in a module's entry."""
     written = entry.retry
     return None if written is None else RetryDefault(written.times, written.delay, written.reset)
 
 
 def make_setup(entry: ModuleEntry) -> Setup | None:
-    """What it costs to set a module up for other work, as its entry says."""
+    """The set-up times in a module's entry."""
     written = entry.setup
     if written is None:
         return None
@@ -31,8 +31,8 @@ def make_setup(entry: ModuleEntry) -> Setup | None:
 
 
 def find_timeout(entry: StepEntry, action: ActionSpec, remarks: Remarks, path: Path_) -> float | None:
-    """Lab seconds after which nobody knows how a settled step ended; one that comes before the action's
-    nominal end is told of."""
+    """The time-out of a step in lab seconds. Afterwards its outcome counts as unknown. A time-out that is
+    shorter than the action's nominal duration gives a warning."""
     if not isinstance(entry.timeout, float):
         return None
     if entry.timeout < action.duration_s and not action.by_person:
@@ -46,14 +46,14 @@ def find_timeout(entry: StepEntry, action: ActionSpec, remarks: Remarks, path: P
 
 
 class Defaults:
-    """The modules of a workcell, as far as steps take something from them."""
+    """The defaults of a workcell's modules for steps."""
 
     def __init__(self, workcell: Workcell) -> None:
         self._prefix = f"{workcell.name}/"
         self._modules = {module.name: module for module in workcell.modules}
 
     def fill_in(self, entry: StepEntry, scope: Mapping[str, Any]) -> StepEntry:
-        """A step with what its module says where it says nothing itself; ``none`` is nothing at all."""
+        """A step with the defaults of its module for missing fields; ``none`` means no default."""
         module = self._find_module(entry, scope)
         retry, timeout = entry.retry, entry.timeout
         if retry is None and module is not None and module.retry is not None:
@@ -67,7 +67,8 @@ class Defaults:
         return entry.model_copy(update=changed) if changed else entry
 
     def _find_module(self, entry: StepEntry, scope: Mapping[str, Any]) -> ModuleSpec | None:
-        """The module of a step, which may come from the payload; None where that is told as a fault later."""
+        """The module of a step, which may come from the payload; None if this is reported as a fault
+        later."""
         try:
             name = fill(entry.module, scope)
         except SpecError:

@@ -1,4 +1,4 @@
-"""Reads ``description.yaml`` files, and says where an instrument's parts and places are."""
+"""Reads ``description.yaml`` files, and computes the positions of an instrument's parts and stations."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def load_description(source: Source | str | Path) -> DescriptionFile:
 
 
 def apply_variant(file: DescriptionFile, name: str) -> DescriptionFile:
-    """The description with what a variant changes. Raises NotFound."""
+    """The description with the changes of a variant. Raises NotFound."""
     if name not in file.variants:
         raise NotFound(f"{file.driver} has no variant {name!r}.", remedy=near(name, file.variants, "variant"))
     entry = file.variants[name]
@@ -50,7 +50,7 @@ def apply_variant(file: DescriptionFile, name: str) -> DescriptionFile:
 
 
 def apply_model(file: DescriptionFile, model: str) -> DescriptionFile:
-    """The description of the variant that a model is of, else the file's own."""
+    """The description for a model: that of its variant, otherwise that of the file itself."""
     for name, entry in file.variants.items():
         if model.lower() in {known.lower() for known in entry.models}:
             return apply_variant(file, name)
@@ -58,15 +58,15 @@ def apply_model(file: DescriptionFile, model: str) -> DescriptionFile:
 
 
 def places(file: DescriptionFile) -> dict[str, PlaceEntry]:
-    """The stations by name, rows of them written out."""
+    """The stations by name; rows of stations are expanded."""
     return {
         name: entry for pattern, row in file.stations.items() for name, entry in _expand_row(pattern, row)
     }
 
 
 def locate_parts(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """The frames of all parts in the instrument's own, with the moving ones where ``joints`` say (mm or
-    degrees, by part); one that is not named has moved by 0, or by its limit that is nearest to that."""
+    """The frames of all parts in the instrument's own frame. ``joints`` are the positions of the moving parts
+    (mm or degrees, by part). A part that is not named is at 0, or at its limit that is nearest to 0."""
     joints = joints or {}
     found = {BASE: frame()}
     while len(found) <= len(file.parts):
@@ -76,12 +76,12 @@ def locate_parts(file: DescriptionFile, joints: Mapping[str, float] | None = Non
                 here = found[part.on].then(frame(part.at_mm, part.turn_deg))
                 found[name] = here.then(_move(file, name, joints))
         if len(found) == before:
-            raise ValueError("parts that stand on nothing")  # load_description refuses such files
+            raise ValueError("parts that stand on nothing")  # ``load_description`` refuses such files
     return found
 
 
 def locate_places(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """The frames of all stations in the instrument's own, as ``locate_parts`` for parts."""
+    """The frames of all stations in the instrument's own frame, with ``joints`` as for ``locate_parts``."""
     parts = locate_parts(file, joints)
     return {
         name: parts[entry.on].then(frame(entry.at_mm, entry.turn_deg)) for name, entry in places(file).items()
@@ -120,7 +120,7 @@ def _fill_name(pattern: str, values: Mapping[str, int]) -> str:
 
 
 class _Check:
-    """What a model alone cannot see: names that lead nowhere, parts that stand on themselves."""
+    """Checks that pydantic's models cannot do: names without a target, parts that stand on themselves."""
 
     def __init__(
         self, file: DescriptionFile, entry: tuple[str, VariantEntry] | None, remarks: Remarks
@@ -205,14 +205,14 @@ class _Check:
         self.remarks.error(message, self._find_path(path), remedy, key=key)
 
     def _find_path(self, path: Path_) -> Path_:
-        """Where it stands: below the variant, if that says it."""
+        """The path of a fault: below the variant, if the variant has this field."""
         if self.entry is not None and path[0] in self.entry[1].model_fields_set:
             return ("variants", self.entry[0], *path)
         return path
 
 
 def make_plain(file: DescriptionFile) -> dict[str, Any]:
-    """The description as data, with rows of stations written out."""
+    """The description as plain data; rows of stations are expanded."""
     data = file.model_dump(by_alias=True, exclude_none=True)
     data["stations"] = {
         name: entry.model_dump(by_alias=True, exclude_none=True, exclude={"each"})

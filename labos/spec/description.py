@@ -1,8 +1,8 @@
-"""``description.yaml`` of a driver: how big its instrument is, what of it moves, and where labware stands.
+"""``description.yaml`` of a driver: the size of its instrument, its moving parts, and its stations.
 
-Lengths are in millimetres, angles in degrees. An instrument's own frame stands on the surface that
-carries it: y points to the front, where labware goes in, x to the instrument's own right, z up. A number
-that names no source in ``from`` is a guess for drawing.
+Lengths are in millimetres, angles in degrees. An instrument's own frame stands on the surface that carries
+it. Its y axis points to the front, where labware goes in, x to the instrument's own right, z up. A number
+without a source in ``from`` is only an estimate for drawings.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from labos.core.model import StationKind
 from labos.spec.parts import Name, Part
 
 BASE = "base"
-"""The instrument's own frame, on which everything else stands."""
+"""The instrument's own frame, to which all others are relative."""
 
 ASSUMED, DERIVED = "assumed", "derived"
-"""What ``from`` says of a number without a source, and of one that follows from others in the file."""
+"""The words in ``from`` for a number without a source, and for one that is computed from others in the
+file."""
 
 Positive = Annotated[float, Field(gt=0)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -30,7 +31,7 @@ Colour = Literal["white", "grey", "dark", "metal", "glass", "blue", "red", "gree
 
 
 class Based(Part):
-    """Something whose numbers come from somewhere."""
+    """A part with numbers that have sources."""
 
     basis: str = Field(default=ASSUMED, alias="from")
 
@@ -74,13 +75,14 @@ class MovesEntry(Based):
 
     @property
     def limits(self) -> list[float]:
-        """Lower and upper, in mm or degrees."""
+        """The lower and the upper limit, in mm or degrees."""
         return self.slide_mm or self.turn_deg or []
 
 
 class PartEntry(Based):
     """A rigid piece of the instrument. Its frame is at ``at_mm``, turned by ``turn_deg`` (about x, then y,
-    then z), in the frame of the part that it is ``on``; this is the place of a moving part at position 0."""
+    then z), in the frame of the part that it is ``on``. For a moving part, this is its place at position
+    0."""
 
     on: str = BASE
     at_mm: Triple = [0.0, 0.0, 0.0]

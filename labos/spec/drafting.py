@@ -1,7 +1,7 @@
-"""Fills the gaps of another lab's workcell file from the workflows that use it.
+"""Completes another lab's workcell file from the workflows that use it.
 
-What no driver knows of a module is drafted: actions and arguments as the workflows write them, stations where
-they put labware. Each thing that had to be assumed is a warning, and a person can write it better.
+Modules without a description are drafted: actions and arguments as the workflows write them, and stations
+where they put labware. Each assumption gives a warning, so that a person can correct it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from labos.spec.stations import Stations, strip_place
 from labos.spec.uses import ResultUse, Use
 
 DURATION_S = 10.0
-"""How long an action is assumed to take if nobody says it."""
+"""The assumed duration of an action without a known one (lab seconds)."""
 
 SOURCES = ("source", "from", "pos1", "pick", "start", "source_location", "from_location")
 TARGETS = ("target", "to", "pos2", "place", "end", "destination", "target_location", "to_location", "dest")
@@ -39,8 +39,8 @@ def draft_modules(
     uses: Sequence[Use],
     remarks: Remarks,
 ) -> WorkcellFile:
-    """The file with what its modules offer beyond what is known of them. ``described`` are the modules that
-    drivers or the file itself describe, by name."""
+    """The file with the actions of its modules that are not known yet. ``described`` are the modules with a
+    description from a driver or the file itself, by name."""
     places = _list_places(file)
     modules = []
     for index, entry in enumerate(file.modules):
@@ -68,9 +68,9 @@ def draft_stations(
     stations: Stations,
     remarks: Remarks,
 ) -> WorkcellFile:
-    """The file with the places that the workflows name and nobody describes, with who reaches them, and with
-    what a module's own node is told of a place that it was not taught: the word of the workflow. ``stations``
-    are those that are known."""
+    """The file with the places that the workflows name and that have no description, and with the arms that
+    reach them. A module's own node gets the workflow's word for a place that it was not taught. ``stations``
+    are the known ones."""
     written = dict(file.stations)
     told: set[str] = set()
     words: dict[str, dict[str, str]] = {}
@@ -111,7 +111,7 @@ def draft_stations(
 
 
 def _with_words(entry: ModuleEntry, words: Mapping[str, str]) -> ModuleEntry:
-    """A module whose own node knows places by other names than LabOS."""
+    """Add the words to a module whose own node has other names for places than LabOS."""
     if not words or not is_configured(entry.interface, entry.config):
         return entry
     ways = {**words, **(entry.config.get("representations") or {})}
@@ -119,7 +119,7 @@ def _with_words(entry: ModuleEntry, words: Mapping[str, str]) -> ModuleEntry:
 
 
 def takes_lids_off(uses: Iterable[Use], described: Mapping[str, Description]) -> bool:
-    """Whether some step takes a lid off a plate."""
+    """Whether any step takes a lid off a plate."""
     return any(
         isinstance(effect, Unlid)
         for use in uses
@@ -204,8 +204,8 @@ def _lacks_args(action: ActionSpec, use: Use) -> bool:
 
 
 def _draft_action(uses: Sequence[Use], places: set[str], described: Mapping[str, Description]) -> ActionAbout:
-    """An action as its steps write it. One with two places carries labware from one to the other; it returns
-    what later steps read."""
+    """An action drafted from its steps. An action with two places carries labware from one to the other. Its
+    result has the fields that later steps read."""
     names = list(dict.fromkeys(name for use in uses for name in use.args))
     always = {name for name in names if all(name in use.args for use in uses)}
     args = {name: _draft_arg(name, uses, places, required=name in always) for name in names}
@@ -222,7 +222,7 @@ def _draft_action(uses: Sequence[Use], places: set[str], described: Mapping[str,
 
 
 def _add_field(returns: Any, fields: Sequence[str], value: Any) -> Any:
-    """A result that has this value too; one that is there stays."""
+    """The result with this value added, unless it has one there."""
     if not fields:
         return value if returns is None else returns
     inner = returns if isinstance(returns, dict) else {}
@@ -231,7 +231,7 @@ def _add_field(returns: Any, fields: Sequence[str], value: Any) -> Any:
 
 
 def _make_example_value(later: ResultUse, described: Mapping[str, Description]) -> Any:
-    """A value that the argument of a later step can be given."""
+    """A value that fits the argument of a later step."""
     action = described[later.module].action(later.action) if later.module in described else None
     arg = list_names(action).get(later.arg) if action is not None else None
     kind = arg.type if arg is not None else "any"
@@ -253,14 +253,15 @@ def _draft_arg(name: str, uses: Iterable[Use], places: set[str], *, required: bo
 
 
 def _is_place(name: str, value: Any, places: set[str]) -> bool:
-    """Whether an argument names a place. Joint values in its stead are told as what they are later on."""
+    """Whether an argument names a place. Joint values instead of a place are reported later."""
     if name.lower() in PLACES:
         return isinstance(value, str | list)
     return isinstance(value, str) and strip_place(value) in places
 
 
 def _sort_by_action(uses: Iterable[Use], known: Description | None = None) -> dict[str, list[Use]]:
-    """The steps that use an action, by its name: of one that is ``known`` also those that use an alias."""
+    """The steps that use an action, by its name. Steps that use an alias of a ``known`` action are
+    included."""
     found: dict[str, list[Use]] = {}
     for use in uses:
         action = known.action(use.action) if known is not None else None
@@ -272,7 +273,7 @@ def _sort_by_action(uses: Iterable[Use], known: Description | None = None) -> di
 
 
 def _list_places(file: WorkcellFile) -> set[str]:
-    """Places that the file names."""
+    """The places that the file names."""
     return {strip_place(place) for places in file.locations.values() for place in places} | {
         strip_place(place) for place in file.stations
     }
@@ -296,7 +297,7 @@ def _list_named_places(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
 
 
 def _find(stations: Stations, text: str, module: str) -> str | None:
-    """A station by what a step calls it, as the file calls it."""
+    """The file's name of the station to which a step's word refers; None if there is none."""
     try:
         return stations.find(text, module).partition("/")[2]
     except SpecError:
@@ -306,7 +307,7 @@ def _find(stations: Stations, text: str, module: str) -> str | None:
 def _declare(
     text: str, described: Mapping[str, Description], file: WorkcellFile, written: dict[str, StationEntry]
 ) -> str:
-    """Adds a place that nobody describes, under the module that its name begins with; returns its name."""
+    """Add a place without a description, under the module with whose name it begins. Returns its name."""
     bare = strip_place(text)
     owner, _, last = bare.rpartition(".")
     owner = next((entry.name for entry in file.modules if entry.name.lower() == owner.lower()), owner)
@@ -325,23 +326,23 @@ def _declare(
 
 
 def _begins_with(place: str, module: str) -> bool:
-    """Whether a place bears a module's name: ``ot2_alpha_deck1``."""
+    """Whether a place begins with a module's name: ``ot2_alpha_deck1``."""
     return re.match(rf"{re.escape(module)}([_\- ]|$)", place, re.IGNORECASE) is not None
 
 
 def _find_station_like(last: str, description: Description | None) -> str:
-    """The station of a driver that is meant, or the word itself."""
+    """The driver's station to which a word refers, or the word itself."""
     own = {station.name.lower(): station.name for station in (description.stations if description else ())}
     places = [name for name in own.values() if name != "gripper"]
     if not last and len(places) == 1:
         return places[0]
-    # ``ot2_alpha_deck1``: of several words the last one may be a station's name.
+    # ``ot2_alpha_deck1``: the last of several words may be a station's name.
     final = re.split(r"[_\- ]", last.lower())[-1]
     return own.get(last.lower(), own.get(final, last))
 
 
 def _is_taught(stations: Stations, file: WorkcellFile, module: str, place: str) -> bool:
-    """Whether a module was taught a place."""
+    """Whether a module was taught the pose for a place."""
     return any(_find(stations, taught, module) == place for taught in file.locations.get(module, {}))
 
 

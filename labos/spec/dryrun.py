@@ -1,7 +1,7 @@
-"""Runs a plan's effects on paper: where its labware goes, and what cannot work.
+"""Carries out a plan's effects on a model: it follows the labware and finds faults.
 
-The dry run knows nothing of other runs. What a step uses without the run having brought it
-there must stand there when the run starts: these stations are the plan's inputs.
+The dry run does not consider other runs. If a step uses labware that the run has not brought there, this
+labware must be there when the run starts: these stations are the plan's inputs.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from labos.spec.paperstep import StepOnPaper
 
 
 class DryRun(Paper):
-    """The bench as far as one run knows it, and what its steps do to it."""
+    """The bench from the view of one run, and the effects of its steps on it."""
 
     def run(self, steps: Sequence[tuple[int, PlanStep]], after: Callable[[int], None] | None = None) -> None:
-        """Go through the steps in the order given. ``after`` is called behind each of them."""
+        """Carry out the steps in the given order. ``after`` is called after each of them."""
         is_conditional = any(step.when is not None for _, step in steps)
         for index, step in steps:
             if is_conditional:

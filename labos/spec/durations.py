@@ -28,12 +28,12 @@ LONGEST = 100
 
 
 def match_quantity(text: str) -> re.Match[str] | None:
-    """A number and its unit; long text is never one, and is not looked at."""
+    """A number and its unit; None for other texts and for long ones, which are not searched."""
     return QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
 
 
 def parse_duration(value: Any) -> float:
-    """Seconds. Raises ValueError for what is no duration."""
+    """The duration in seconds. Raises ValueError for a value that is not a duration."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
     if isinstance(value, str):

@@ -1,6 +1,6 @@
-"""Writes data as YAML that a person would write, with comments, so that reading it gives the same.
+"""Writes data as readable YAML with comments; reading it gives the same data.
 
-Short tables and lists stand on one line. Text is quoted where it would be read as something else.
+Short tables and lists are on one line. Texts that YAML would read as another type are quoted.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ def to_yaml(
     comments: Mapping[str, Sequence[str]] | None = None,
     below: Sequence[str] = (),
 ) -> str:
-    """The table as text. ``comments`` stand above the entry of their field, as ``name_field``
-    writes it; those of fields that have no line of their own above the nearest that has one; those
-    ``below`` at the end. One that begins with ``#`` is written as it is, others are broken into lines."""
+    """The table as text. ``comments`` are written above the entry of their field (by ``name_field``). If a
+    field has no line of its own, they are above the nearest entry around it. The comments ``below`` are at
+    the end. A comment that begins with ``#`` is written as it is; others are broken into lines."""
     emitter = _Emitter(value)
     for field, texts in (comments or {}).items():
         emitter.comments.setdefault(emitter.find_nearest(field), []).extend(texts)
@@ -40,7 +40,7 @@ class _Emitter:
         self.known = set(self._iterate_paths(value, ()))
 
     def find_nearest(self, field: str) -> str:
-        """The field itself or the innermost one around it that has a line; empty for none."""
+        """The field itself, or the innermost field around it that has a line; empty for none."""
         while field and field not in self.known:
             cut = max(field.rfind("."), field.rfind("["))
             field = field[:cut] if cut > 0 else ""
@@ -92,7 +92,7 @@ class _Emitter:
                 yield from self._block(item, here, f"{indent}  ")
 
     def _write_item(self, item: Mapping[str, Any], path: Path_, indent: str) -> Iterator[str]:
-        """A table in a list: its first line bears the dash."""
+        """A table in a list: its first line begins with the dash."""
         dashed = False
         for line in self._block(item, path, f"{indent}  "):
             if not dashed and line.strip() and not line.lstrip().startswith("#"):
@@ -103,7 +103,7 @@ class _Emitter:
 
 
 def write_scalar(value: Any) -> str:
-    """A text, number, truth value or nothing."""
+    """A text, number, boolean or null."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -144,7 +144,7 @@ def _write_flow(value: Any) -> str:
 
 
 def _is_block(value: Any) -> bool:
-    """Whether a value takes lines of its own."""
+    """Whether a value needs lines of its own."""
     if isinstance(value, Mapping):
         if any(isinstance(item, Mapping | list | tuple) and item for item in value.values()):
             return True

@@ -1,4 +1,4 @@
-"""Finds the files that arguments name, without leaving the folders they may stand in."""
+"""Finds the files that arguments name, only within the allowed folders."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from labos.core.canonical import digest
 MAX_BYTES = 64 * 1024 * 1024
 
 MOST_FILES, HEAD = 50, 64 * 1024
-"""How many files of a folder, and how much of each, are looked at to find a workcell among them."""
+"""The most files of a folder, and the most bytes of each, that are read to find a workcell."""
 
 
 LEVELS = 3
-"""How many folders above a workflow's may be the lab's."""
+"""The lab's folder is at most this number of levels above the workflow's folder."""
 
 _LOGICAL = re.compile(r"(?:[\w.-]+/)+[\w-]+")
 
@@ -26,9 +26,9 @@ _WORKCELL = re.compile(r"^(modules|workcell_nodes|nodes):", re.MULTILINE)
 
 
 def find_lab_folder(folder: Path) -> Path:
-    """The nearest folder, up to three above, that holds a workcell file: paths in a workflow may lead through
-    it, as ``../protocols/mix.py`` does; also one that has them in a folder ``workcells`` of its own, as the
-    packaged specs have. The workflow's own folder if none does."""
+    """The nearest folder, up to three levels above, with a workcell file, or with workcell files in a folder
+    ``workcells``, as in the packaged specs. Paths in a workflow may go through it, as ``../protocols/mix.py``
+    does. The workflow's own folder if there is none."""
     for around in (folder, *folder.parents[:LEVELS]):
         if _list_workcells_in(around) or _list_workcells_in(around / "workcells"):
             return around
@@ -36,7 +36,7 @@ def find_lab_folder(folder: Path) -> Path:
 
 
 def find_workcells(folder: Path) -> list[Path]:
-    """The workcell files of the nearest folder, up to three above, that holds any."""
+    """The workcell files of the nearest folder, up to three levels above, that has any."""
     for around in (folder, *folder.parents[:LEVELS]):
         if found := _list_workcells_in(around):
             return found
@@ -63,7 +63,7 @@ def _is_workcell(path: Path) -> bool:
 
 
 class FileLookup(msgspec.Struct, frozen=True):
-    """A file's content and digest, or why there is none."""
+    """A file's content and digest, or the reason why it was not found."""
 
     content: bytes | None = None
     digest: str = ""
@@ -71,9 +71,9 @@ class FileLookup(msgspec.Struct, frozen=True):
 
 
 def find_logical(name: str, folder: Path) -> str:
-    """The file that a logical name means, such as ``protocols/mix`` for ``protocols/mix.py``: the only one of
-    that name in its folder, whatever its ending. The name itself if it has an ending or no folder, or if
-    there is not just one."""
+    """The file to which a logical name refers, such as ``protocols/mix`` for ``protocols/mix.py``: the only
+    file of that name in its folder, with any suffix. Otherwise (a suffix, no folder, no or several such
+    files) the name itself."""
     if not is_logical(name):
         return name
     try:
@@ -84,19 +84,20 @@ def find_logical(name: str, folder: Path) -> str:
 
 
 def is_logical(name: str) -> bool:
-    """Whether a text may name a file without its ending."""
+    """Whether a text may be the name of a file without its suffix."""
     return _LOGICAL.fullmatch(name) is not None
 
 
 class FileFinder:
-    """Looks first among the files that were handed in, then in the folders."""
+    """Searches the files that were handed in first, and then the folders."""
 
     def __init__(self, given: Mapping[str, bytes], folders: Sequence[Path]) -> None:
         self.given = given
         self.folders = [folder.resolve() for folder in folders]
 
     def find_full_name(self, name: str) -> str:
-        """The name of the file that a logical name means: of those handed in, else in the folders."""
+        """The full name for a logical name: from the files that were handed in, otherwise from the
+        folders."""
         if name in self.given or not is_logical(name):
             return name
         given = [full for full in self.given if str(PurePath(full).with_suffix("")) == name]
@@ -105,8 +106,8 @@ class FileFinder:
         return next((full for f in self.folders if (full := find_logical(name, f)) != name), name)
 
     def find(self, name: str) -> FileLookup:
-        """The file of that name. A path that leads out of a folder, and out of the lab's folder around it, is
-        not followed."""
+        """The file of that name. A path that leads out of its folder, and out of the lab's folder around it,
+        is refused."""
         if name in self.given:
             return FileLookup(self.given[name], digest(self.given[name]))
         problem = "was not found"

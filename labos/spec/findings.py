@@ -1,4 +1,4 @@
-"""What is wrong with a file, said so that a person can mend it: where, what, and how."""
+"""Faults of a file, with the place and the remedy."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from labos.spec.source import NOWHERE, Place
 Severity = Literal["error", "warning"]
 
 MOST = 200
-"""Findings of a severity that are kept for a file: nobody mends more at once."""
+"""The most findings of one severity that are kept for a file."""
 
 LONGEST = 1000
-"""Characters of a finding's message."""
+"""The most characters of a finding's message."""
 
 Assumed = Literal["", "module", "driver", "action", "place", "pose"]
 ASSUMED = ("module", "driver", "action", "place", "pose", "")
-"""What a warning takes for granted that a file does not say, the most consequential first: what a module is,
-which driver serves it, what an action means, what a place is, that an arm reaches it, anything else."""
+"""The kinds of assumptions in warnings, the most important first: the kind of a module, its driver, the
+meaning of an action, the meaning of a place, a missing pose, anything else."""
 
 
 class Finding(msgspec.Struct, frozen=True):
@@ -57,7 +57,7 @@ def make_finding(error: SpecError) -> Finding:
 
 
 class SpecErrors(BadInput):
-    """A file has errors; ``errors`` holds each, ``findings`` the warnings too."""
+    """A file has errors. ``errors`` has all errors; ``findings`` also has the warnings."""
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         self.findings = tuple(findings)
@@ -92,11 +92,11 @@ class FindingList:
         self._add("warning", message, place, field, remedy, file, assumed)
 
     def keep(self, finding: Finding) -> None:
-        """Add a finding as it is."""
+        """Add a finding unchanged."""
         self._keep(finding)
 
     def take(self, other: FindingList) -> None:
-        """Add what was found in another file."""
+        """Add the findings of another file."""
         for finding in other.findings:
             self._keep(finding)
 
@@ -125,7 +125,7 @@ class FindingList:
 
     @property
     def errors(self) -> int:
-        """How many errors there are so far."""
+        """The number of errors until now."""
         return self._count["error"]
 
     def sort_findings(self) -> tuple[Finding, ...]:
@@ -138,7 +138,7 @@ class FindingList:
 
 
 def near(name: str, known: Iterable[str], what: str = "name") -> str:
-    """A remedy that offers the known name nearest to what was written, or the few that hold it."""
+    """A remedy that names the known name nearest to the written one, or the few names that contain it."""
     names = sorted(set(known))
     alike = [candidate for candidate in names if candidate.lower() == name.lower()]
     if alike:

@@ -1,4 +1,4 @@
-"""What is wrong with a table below ``config:``, in words that stand after ``In `table:` ``."""
+"""The faults of a table below ``config:``, as texts after ``In `table:` ``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labos.spec.parts import Part
 
 
 def find_first_flaw(model: type[Part], told: Any) -> str:
-    """The first thing that keeps a table from being read; empty if nothing does."""
+    """The first fault of a table; empty if it has none."""
     try:
         model.model_validate(told)
     except ValidationError as errors:
@@ -20,7 +20,7 @@ def find_first_flaw(model: type[Part], told: Any) -> str:
 
 
 def describe_flaw(errors: ValidationError) -> str:
-    """The first of these errors, and where it is."""
+    """The first of these errors, with its place."""
     first = errors.errors(include_url=False)[0]
     where = ".".join(map(str, first["loc"])) or "the table"
     if first["type"] == "value_error":

@@ -1,4 +1,5 @@
-"""Frames in space: where one thing is in the frame of another. Lengths in mm, angles in degrees."""
+"""Frames in space: the position and rotation of one thing in the frame of another. Lengths are in mm, angles
+in degrees."""
 
 from __future__ import annotations
 
@@ -17,25 +18,25 @@ class Frame(NamedTuple):
     at: Three
 
     def then(self, inner: Frame) -> Frame:
-        """A frame that is given in this one, as seen from where this one is given."""
+        """The frame ``inner``, which is given in this frame, in the frame outside this one."""
         columns = tuple(zip(*inner.turn, strict=True))
         turn = tuple(tuple(_dot(row, column) for column in columns) for row in self.turn)
         return Frame(_matrix(turn), self.point(inner.at))
 
     def point(self, at: Sequence[float]) -> Three:
-        """A point that is given in this frame."""
+        """A point that is given in this frame, in the outer frame."""
         x, y, z = (_dot(row, at) + here for row, here in zip(self.turn, self.at, strict=True))
         return x, y, z
 
     def inverse(self) -> Frame:
-        """The outer frame as seen from this one."""
+        """The outer frame, relative to this one."""
         turn = _matrix(tuple(zip(*self.turn, strict=True)))
         x, y, z = (-_dot(row, self.at) for row in turn)
         return Frame(turn, (x, y, z))
 
     @property
     def angles(self) -> Three:
-        """Its turns about the fixed x, y and z axes, one after the other, in degrees."""
+        """Its rotations about the fixed x, y and z axes, in this order, in degrees."""
         (r00, r01, _), (r10, r11, _), (r20, r21, r22) = self.turn
         level = hypot(r00, r10)
         if level < 1e-9:
@@ -44,7 +45,7 @@ class Frame(NamedTuple):
 
 
 def frame(at_mm: Sequence[float] = (0, 0, 0), turn_deg: Sequence[float] = (0, 0, 0)) -> Frame:
-    """A frame at a point, turned about x, then y, then z of the outer one."""
+    """A frame at a point, turned about x, then y, then z of the outer frame."""
     (cr, cp, cy), (sr, sp, sy) = ([f(radians(angle)) for angle in turn_deg] for f in (cos, sin))
     turn = (
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
@@ -56,13 +57,13 @@ def frame(at_mm: Sequence[float] = (0, 0, 0), turn_deg: Sequence[float] = (0, 0,
 
 
 def slide(axis: Sequence[float], by_mm: float) -> Frame:
-    """A frame that has gone along an axis."""
+    """A frame moved along an axis."""
     x, y, z = (by_mm * part for part in unit(axis))
     return frame((x, y, z))
 
 
 def spin(axis: Sequence[float], by_deg: float) -> Frame:
-    """A frame that has turned about an axis, counter-clockwise as seen from its end."""
+    """A frame turned about an axis, counter-clockwise as seen from the end of the axis."""
     (x, y, z), c, s = unit(axis), cos(radians(by_deg)), sin(radians(by_deg))
     k = 1 - c
     turn = (
@@ -74,7 +75,7 @@ def spin(axis: Sequence[float], by_deg: float) -> Frame:
 
 
 def from_quaternion(at_mm: Sequence[float], turn: Sequence[float]) -> Frame:
-    """A frame at a point, turned as a quaternion w, x, y, z says, of whatever length but 0."""
+    """A frame at a point, turned by the quaternion w, x, y, z of any length except 0."""
     w, x, y, z = turn
     size = hypot(w, x, y, z)
     w, x, y, z = w / size, x / size, y / size, z / size
@@ -88,7 +89,7 @@ def from_quaternion(at_mm: Sequence[float], turn: Sequence[float]) -> Frame:
 
 
 def unit(axis: Sequence[float]) -> Three:
-    """A direction with the length 1."""
+    """A direction as a vector of length 1."""
     size = hypot(*axis)
     x, y, z = (part / size for part in axis)
     return x, y, z

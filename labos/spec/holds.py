@@ -1,7 +1,7 @@
-"""Which modules a run keeps from others beside what its labware holds by standing there.
+"""The modules that a run keeps from others, besides those that its labware there keeps.
 
-By itself, a run that works on a module before it brings its labware there (opens its lid, warms
-it up) keeps the module until the labware has come. ``hold:`` says otherwise.
+By default, a run that works on a module before it brings its labware there (opens its lid, warms it up) keeps
+the module until the labware has arrived. ``hold:`` changes this.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def make_holds(
     planned: Sequence[PlanStep],
     remarks: Remarks,
 ) -> tuple[Hold, ...]:
-    """The holds of a plan. ``claims`` tells which module's deck stations belong to; faults of
-    what was written go to the remarks."""
+    """The holds of a plan. ``claims`` returns the module to whose deck a station belongs. Faults go to the
+    remarks."""
     order = [index for index in steps.sort_steps() if steps.layout.leaves[index].part == MAIN]
     explicit: dict[ModuleName, Hold | None] = {}
     for name, entry in written.items():
@@ -64,7 +64,7 @@ def make_holds(
 def make_default_holds(
     claims: Mapping[StationName, str], planned: Sequence[PlanStep], order: Sequence[int]
 ) -> list[Hold]:
-    """From a run's first work on a module with a deck to the step that brings its labware there."""
+    """Holds from a run's first work on a module with a deck to the step that brings its labware there."""
     decks = set(claims.values())
     standing: Counter[str] = Counter()
     begun: dict[str, int] = {}

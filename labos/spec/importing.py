@@ -1,4 +1,4 @@
-"""Foreign files, written down in LabOS' own form, with what had to be assumed."""
+"""Foreign files, rewritten in LabOS' own form, with the assumptions that were necessary."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci",
 
 
 Moved = tuple[TransferReader, set[TransferEnd]]
-"""What workflows said of carrying and a workcell's file says in their place."""
+"""The ends of transfers that a workcell's file has now, instead of its workflows."""
 
 
 class Imported(msgspec.Struct, frozen=True):
-    """A file in LabOS' own form. ``text`` is empty if it was in that form before; ``findings``
-    are what had to be assumed, ``counts`` what it holds, ``moved`` what a workcell's file says that
-    its workflows need not say any more."""
+    """A file in LabOS' own form. ``text`` is empty if it was in that form before. ``findings`` are the
+    assumptions, and ``counts`` the numbers of its parts. ``moved`` is the data that was moved from workflows
+    to the workcell's file."""
 
     kind: Kind
     dialect: Dialect
@@ -60,9 +60,9 @@ def import_spec(
     uses: Sequence[Use] | None = None,
     moved: Sequence[Moved] = (),
 ) -> Imported:
-    """Rewrite a file; what a workcell does not say is drafted from the ``uses`` that workflows make of it, if
-    they are given. ``moved`` is of the workcells that a workflow runs on. Raises SpecError or SpecErrors for
-    what cannot be used."""
+    """Rewrite a file. If ``uses`` by workflows are given, missing parts of a workcell are drafted from them.
+    ``moved`` has the data of the workcells on which a workflow runs. Raises SpecError or SpecErrors for a
+    file that cannot be used."""
     kind, _ = detect_kind(source)
     if kind == "labware":
         return _import_labware(source)
@@ -116,9 +116,9 @@ def _import_workcell(
 def complete_workcell(
     file: WorkcellFile, cell: CompiledWorkcell, descriptions: Mapping[str, Description]
 ) -> WorkcellFile:
-    """A foreign workcell with everything said that was taken for granted: modules that no driver
-    serves are not active, drivers found by a module's name are named, and every place is a
-    station. Interfaces that say nothing are left out."""
+    """A foreign workcell with all assumptions written out: modules without a driver are not active, drivers
+    that were found by a module's name are named, and every place is a station. Interfaces without settings
+    are left out."""
     drivers = {local(module.name): module.driver for module in cell.workcell.modules}
     modules = []
     for entry in file.modules:
@@ -165,7 +165,7 @@ def complete_workcell(
 
 
 def _find_driver_by_model(entry: ModuleEntry, descriptions: Mapping[str, Description]) -> str | None:
-    """The driver that serves a module's model, if the model says so by itself."""
+    """The driver for a module's model, if the model alone determines it."""
     return match_driver(entry.model, descriptions) if entry.model else None
 
 
@@ -177,8 +177,8 @@ def _write_text(
     findings: tuple[Finding, ...],
     notes: Mapping[str, Sequence[str]] | None = None,
 ) -> str:
-    """The file as YAML, with its own comments, and what had to be assumed as comments; ``notes`` are more of
-    them, by field."""
+    """The file as YAML, with its own comments, and with the assumptions as comments. ``notes`` are more
+    comments, by field."""
     head = f"Imported from {PurePath(form.file).name} ({NAMES[dialect]})."
     own, below = place_comments(read_comments(source.text), form.data)
     comments = {"": [f"{head} What had to be assumed stands below." if findings else head]}
@@ -192,7 +192,7 @@ def _write_text(
 
 
 def _find_home(field: str, form: Source, file: Part) -> str:
-    """Where a field of the foreign file stands in our form."""
+    """The field in LabOS' form that corresponds to a field of the foreign file."""
     for place in getattr(file, "stations", {}):
         if field.startswith("locations.") and field.endswith(f".{place}"):
             return f"stations.{place}"

@@ -1,6 +1,6 @@
-"""How a module's node can be reached: the names that ``interface:`` takes, and what each must be told.
+"""The interfaces to a module's node: the values of ``interface:``, and the settings that each needs.
 
-The adapters themselves are in ``labos.adapter``; a module that names none has a node of LabOS' own.
+The adapters themselves are in ``labos.adapter``; a module without an interface has a node of LabOS' own.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 from labos.errors import BadInput
 
 NATIVE = ("", "native")
-"""The module's node is LabOS' own."""
+"""The module has a node of LabOS' own."""
 
 REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "wei_rest_node": (("rest_node_address", "node_url"),),
@@ -31,12 +31,12 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
 """The interfaces that have an adapter, and the keys of ``config`` that each needs (one of each group)."""
 
 MAPPING_KEYS = ("rest", "epics", "opcua", "ros", "sila", "actions")
-"""The keys of ``config`` whose tables say what a device is told."""
+"""The keys of ``config`` with tables that map LabOS' actions to requests to the device."""
 
 PLANNED: Mapping[str, str] = {
     "simulate_callback": "WEI's own simulation",
 }
-"""Interfaces that workcell files name and that have no adapter."""
+"""Interfaces in workcell files for which there is no adapter."""
 
 
 def explain_unreachable(interface: str) -> str:
@@ -51,13 +51,12 @@ REMEDY = f"There are {', '.join(REACHED)}; `native` is LabOS' own node for the m
 
 
 def list_missing_keys(interface: str, config: Mapping[str, Any]) -> list[str]:
-    """The keys of ``config`` that an adapter needs and that are not there."""
+    """The keys of ``config`` that an adapter needs and that are missing."""
     return [group[0] for group in REACHED.get(interface, ()) if not any(config.get(key) for key in group)]
 
 
 def make_config_at(interface: str, address: str) -> dict[str, Any]:
-    """What ``config`` says of a node at this address: a URL, ``host:port``, or a name in ROS. Raises
-    BadInput."""
+    """The ``config`` of a node at this address: a URL, ``host:port``, or a name in ROS. Raises BadInput."""
     groups = REACHED.get(interface, ())
     if interface == "epics_node":
         return {"ca_address": address}
@@ -72,7 +71,7 @@ def make_config_at(interface: str, address: str) -> dict[str, Any]:
 
 
 def is_configured(interface: str, config: Mapping[str, Any]) -> bool:
-    """Whether an interface says how a module is reached: files of other labs also name drivers there,
-    or leave the address out."""
+    """Whether the settings of an interface are complete. Files of other labs also name drivers there, or
+    leave the address out."""
     known = interface in REACHED or interface in PLANNED
     return known and not list_missing_keys(interface, config)

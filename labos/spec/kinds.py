@@ -1,4 +1,4 @@
-"""The labware types that a workcell file names, and whether anybody has described them."""
+"""The labware types that a workcell file names, and whether they have descriptions."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from labos.spec.source import Path_
 
 
 def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks) -> None:
-    """A type without a description works, but may be a slip of the pen: it is told once, where it stands
-    first."""
+    """A type without a description can be used, but may be a typing error: a warning is given once, at its
+    first place."""
     told = {*known, ""}
     for kind, path, key in _list_named(file):
         if kind not in told:
@@ -27,7 +27,7 @@ def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks
 
 
 def _list_named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
-    """Each type, where it stands, and whether it stands there as a key."""
+    """Each type, its place, and whether it is a key there."""
     for place, entry in file.stations.items():
         for number, kind in enumerate(entry.accepts or ()):
             yield kind, ("stations", place, "accepts", number), False

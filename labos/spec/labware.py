@@ -1,4 +1,4 @@
-"""Reads labware files, also those that a workcell file names."""
+"""Reads labware files, including those that a workcell file names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labos.spec.source import MAX_BYTES, Path_, Source, parse, read
 from labos.spec.validation import expect_valid, validate
 
 LABWARE_SUFFIXES = (*SUFFIXES, ".json")
-"""Of the files of a folder that are read: labware of Opentrons is JSON."""
+"""The suffixes of labware files in a folder: labware of Opentrons is JSON."""
 
 
 def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
@@ -30,7 +30,7 @@ def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
 
 
 def load_packaged_labware() -> dict[str, LabwareType]:
-    """The labware types that come with LabOS, by name."""
+    """The labware types that are part of LabOS, by name."""
     found: dict[str, LabwareType] = {}
     for name in list_specs("labware"):
         found |= load_labware(find_spec("labware", name))
@@ -38,7 +38,7 @@ def load_packaged_labware() -> dict[str, LabwareType]:
 
 
 def make_spec(name: str, kind: LabwareType) -> LabwareSpec:
-    """A type as it is kept with the workcell."""
+    """A type in the form that is stored with the workcell."""
     size, wells = kind.footprint, kind.wells
     return LabwareSpec(
         name,
@@ -61,9 +61,9 @@ class OwnLabware(NamedTuple):
 def read_own_labware(
     written: str | list[str], remarks: Remarks, sent: Mapping[str, bytes] | None = None
 ) -> OwnLabware:
-    """What stands in the labware files and folders that a workcell file names. They are looked for beside
-    it, or among those that were ``sent`` along with it; faults go to the remarks, with their places in the
-    labware files."""
+    """The contents of the labware files and folders that a workcell file names. They are searched beside it,
+    or among the files ``sent`` along with it. Faults go to the remarks, with their places in the labware
+    files."""
     reader = _Reader(remarks, sent)
     for path, entry in _iterate_entries(written):
         reader.read(entry, path)
@@ -71,9 +71,9 @@ def read_own_labware(
 
 
 def read_labware_files(source: Source) -> dict[str, bytes]:
-    """The contents of the labware files that a workcell file names, by the names under which it finds
-    them: what has to be sent along with its text. What cannot be read is left out, and missed by whoever
-    compiles it."""
+    """The contents of the labware files that a workcell file names, by the names under which it finds them. A
+    client sends them along with its text. Files that cannot be read are left out; the compiler of the
+    workcell reports them."""
     written = source.data.get("labware", [])
     entries = [written] if isinstance(written, str) else written if isinstance(written, list) else []
     found: dict[str, bytes] = {}
@@ -84,7 +84,7 @@ def read_labware_files(source: Source) -> dict[str, bytes]:
 
 
 class _Reader:
-    """Takes up one labware file after the other; what two of them define is a fault."""
+    """Reads one labware file after the other; a type that two of them define is a fault."""
 
     def __init__(self, remarks: Remarks, sent: Mapping[str, bytes] | None) -> None:
         self.remarks, self.sent, self.beside = remarks, sent, remarks.source
@@ -93,7 +93,7 @@ class _Reader:
         self._by: dict[str, str] = {}
 
     def read(self, entry: str, path: Path_) -> None:
-        """A file or a folder, named at a path of the workcell file."""
+        """Read a file or a folder that is named at a path of the workcell file."""
         if self.sent is not None:
             under = f"{entry.rstrip('/')}/"
             found = {
@@ -113,7 +113,7 @@ class _Reader:
             self.remarks.error(f"There is no labware file {entry!r}: {why}.", path, remedy)
         for name, text in found.items():
             file = str(Path(self.beside.file).parent / name)
-            if file not in self.digests:  # named twice, by itself and with its folder
+            if file not in self.digests:  # it may be named twice: itself, and by its folder
                 self._take(file, text)
 
     def _take(self, file: str, text: bytes) -> None:
@@ -162,6 +162,6 @@ def _read_contents(entry: str, folder: Path | None) -> dict[str, bytes]:
         for name, file in found.items():
             with file.open("rb") as stream:
                 contents[name] = stream.read(MAX_BYTES + 1)
-    except (OSError, ValueError):  # a name with a null in it, say
+    except (OSError, ValueError):  # for example a name with a NUL character
         return {}
     return contents

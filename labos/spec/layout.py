@@ -1,8 +1,9 @@
-"""Where an unrolled step comes from: the file and place it was written in, its payload, its company.
+"""The layout of unrolled steps: the file and place where each was written, its payload, and the list to which
+it belongs.
 
-A *box* holds what was written in one list: the steps of a file, once for each time that the file
-is used. A *node* is one entry of such a list; its *rounds* are what has become of it: a step, a box,
-or one of these for each element of ``for_each``; none if it was left out.
+A *box* holds the entries of one list: the steps of a file, once for each use of the file. A *node* is one
+entry of such a list. Its *rounds* are the results of unrolling it: a step, a box, or one of these for each
+element of ``for_each``; none if it was left out.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from labos.spec.source import Path_, Source
 
 
 class Origin(NamedTuple):
-    """File, line, column and field in which something was written."""
+    """The file, line, column and field of a text."""
 
     file: str
     line: int
@@ -27,16 +28,16 @@ class Origin(NamedTuple):
 
 
 class Written:
-    """A condition as it was written: where, with which payload, and in whose company."""
+    """A written condition: its place, its payload, and its box."""
 
     def __init__(self, text: str, path: Path_, scope: Mapping[str, Any], box: Box) -> None:
         self.text, self.path, self.scope, self.box = text, path, scope, box
 
 
 class Leaf:
-    """A step of the plan. ``scope`` is its payload, ``needed`` what its file takes from it; ``part`` is
-    the step for whose failure it is there, if it is for one; ``conditions`` have to hold
-    when its turn comes."""
+    """A step of the plan. ``scope`` is its payload; ``needed`` are the payload keys that its file uses.
+    ``part`` is the failed step that it serves, if it is for a failure. ``conditions`` have to be true when it
+    is to start."""
 
     def __init__(
         self,
@@ -62,8 +63,8 @@ class Leaf:
 
 
 class LayoutNode:
-    """One entry of a list of steps. ``parallel`` rounds do not wait for each other; ``onward`` are the
-    numbers of those that go on where the one before them has ended: the later parts of one transfer."""
+    """One entry of a list of steps. ``parallel`` rounds do not wait for each other. ``onward`` are the
+    numbers of rounds that continue the round before them: the later parts of one transfer."""
 
     def __init__(self, key: str, entry: StepEntry, box: Box) -> None:
         self.key, self.entry, self.box = key, entry, box
@@ -75,7 +76,7 @@ class LayoutNode:
 
 
 class Box:
-    """The steps of one list; those of a used file bear ``prefix`` before their names."""
+    """The steps of one list; the names of steps of a used file begin with ``prefix``."""
 
     def __init__(self, prefix: str = "", node: LayoutNode | None = None, number: int = 0) -> None:
         self.prefix, self.node, self.number = prefix, node, number
@@ -83,12 +84,12 @@ class Box:
 
 
 class Layout:
-    """All steps of a plan, and how their names and their order hang together."""
+    """All steps of a plan, with their names and their order."""
 
     def __init__(self) -> None:
         self.main = Box()
         self.aside: list[Box] = []
-        """The steps for emergencies."""
+        """The steps for failures and cancellation."""
         self.leaves: list[Leaf] = []
         self.by_key: dict[str, Leaf] = {}
         self.nodes: dict[str, LayoutNode] = {}
@@ -102,8 +103,8 @@ class Layout:
         return self.main
 
     def find_named(self, name: str, box: Box, path: Path_, remarks: Remarks) -> LayoutNode | Leaf | None:
-        """What a name written in a box means: a step, or an entry that has become several. Faults
-        are reported at the path."""
+        """The step to which a name in a box refers, or the entry if it has become several steps. Faults are
+        reported at the path."""
         same = [node for node in box.nodes if node.entry.name == name]
         if not same and name.endswith("#1"):
             same = [node for node in box.nodes if node.entry.name == name[:-2]][:1]
@@ -127,12 +128,12 @@ class Layout:
             and not found.entry.for_each
             and found.rounds
         ):
-            last = found.rounds[-1]  # several are parts of one transfer
+            last = found.rounds[-1]  # several rounds are parts of one transfer
             return last if isinstance(last, Leaf) else None
         return found
 
     def find_before(self, leaf: Leaf, remarks: Remarks) -> set[int]:
-        """The steps that a step waits for by its place in the file and its ``after``."""
+        """The steps for which a step waits, by its place in the file and its ``after``."""
         node = self._find_node(leaf)
         number = next(n for n, item in enumerate(node.rounds) if item is leaf)
         return set(self._find_before_round(node, number, remarks))
@@ -156,7 +157,7 @@ class Layout:
             )
 
     def settle(self) -> None:
-        """Called when everything is unrolled."""
+        """Called when all steps are unrolled."""
         self._nodes_of_leaves: dict[int, LayoutNode] = {}
         boxes = [self.main, *self.aside]
         while boxes:
@@ -194,12 +195,12 @@ class Layout:
         return ("steps", item.index) if isinstance(item, Leaf) and not node.entry.use else ("steps",)
 
     def find_ends(self, node: LayoutNode, remarks: Remarks) -> frozenset[int]:
-        """The steps with which an entry is done; what comes before it, if it was left out."""
+        """The last steps of an entry. If the entry was left out, the last steps of the entries before it."""
         found = self._ends.get(node.key)
         if found is not None:
             return found
         if node.key in self._open:
-            return frozenset()  # a circle, which is reported as such
+            return frozenset()  # a cycle, which is reported as a fault
         self._open.add(node.key)
         if not node.rounds:
             found = self._find_before_node(node, remarks)
@@ -231,7 +232,7 @@ class Layout:
 
 
 class UnrolledRemarks(Remarks):
-    """Faults of an unrolled step are told at the place where it was written, with its name."""
+    """Faults of an unrolled step are reported at the place where it was written, with its name."""
 
     def __init__(self, source: Source, report: FindingList, layout: Layout) -> None:
         super().__init__(source, report)
@@ -250,7 +251,7 @@ class UnrolledRemarks(Remarks):
         self.report.add_warning(message, place, field=field, remedy=remedy, file=source.file, assumed=assumed)
 
     def find_origin(self, path: Path_) -> Origin:
-        """Where what is found at a path was written."""
+        """The place in the original file for a path."""
         source, at, name = self._find_origin(path)
         return Origin(source.file, *source.place(at), source.name_field(at) + name)
 

@@ -1,6 +1,7 @@
-"""Compares where modules stand with how big they are: what overlaps, and what an arm cannot reach.
+"""Compares the positions of modules with their sizes: it finds overlaps, and stations that an arm cannot
+reach.
 
-Only warnings come of it: coordinates in workcell files are often rough, and sizes may be guesses.
+It gives only warnings: coordinates in workcell files are often rough, and sizes may be estimates.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from labos.spec.source import Path_, Source
 from labos.spec.workcell import CompiledWorkcell
 
 OVERLAP_MM = 10.0
-"""Less is not worth a word."""
+"""Smaller overlaps are not reported."""
 
 SLACK_MM = 50.0
-"""A hand holds a plate somewhere above its underside, and coordinates are given to the millimetre at best."""
+"""The tolerance for the reach of an arm: a hand holds a plate above its underside, and coordinates are
+accurate to 1 mm at best."""
 
 Point = tuple[float, float]
 
@@ -43,7 +45,7 @@ class PlacedModule(NamedTuple):
 def check_layout(
     source: Source, cell: CompiledWorkcell, shape_of: Callable[[str], DescriptionFile | None]
 ) -> list[Finding]:
-    """The warnings about a workcell file that compiled; ``shape_of`` tells a driver's description."""
+    """The warnings for a workcell file that was compiled; ``shape_of`` returns a driver's description."""
     report = FindingList(source.file)
     form, _ = convert_workcell(source, FindingList(source.file))
     remarks = Remarks(form, report)
@@ -77,7 +79,7 @@ def _list_placed(
 
 
 def _list_apart(places: list[PlacedModule], remarks: Remarks) -> list[PlacedModule]:
-    """Those that have a place of their own: the same numbers for several stand for none."""
+    """The modules with a position of their own: equal coordinates of several modules count as not given."""
     groups: dict[tuple[float, ...], list[PlacedModule]] = {}
     for place in places:
         groups.setdefault(tuple(place.module.config["coordinates"]), []).append(place)
@@ -103,7 +105,7 @@ def _check_overlap(one: PlacedModule, other: PlacedModule, remarks: Remarks) -> 
 
 
 def _outline(place: PlacedModule) -> list[Point]:
-    """The corners of its footprint in the workcell's frame."""
+    """The corners of a module's footprint in the workcell's frame."""
     (length, width), (x, y) = place.shape.footprint.size_mm, place.shape.footprint.middle_mm
     signs = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
     corners = [place.at.point((x + a * length, y + b * width, 0.0)) for a, b in signs]
@@ -111,8 +113,8 @@ def _outline(place: PlacedModule) -> list[Point]:
 
 
 def _measure_depth(one: Sequence[Point], other: Sequence[Point]) -> float:
-    """How far two convex outlines overlap: by how much one would have to move to be clear of the other;
-    0 or less if they are."""
+    """The overlap of two convex outlines: the shortest distance by which one has to move to be clear of the
+    other. It is 0 or less if they do not overlap."""
     least = float("inf")
     for outline in (one, other):
         for (ax, ay), (bx, by) in zip(outline, [*outline[1:], outline[0]], strict=True):

@@ -1,4 +1,4 @@
-"""The specs that come with LabOS."""
+"""The specs that are part of LabOS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SUFFIXES = (".yaml", ".yml")
 
 
 def find_specs_folder() -> Path:
-    """Where the packaged specs are: in the wheel, else in the checkout."""
+    """The folder of the packaged specs: in the wheel, otherwise in the checkout."""
     package = Path(__file__).resolve().parents[1]
     packaged = package / "_specs"
     return packaged if packaged.is_dir() else package.parent / "specs"

@@ -1,4 +1,5 @@
-"""Why a value does not fit a model, in LabOS' words: those of validation libraries end here."""
+"""Explains in LabOS' words why a value does not fit a model, instead of the messages of validation
+libraries."""
 
 from __future__ import annotations
 
@@ -96,8 +97,8 @@ _EXPECTED = re.compile(r"Expected `([^`]+)`, got `([^`]+)`")
 
 
 def explain_plainly(error: msgspec.MsgspecError, forms: Mapping[str, str] = {}) -> str:
-    """What msgspec found wrong, as part of a sentence; what it says of broken JSON stays as it is. ``forms``
-    say of patterns what is wrong with a text that does not fit them."""
+    """The fault that msgspec reports, as part of a sentence; its messages about broken JSON are not changed.
+    ``forms`` explain, by pattern, the fault of a text that does not match."""
     text, at, where = str(error).partition(" - at `")
     where = where.rstrip("`").removeprefix("key` in `").removeprefix("$").lstrip(".")
     place = f" in {where}" if at and where else ""
@@ -118,7 +119,7 @@ def explain_plainly(error: msgspec.MsgspecError, forms: Mapping[str, str] = {}) 
 
 
 def _describe_limit(text: str, what: str, forms: Mapping[str, str]) -> str:
-    """What is too long, too large, or not of the form; empty if it is something else."""
+    """The fault of a value that is too long, too large, or not of the form; empty for other faults."""
     if found := _LENGTH.fullmatch(text):
         return f"{what} should have {_COMPARED[found[2]]} {found[3]} {_COUNTED.get(found[1], 'entries')}"
     if found := _BOUND.fullmatch(text):

@@ -23,7 +23,8 @@ class Amount(Part):
 
 
 OnErrorWord = Literal["fail", "skip", "ask"]
-"""What follows when a step has failed for good: the run's end, going on without it, a question."""
+"""The reaction to a failed step without retries left: the run ends, continues without the step, or a person
+is asked."""
 
 
 class RetryEntry(Part):
@@ -120,7 +121,7 @@ class StationEntry(Part):
 
 
 ANY = "any"
-"""In place of a labware type: all that have no pose of their own at a location."""
+"""Stands for all labware types that have no pose of their own at a location."""
 
 
 class ShelfPoses(Part):
@@ -150,7 +151,7 @@ PoseEntry = Annotated[
     | Annotated[ShelfPoses, Tag("shelves")],
     Discriminator(_find_kind_of_pose),
 ]
-"""Joint values, or those of each labware type and of ``any`` other, or those of a hotel's shelves."""
+"""Joint values; or those of each labware type and of ``any`` other type; or those of a hotel's shelves."""
 
 
 class TransferEntry(Part):
@@ -239,7 +240,7 @@ OnErrorEntry = Annotated[
 
 
 NONE = "none"
-"""What a step says that does not want its module's default."""
+"""The value of a step's field that switches its module's default off."""
 
 NoDefault = Literal["none"]
 
@@ -255,7 +256,8 @@ TimeoutOfStep = Annotated[
 
 
 ANY_OF, SAME_AS = "any ", "same as "
-"""How a step says that one of several modules may do it, or that its module is that of another step."""
+"""The beginnings of ``module:`` for a step that one of several modules may do, and for one with the module of
+another step."""
 
 
 class AnyModule(Part):
@@ -265,7 +267,7 @@ class AnyModule(Part):
 
 
 def _show_any(value: object) -> object:
-    """``{any: [a, b]}`` as the text that means the same."""
+    """``{any: [a, b]}`` as the equivalent text."""
     if not isinstance(value, dict):
         return value
     names = value.get("any")
@@ -315,8 +317,8 @@ OnCancelEntry = Annotated[
 
 
 WhenBroken = Literal["refuse", "warn", "accept"]
-"""What follows where a run cannot keep a window for all durations of its steps: it is refused, there is a
-warning, nothing."""
+"""The reaction if a run cannot keep a window for all durations of its steps: it is refused, a warning is
+given, or nothing happens."""
 
 
 class WorkflowFile(Part):

@@ -1,8 +1,8 @@
-"""What of a module's ``config`` only a file on the lab's own disk may say: files, programs and secrets of the
-computer on which its node runs.
+"""The parts of a module's ``config`` that only a file on the lab's own disk may contain: files, programs and
+secrets of the computer on which its node runs.
 
-A user who sends a workcell over the network could otherwise have the node read any file, run any program, or
-send a password to an address of their own.
+Otherwise a user who sends a workcell over the network could let the node read any file, run any program, or
+send a password to any address.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ ENDINGS = (
     *("_auth", "_env", "_file", "_path", "_folder", "_python", "_program", "_command"),
     *("_certificate", "_key", "_cert", "password", "token", "secret"),
 )
-"""How keys end that name files, programs or secrets, whatever their values look like."""
+"""The ends of keys that name files, programs or secrets, whatever their values are."""
 
 ELSEWHERE = frozenset(
     {*MAPPING_KEYS, "ros_node", "ros_node_address", "representations", "programs", "pendant"}
 )
-"""Keys whose texts are told to a device, and name nothing of the node's own computer."""
+"""Keys with texts for a device; they name nothing on the node's own computer."""
 
 ADDRESSES = ("rest_node_address", "node_url", "url", "source", "host", "address", "sila_address", "opcua_url")
-"""Keys that say where a secret goes."""
+"""Keys with the address to which a secret is sent."""
 
 _A_FILE = re.compile(
     r"/(?!dev/(?!.*\.\.))|~|\.{1,2}[/\\]|[A-Za-z]:[\\/]|\\\\|.*[/\\]\.\.([/\\]|$)"
@@ -41,8 +41,7 @@ def is_secret(key: str) -> bool:
 
 def list_on_site(config: Mapping[str, Any], elsewhere: frozenset[str] = frozenset()) -> list[str]:
     """The keys of a config that name files, programs or secrets of the node's computer, as ``bus.logfile``.
-    The texts below keys ``elsewhere`` are told to a device. A device's path below ``/dev`` is its
-    address."""
+    The texts below keys ``elsewhere`` are sent to a device. A device's path below ``/dev`` is its address."""
     found = (
         path
         for key, value in config.items()

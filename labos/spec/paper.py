@@ -1,4 +1,4 @@
-"""The bench on paper, as far as one run knows it."""
+"""The bench in a dry run, from the view of one run."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from labos.core.model import Description, LabwareSpec, ModuleSpec, StationSpec
 from labos.spec.stations import Stations
 
 Tell = Callable[[int, str, str], None]
-"""Called with the index of a step, what is wrong with it, and a remedy."""
+"""Called with the index of a step, its fault, and a remedy."""
 
 UNKNOWN: Any = object()
 
 
 class Piece:
-    """One piece of labware of the run. ``item`` is its type, and that of its lid if it has one."""
+    """One piece of labware of the run. ``item`` is its type, with the type of its lid if it has one."""
 
     def __init__(self, item: str, *, fresh: bool) -> None:
         self.kind, lid = split_item(item)
         self.fresh = fresh
-        """Whether it came from a stack; of other labware the variables are not known."""
+        """Whether it came from a stack; the variables of other labware are not known."""
         self.variables: dict[str, Any] = {}
         self.at_first: dict[str, Any] = {}
-        """What its variables must have been when the run began."""
+        """The values that its variables must have at the start of the run."""
         self.lid = Piece(lid, fresh=fresh) if lid else None
         self.volumes_ul: dict[str, float] = {}
         self.parked: StationName | None = None
-        """Where its lid was put."""
+        """The station where its lid was put."""
 
     def find_variable(self, name: str) -> Any:
         if name == "lidded" and (self.lid is not None or self.fresh):
@@ -39,7 +39,7 @@ class Piece:
 
 
 class Paper:
-    """Where labware of a run stands, how doors are, and what must stand there when the run starts."""
+    """The labware of a run, the states of doors, and the labware that must be there when the run starts."""
 
     def __init__(
         self,
@@ -59,15 +59,15 @@ class Paper:
         self.inputs: list[StationName] = []
         self.missing: list[StationName] = []
         self.taken: list[tuple[StationName, Piece]] = []
-        """What must stand there at the start, or be in a module that has several stations."""
+        """The labware that must be there at the start: at a station, or in a module with several stations."""
         self.left: set[StationName] = set()
-        """Where labware of the run stood, and was taken away. Not kept where conditions decide about steps:
-        of two that exclude each other both go through here."""
+        """Stations from which labware of the run was taken away. It is not recorded if steps have conditions:
+        the dry run carries out both of two steps that exclude each other."""
         self.variables = {name: dict(module.rest) for name, module in modules.items()}
         self.taught = {arm for station in stations.by_name.values() for arm in station.reach}
 
     def copy(self, error: Tell) -> Self:
-        """The bench as it stands now, to try out something else on; faults go to ``error``."""
+        """A copy of the present bench for a trial; faults go to ``error``."""
         counts = None if self.counts is None else dict(self.counts)
         known = (self.stations, self.modules, self.descriptions, self.labware)
         other = type(self)(*known, self.stock, counts, error, error)
@@ -76,7 +76,7 @@ class Paper:
         return other
 
     def mark(self) -> object:
-        """What tells one state of the bench from another."""
+        """A value that is different for different states of the bench."""
         here = [
             (
                 place,
@@ -90,16 +90,16 @@ class Paper:
         return repr((sorted(here), sorted((name, sorted(v.items())) for name, v in self.variables.items())))
 
     def list_outputs(self) -> tuple[StationName, ...]:
-        """Where the run's labware stands at its end; once a piece."""
+        """The stations with the run's labware at its end; one entry per piece."""
         return tuple(name for name, pieces in self.at.items() for _ in pieces)
 
     def list_stations(self, module: ModuleName) -> list[StationSpec]:
-        """Where a module works on labware."""
+        """The stations at which a module works on labware."""
         return [station for station in self.stations.list_for(module) if station.kind != "gripper"]
 
     def find_labware_at(self, index: int, place: StationName, but: Collection[Piece] = ()) -> Piece | None:
-        """The run's piece at a place, none of ``but``; one that must stand there from the start, if there is
-        none."""
+        """The run's piece at a place, except ``but``. If there is none, one that must be there from the
+        start."""
         pieces = self.at.setdefault(place, [])
         left = [piece for piece in pieces if piece not in but]
         if left:

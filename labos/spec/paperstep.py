@@ -1,4 +1,4 @@
-"""One step on paper: what of it cannot work, and what it leaves."""
+"""One step of a dry run: its faults and its results."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from labos.spec.paper import UNKNOWN, Paper, Piece
 
 
 class StepOnPaper:
-    """A step whose turn has come on paper: a store that tells all that is wrong, and so never says no. All
-    that a step needs is asked before any of it is done."""
+    """A step of a dry run: a store that reports all faults, and therefore never returns an obstacle. All
+    requirements of a step are checked before any of its effects is carried out."""
 
     def __init__(self, paper: Paper, index: int, step: PlanStep) -> None:
         self.paper, self.index, self.step = paper, index, step
@@ -42,10 +42,10 @@ class StepOnPaper:
         self._hauled: Piece | None = None
 
     def carry_out(self) -> None:
-        """Tell what of the step cannot work, and note what it leaves."""
+        """Report the faults of the step, and carry out its effects on the model."""
         needs = [effect for effect in self.step.effects if isinstance(effect, Needs)]
         others = [effect for effect in self.step.effects if not isinstance(effect, Needs | Carrying)]
-        for asked in (*needs, *others):  # whatever else there is may be about the labware that it needs
+        for asked in (*needs, *others):  # the other effects may be about the labware that it needs
             check_effect(self, asked)
         for carried in list_carried(self.step.effects):
             check_effect(self, carried)
@@ -67,7 +67,7 @@ class StepOnPaper:
         self.paper.warning(self.index, message, remedy)
 
     def _find_worked_on(self) -> Piece | None:
-        """The labware that stands where the step takes or needs some, or else on its module."""
+        """The labware that the step takes or needs; otherwise the labware on its module."""
         for effect in self.step.effects:
             place = _find_station(effect)
             if place and self.at.get(place):
@@ -79,7 +79,7 @@ class StepOnPaper:
     # -- what is in the way ----------------------------------------------------------------------
 
     def stock(self, what: Carrying, stack: StationName) -> None:
-        """Count what is taken, where it is known what there is; it may be refilled meanwhile."""
+        """Count the taken pieces if the stock is known; the stack may be refilled during the run."""
         if self.paper.stations[stack].kind not in ("stack", "hotel"):
             self._add_error(f"{local(stack)} is no stack.", "Name a stack to take from.")
         if self.at.get(stack):
@@ -104,7 +104,7 @@ class StepOnPaper:
         self._check_told_apart(what, place)
 
     def _check_told_apart(self, what: Carrying, place: StationName) -> None:
-        """An arm goes to one pose: of several pieces at one station it takes any."""
+        """An arm moves to one pose: if several pieces are at a station, it takes any of them."""
         station = self.paper.stations[place]
         shelves = self.paper.stations.list_shelves(place)
         several = station.kind == "hotel" and station.capacity > 1 and not shelves and not what.lid
@@ -166,7 +166,7 @@ class StepOnPaper:
             )
 
     def _check_grip(self, place: StationName, grip: str, kind: str) -> None:
-        """The acting arm can hold it so there. Nothing is known of places that it was never taught."""
+        """The acting arm can hold it so there. Places without a taught pose are not checked."""
         station, arm = self.paper.stations[place], self.step.module
         grips = station.list_grips(arm, kind) if self._was_taught(place) else ()
         if grips and grip and grip not in grips:
@@ -185,7 +185,7 @@ class StepOnPaper:
             )
 
     def _turn_piece(self, what: Carrying, piece: Piece) -> None:
-        """Which way round it comes to lie; of what came from nowhere it is not known."""
+        """The rotation of the piece after the motion; it stays unknown if it was unknown."""
         way, wanted = self._compute_a1(what, piece), self.paper.stations[what.target].a1
         if way is not UNKNOWN and wanted is not None and way != wanted:
             self._add_error(
@@ -219,7 +219,7 @@ class StepOnPaper:
         self._check_reachable(place)
 
     def _open(self, place: StationName) -> None:
-        """The owner of a station lets an arm in."""
+        """The module of the station is open for an arm."""
         station = self.paper.stations[place]
         variables = self.paper.variables.get(station.module, {}) if station.module else {}
         for variable, wanted in station.access.items():
@@ -232,7 +232,7 @@ class StepOnPaper:
                 )
 
     def _check_reachable(self, place: StationName) -> None:
-        """The acting arm was taught the place. Nothing is known of arms without any poses."""
+        """The acting arm was taught the place. Arms without any poses are not checked."""
         module = self.step.module
         if module not in self.paper.taught or self.paper.stations[place].module == module:
             return
@@ -247,7 +247,7 @@ class StepOnPaper:
         return self.step.module in self.paper.stations[place].reach
 
     def check_room(self, what: Effect, place: StationName) -> None:
-        """What there is room for one by one has to find room together: see ``_check_room_for_all``."""
+        """Pieces that fit one by one also have to fit together: see ``_check_room_for_all``."""
 
     def _check_room_for_all(self) -> None:
         for place, number in Counter(list_arrivals(self.step.effects)).items():
@@ -305,15 +305,15 @@ class StepOnPaper:
             )
 
     def check_setpoint(self, claims: Claims) -> None:
-        """On paper nobody else wants another value."""
+        """In a dry run no other run needs a different value."""
 
     def check_amount(self, consumes: Consumes) -> None:
-        """On paper there is enough: what is left is asked before a run is let in."""
+        """In a dry run there is enough: the amounts are checked before a run is admitted."""
 
     # -- what it does ----------------------------------------------------------------------------
 
     def _find_carried(self, what: Carrying) -> tuple[Piece | None, Piece | None]:
-        """What is carried, and the plate if it is a lid."""
+        """The carried piece; and the plate, if the piece is a lid."""
         if what.stock:
             return Piece(self.paper.stock.get(what.stock, ""), fresh=True), None
         plate = self._found.get(what.plate_at) if what.lid else None
@@ -348,15 +348,15 @@ class StepOnPaper:
         carry(self, what)
 
     def _forget_parked(self, place: StationName) -> None:
-        """The lid that was parked there is on a plate again."""
+        """The parked lid is on a plate again."""
         for pieces in self.at.values():
             for piece in pieces:
                 if piece.parked == place:
                     piece.parked = None
 
     def _check_pipetting(self) -> None:
-        """What goes into wells fits into them, and what is drawn is there. Lists that do not fit one another
-        were told before."""
+        """The liquids fit into their wells, and drawn liquids are there. Lists of different lengths were
+        reported before."""
         piece, effects = self.subject, self.step.effects
         if piece is None:
             return
@@ -375,7 +375,7 @@ class StepOnPaper:
 
 
 def _find_station(effect: AnyEffect) -> StationName:
-    """The station at which an effect takes or needs labware with a name."""
+    """The station at which an effect takes or needs labware with an id."""
     if isinstance(effect, Carrying):
         return StationName("") if effect.stock else effect.source
     return effect.station if isinstance(effect, Needs) else StationName("")

@@ -1,4 +1,4 @@
-"""What the models of all files are made of."""
+"""The common parts of the models of all files."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from labos.spec.durations import parse_duration
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ ()\-]*$")]
-"""A workcell's or module's name: it becomes part of keys and stations, so no ``/`` and no ``.``."""
+"""The name of a workcell or module. It becomes part of keys and stations, so it must not contain ``/`` or
+``.``."""
 
 Label = Annotated[str, Field(min_length=1, max_length=256)]
 Seconds = Annotated[float, BeforeValidator(parse_duration, json_schema_input_type=float | str)]
 
 T = TypeVar("T")
 Many = Annotated[list[T], BeforeValidator(lambda value: [value] if isinstance(value, dict) else value)]
-"""One, or a list of them."""
+"""One value, or a list of them."""
 
 
 class Part(BaseModel):

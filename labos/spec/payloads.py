@@ -1,7 +1,8 @@
-"""Keys of a payload that nothing in a workflow takes: slips of the pen, which would pass for the default.
+"""Keys of a payload that a workflow does not use: typing errors, with which the default would be used without
+notice.
 
-What a workflow may take is read from the whole of its file, and of the files that it uses, whether or
-not their steps are left out by ``when``: a key is refused only if no word of it is ever asked for.
+The keys that a workflow uses are collected from its whole file and from the files that it uses, including
+steps that are left out by ``when``. A key is refused only if it occurs in none of them.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from labos.spec.source import Source, parse
 from labos.spec.validation import validate
 
 MOST_FILES = 100
-"""Files that a workflow uses, one by way of the other, which are looked through."""
+"""The most files, used directly or indirectly by a workflow, that are searched."""
 
 
 class _TakesAll(Exception):
-    """The workflow looks at the whole payload, or cannot be read to its end."""
+    """The workflow uses the whole payload, or cannot be read completely."""
 
 
 def refuse_unused(
@@ -35,8 +36,8 @@ def refuse_unused(
     finder: FileFinder,
     report: FindingList,
 ) -> None:
-    """Report each value of a payload that a workflow does not take. ``sources`` are its file as it was
-    written and in LabOS' own form."""
+    """Report each value of a payload that a workflow does not use. ``sources`` are its file in the original
+    and in LabOS' own form."""
     for key, remedy in find_unused(payload, file, sources, finder):
         report.error(
             f"Nothing in the workflow takes {key!r} from the payload.", field=f"payload.{key}", remedy=remedy
@@ -46,7 +47,7 @@ def refuse_unused(
 def find_unused(
     payload: Mapping[str, Any], file: WorkflowFile, sources: Sequence[Source], finder: FileFinder
 ) -> list[tuple[str, str]]:
-    """The keys of a payload whose values a workflow does not take, and what may be meant."""
+    """The keys of a payload that a workflow does not use, each with a suggestion."""
     try:
         taken = sorted(_find_taken(file, sources, finder))
     except _TakesAll:
@@ -67,15 +68,15 @@ def _suggest(key: str, taken: Sequence[str]) -> str:
 
 
 def _serves_key(name: str, key: str, value: Any) -> bool:
-    """Whether a workflow that takes ``name`` takes the value of a key: itself, as part of a table, or
-    something in it."""
+    """Whether a workflow that uses ``name`` uses the value of a key: the value itself, the table around it,
+    or a part of it."""
     if key == name or key.startswith(f"{name}."):
         return True
     return isinstance(value, list | tuple | Mapping) and name.startswith(f"{key}.")
 
 
 def _iterate_values(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of nested tables by their whole keys."""
+    """The values of nested tables by their full keys."""
     for key, value in table.items():
         if isinstance(value, Mapping) and value:
             yield from _iterate_values(value, f"{prefix}{key}.")
@@ -84,7 +85,7 @@ def _iterate_values(table: Mapping[str, Any], prefix: str = "") -> Iterator[tupl
 
 
 def _find_taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinder) -> set[str]:
-    """What a workflow and the files that it uses take. Raises _TakesAll."""
+    """The keys that a workflow and the files that it uses take. Raises _TakesAll."""
     found: set[str] = set()
     seen: set[str] = set()
     waiting = [(file, list(sources))]
@@ -107,7 +108,7 @@ def _find_taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinde
 
 
 def _list_names_in_condition(condition: str) -> set[str]:
-    """What a condition takes. Raises _TakesAll."""
+    """The keys that a condition uses. Raises _TakesAll."""
     try:
         names = list_names(parse_expression(condition)) if condition else []
     except ExpressionError:
@@ -123,7 +124,7 @@ def _list_names_in_condition(condition: str) -> set[str]:
 
 
 def _iterate_entries(file: WorkflowFile) -> Iterator[StepEntry]:
-    """All entries of a file, also those for emergencies."""
+    """All entries of a file, including those for failures and cancellation."""
     lists: list[list[StepEntry]] = [file.steps]
     if isinstance(file.on_cancel, list):
         lists.append(file.on_cancel)
@@ -145,7 +146,7 @@ def _list_used(file: WorkflowFile, entries: Iterable[StepEntry]) -> Iterator[str
 
 
 def _read(name: str, finder: FileFinder) -> tuple[WorkflowFile, list[Source]]:
-    """A file that is used. Raises _TakesAll if it cannot be read, which is told elsewhere if it matters."""
+    """A used file. Raises _TakesAll if it cannot be read; another check reports that."""
     content = finder.find(name).content
     if content is None:
         raise _TakesAll

@@ -1,8 +1,8 @@
-"""Every way that a plan may go, tried out on paper: labware has to be where it is needed on each.
+"""Every way that a plan may take, tried in a dry run: labware has to be where it is needed on each way.
 
-A step may be skipped only where what follows is possible without it, and recovery steps only count on
-what stands where the failed step found it. Where that does not hold, what was written is an error; a
-module's default gives way; and a person is not offered it.
+A step may be skipped only if the later steps are possible without it. Recovery steps can only use the labware
+that the failed step found. If this does not hold, a written ``on_error`` is an error, a module's default is
+not applied, and a person cannot choose to skip the step.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from labos.spec.dryrun import DryRun
 from labos.spec.paper import Tell
 
 Paper = Callable[[Plan, Sequence[int], Tell, Tell], DryRun]
-"""Runs some of a plan's steps on paper, in this order, and tells errors and warnings."""
+"""Carries out some of a plan's steps in a dry run, in this order, and reports errors and warnings."""
 
 Fault = tuple[int, str, str]
-"""The index of a step, what is wrong with it on some way, and a remedy."""
+"""The index of a step, its fault on some way, and a remedy."""
 
 
 class PlanBranches:
-    """The ways of one plan. ``explicit`` are the steps that say themselves that they are skipped if they
-    fail. ``errors`` and ``warnings`` are what was found on ways on which something fails; ``plan`` is the
-    plan in which only those steps may be skipped that can be."""
+    """The ways of one plan. ``explicit`` are the steps with an explicit ``skip``. ``errors`` and ``warnings``
+    were found on ways with a failure. ``plan`` is the plan in which only steps may be skipped for which this
+    is possible."""
 
     def __init__(self, plan: Plan, paper: Paper, explicit: set[int]) -> None:
         self.plan, self.paper, self.explicit = plan, paper, explicit
@@ -50,7 +50,7 @@ class PlanBranches:
                 self.errors.append((last, what, remedy))
 
     def try_out(self) -> None:
-        """Look at all ways; called when the way on which nothing fails holds."""
+        """Try all ways; called when the way without a failure has no fault."""
         for index in self.main:
             policy = self.plan.steps[index].on_error
             if policy is None:
@@ -78,7 +78,7 @@ class PlanBranches:
 
     def _try_skip(self, index: int, policy: OnError) -> None:
         if self.conditional and index in self.explicit:
-            return  # all ways are looked at below
+            return  # all ways are checked below
         steps = tuple(step for step in self.main if step != index)
         way = Way(steps, without=frozenset((index,)))
         faults = self._list_faults(way)[0]
@@ -103,7 +103,7 @@ class PlanBranches:
             what = "It changes something, so recovery steps cannot find all as it was if its result is wrong."
             self.errors.append((index, what, "Expect the result of a step of its own that only measures."))
         if self.conditional:
-            return  # all ways are looked at below
+            return  # all ways are checked below
         at = self.main.index(index)
         rest = self.main[at + 1 :] if policy.then == "go_on" else ()
         recovery = sort_steps(self.plan, list_rescue_steps(self.plan, index))
@@ -111,7 +111,7 @@ class PlanBranches:
         self._keep(way, self._list_faults(way)[0])
 
     def _ask_less(self) -> None:
-        """Offer people to skip only what makes no difference."""
+        """Let people skip only steps that make no difference."""
         for index in self.main:
             policy = self.plan.steps[index].on_error
             if policy is not None and policy.do == "ask" and not is_inert(self.plan, index):
@@ -123,8 +123,9 @@ class PlanBranches:
         self.plan = msgspec.structs.replace(self.plan, steps=tuple(steps))
 
     def _list_faults(self, way: Way) -> tuple[list[Fault], list[StationName]]:
-        """What is wrong on a way, and the stations at which labware must stand at its start. What is only
-        a warning where nothing fails, such as a stack that has to be filled meanwhile, is no fault."""
+        """The faults of a way, and the stations at which labware must be at its start. A finding that is only
+        a warning on the way without a failure is not a fault, for example a stack that has to be refilled
+        during the run."""
         faults: list[Fault] = []
 
         def tell(index: int, message: str, remedy: str) -> None:
@@ -145,7 +146,7 @@ class PlanBranches:
                     spare.remove(place)
                     continue
                 if way.plain and place not in self._find_filled():
-                    self.inputs.append(place)  # it must stand there for that way
+                    self.inputs.append(place)  # it must be there for that way
                     continue
                 where = local(place)
                 faults.append(
@@ -158,12 +159,12 @@ class PlanBranches:
         return faults, dry.inputs
 
     def _find_filled(self) -> set[StationName]:
-        """The stations at which the run itself puts labware, on whichever way."""
+        """The stations at which the run itself puts labware, on any way."""
         effects = [effect for step in self.plan.steps for effect in step.effects]
         return {what.filled for what in list_carried(effects) if what.filled}
 
     def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
-        """Remember faults with the way on which they were found."""
+        """Store faults with the way on which they were found."""
         for index, message, remedy in faults[:3]:
             told = (index, f"{self._describe_way(way)}: {_start_lower_case(message)}", remedy)
             if told not in self.errors:
@@ -182,7 +183,7 @@ class PlanBranches:
 
 
 def find_first_way(plan: Plan) -> tuple[int, ...]:
-    """The steps of a way on which nothing fails; of steps that exclude each other, those written first."""
+    """The steps of a way without a failure. If steps exclude each other, those written first are used."""
     said: dict[str, bool] = {}
     steps: list[int] = []
     for index in sort_steps(plan, main_steps(plan)):

@@ -1,4 +1,4 @@
-"""A plan run on paper: on each of its ways, and on the way out behind each of its steps."""
+"""A dry run of a plan: on each of its ways, and with a cancellation after each of its steps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from labos.spec.steps import Steps
 
 
 class InitialBench:
-    """The bench before any run. ``bench`` is what is known to stand on it, ``labware`` the types that the
+    """The bench before any run. ``bench`` has the known labware on it; ``labware`` are the types that the
     workcell knows."""
 
     def __init__(
@@ -43,7 +43,7 @@ class InitialBench:
             self.counts[place] = self.counts.get(place, 0) + item.count
 
     def make_dry_run(self, error: Tell, warning: Tell) -> DryRun:
-        """A dry run that has yet to begin."""
+        """A dry run that has not begun."""
         counts = None if self.counts is None else dict(self.counts)
         known = (self.stations, self.modules, self.described, self.labware)
         dry = DryRun(*known, self.stock, counts, error, warning)
@@ -53,8 +53,8 @@ class InitialBench:
 
 
 class PlanCheck:
-    """Tries a plan out and tells what cannot work. Where steps may overtake each other, what one order
-    would break is a warning."""
+    """Tries a plan, and reports its faults. If steps may overtake each other, a fault in only one order is a
+    warning."""
 
     def __init__(self, bench: InitialBench, steps: Steps, remarks: Remarks) -> None:
         self.bench, self.steps, self.remarks = bench, steps, remarks
@@ -62,7 +62,7 @@ class PlanCheck:
         self._warning = self._tell(certain=False)
 
     def do_dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
-        """Returns the plan as well, in which only those steps may be skipped that can be."""
+        """Returns also the plan in which only steps may be skipped for which this is possible."""
         plan, dry = self._do_all_ways(plan)
         if list_steps_out(plan) and not self.remarks.report.errors:
             self._try_ways_out(plan)
@@ -88,7 +88,7 @@ class PlanCheck:
         return courses.plan, dry
 
     def _try_ways_out(self, plan: Plan) -> None:
-        """Cancel the run on paper behind each of its steps."""
+        """Cancel the run after each of its steps, in dry runs."""
         out = CancelPaths(plan, self._error, self._warning)
         out.check()
         for way in list_ways(plan):
@@ -110,4 +110,4 @@ class PlanCheck:
 
 
 def _ignore(index: int, message: str, remedy: str) -> None:
-    """What was reported before is not reported again."""
+    """Findings that were reported before are not reported again."""

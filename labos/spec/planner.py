@@ -59,7 +59,7 @@ from labos.spec.tables import find_counter
 
 
 class StepPlanner:
-    """One workflow on its way to a plan."""
+    """Makes a plan from one workflow."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class StepPlanner:
         self.contents: dict[str, bytes] = {}
 
     def plan(self) -> Plan:
-        """The plan; complete only if the report holds no errors afterwards."""
+        """The plan. It is complete only if the report has no errors afterwards."""
         self._check_modules()
         steps = tuple(self._make_step(index, entry) for index, entry in enumerate(self.steps.entries))
         steps = tuple(self._take_from_stacks(index, step, steps) for index, step in enumerate(steps))
@@ -106,8 +106,8 @@ class StepPlanner:
         )
 
     def _take_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
-        """An arm that carries away what lies on a stack takes its topmost piece, unless an earlier step has
-        put one there. Behind a failure or a cancellation it carries what the run has, wherever that is."""
+        """An arm that carries labware from a stack takes its topmost piece, unless an earlier step has put a
+        piece there. After a failure or a cancellation, it carries the run's own labware, wherever that is."""
         if step.part != MAIN:
             return step
         put_there = {
@@ -131,15 +131,16 @@ class StepPlanner:
         return make_holds(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
 
     def do_dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
-        """Run the plan on paper. Returns the plan as well, in which only those steps may be skipped that can
-        be."""
+        """Carry out a dry run. Returns also the plan in which only steps may be skipped for which this is
+        possible."""
         modules = {module.name: module for module in self.modules.values()}
         labware = {kind.name: kind for kind in self.workcell.labware}
         bench = InitialBench(self.stations, modules, self.described, self.bench, labware)
         return PlanCheck(bench, self.steps, self.remarks).do_dry_run(plan)
 
     def _check_modules(self) -> None:
-        """Every module that the workflow lists is in the workcell; every used one is listed."""
+        """Check that every module that the workflow lists is in the workcell, and that every used one is
+        listed."""
         listed = self.file.modules
         if listed is None:
             return
@@ -194,7 +195,8 @@ class StepPlanner:
         )
 
     def _find_after(self, index: int) -> tuple[int, ...]:
-        """What a step waits for. Of a way out some steps may be left out, so each waits for all before it."""
+        """The steps for which a step waits. Any of the ``on_cancel`` steps may be left out, so each waits for
+        all before it."""
         if self.layout.leaves[index].part == ON_CANCEL:
             return tuple(sorted(self.steps.list_before(index)))
         return self.steps.after[index]
@@ -202,7 +204,7 @@ class StepPlanner:
     def _set_duration(
         self, action: ActionSpec, args: dict[str, Any], entry: StepEntry, path: Path_
     ) -> ActionSpec:
-        """The action with its duration by the arguments and files of this step."""
+        """The action with its duration for the arguments and files of this step."""
         values = {arg.name: args.get(arg.name, arg.default) for arg in action.args}
         known = {name: None if is_later(value) else value for name, value in values.items()}
         try:
@@ -222,7 +224,7 @@ class StepPlanner:
         return Retry(entry.retry.times, entry.retry.delay, aside.index if aside is not None else None)
 
     def _on_error(self, index: int, entry: StepEntry, module: ModuleSpec) -> OnError | None:
-        """What the step says follows when it fails, else what its module's entry says."""
+        """The reaction to a failure of the step, from its own entry or else from its module's entry."""
         written = entry.on_error
         if isinstance(written, RunSteps):
             return OnError("run", written.then)
@@ -231,7 +233,7 @@ class StepPlanner:
         return None if do == "fail" else OnError(do, may_skip=True)
 
     def _fill_step(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:
-        """The step with its module and action, which may come from the payload; None for faults."""
+        """The step with its module and action, which may come from the payload; None if it has faults."""
         found: dict[str, str] = {}
         for key in ("module", "action"):
             try:
@@ -282,7 +284,7 @@ class StepPlanner:
     def _make_arguments(
         self, index: int, entry: StepEntry, module: ModuleSpec, action: ActionSpec, path: Path_
     ) -> dict[str, Any] | None:
-        """The arguments as the node gets them; None if they have faults."""
+        """The arguments in the form that the node gets; None if they have faults."""
         faults = self.remarks.report.errors
         written: dict[str, Any] = {}
         broken: set[str] = set()
@@ -330,7 +332,7 @@ class StepPlanner:
         return None
 
     def _choose_grips(self, module: ModuleSpec, action: ActionSpec, args: dict[str, Any]) -> None:
-        """A grip that nobody wrote is the one that its station leaves, if it leaves but one."""
+        """If a grip is not written and its station allows only one, that grip is used."""
         known = {arg.name: arg for arg in action.args}
         for effect in list_moved(action.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
@@ -396,7 +398,7 @@ class StepPlanner:
             self.remarks.error(message, path, "Put it beside the workflow, or send it along with the run.")
 
     def _find_content(self, name: str) -> bytes | None:
-        """The pinned content of a file; None if it was not found, which was told before."""
+        """The pinned content of a file; None if it was not found, which was reported before."""
         return self.contents.get(self.pinned.get(name, ""))
 
     # -- effects -----------------------------------------------------------------------------
@@ -419,7 +421,7 @@ class StepPlanner:
             if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                 used |= later & list_arguments(effect.amount)
             if isinstance(effect, Consumes) and effect.resource in module.units.keys() - module.levels.keys():
-                continue  # a liquid of unknown volume
+                continue  # the volume of the liquid is not known
             if used and not isinstance(effect, Transfers | Draws):
                 names = ", ".join(sorted(used))
                 self.remarks.error(
@@ -449,7 +451,7 @@ class StepPlanner:
         return tuple(effects)
 
     def _report(self, error: SpecError, entry: StepEntry, path: Path_) -> None:
-        """Say what is wrong with an argument, or with the file that it names."""
+        """Report the fault of an argument, or of the file that it names."""
         if error.file:
             elsewhere = FindingList(error.file)
             place = Place(error.line, error.column)
@@ -467,7 +469,8 @@ class StepPlanner:
         entry: StepEntry,
         path: Path_,
     ) -> Consumes:
-        """With the number that an amount stands for. One that had to be assumed is told. Raises SpecError."""
+        """The effect with the number for its amount. A warning reports an assumed number. Raises
+        SpecError."""
         counter = find_counter(module.driver, effect.resource, self.descriptions)
         found = compute_amount(written, values, self._find_content, counter)
         if found.doubt:
@@ -483,7 +486,7 @@ class StepPlanner:
     def _check_doses(
         self, written: Transfers | Draws, effect: Transfers | Draws, entry: StepEntry, path: Path_
     ) -> None:
-        """Volumes that fit no wells, as far as they are known before the run."""
+        """Check the volumes for wells, as far as they are known before the run."""
         try:
             list_doses(effect)
         except ValueError as error:
@@ -503,11 +506,12 @@ class StepPlanner:
             if turns and module.regrip and not filled.via:
                 return msgspec.structs.replace(filled, via=module.regrip)
             if filled.via and not turns and isinstance(effect, Move) and effect.source_grip:
-                return msgspec.structs.replace(filled, via=StationName(""))  # the grip stays as it is
+                return msgspec.structs.replace(filled, via=StationName(""))  # the grip is not changed
         return filled
 
     def _replace(self, effect: Replaces) -> Replaces:
-        """Raises SpecError for what the workcell does not have."""
+        """The effect with the full names of the workcell. Raises SpecError for names that it does not
+        have."""
         module = self.modules.get(local(ModuleName(effect.module)))
         if module is None:
             remedy = near(effect.module, self.modules, "module")
@@ -529,14 +533,14 @@ def _holds_result(value: Any) -> bool:
 
 
 def _find_taught(module: ModuleSpec) -> dict[str, Any]:
-    """The joint angles that a module knows for places, by station."""
+    """The known joint angles of a module, by station."""
     config = module.config.get("config") or {}
     return {**(config.get("representations") or {}), **(module.config.get("poses") or {})}
 
 
 def _with_places(taught: Mapping[str, Any], action: ActionSpec, written: dict[str, Any]) -> dict[str, Any]:
-    """The arguments with the station in the place of joint angles, where they are those of one place that was
-    taught, and of no other."""
+    """The arguments with a station instead of joint angles, if these are the taught ones of exactly one
+    station."""
     known = {alias for arg in action.args if arg.type == "station" for alias in (arg.name, *arg.aliases)}
     found = dict(written)
     for name in known & written.keys() if taught else ():
@@ -547,7 +551,7 @@ def _with_places(taught: Mapping[str, Any], action: ActionSpec, written: dict[st
 
 
 def _find_nearly_same(taught: Mapping[str, Any], angles: Any) -> str:
-    """Which place has these joint angles but for one; empty if none has."""
+    """The station with these joint angles except for one joint; empty if there is none."""
     for place, pose in taught.items() if isinstance(angles, list) else ():
         if isinstance(pose, list) and len(pose) == len(angles):
             apart = [n for n, (one, other) in enumerate(zip(pose, angles, strict=True)) if one != other]

@@ -1,5 +1,5 @@
-"""Files that say which submissions wait for an approval, how high a priority may be, and what may be
-booked."""
+"""Policy files: the submissions that wait for an approval, the highest priority, and the limits of
+bookings."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """References in a workflow's arguments: to the payload, and to results of earlier steps.
 
-``payload.x``, ``payload.a.b`` and ``payload:a.b`` stand for the payload's value itself, whatever
-its type; a key that holds the dots (``"a.b"``) counts first. ``${payload.x}`` inside a longer
-text is filled in. ``steps.<name>.result.<field>`` stands for what an earlier step returned.
+``payload.x``, ``payload.a.b`` and ``payload:a.b`` stand for the payload's value itself, of any type; a key
+with dots (``"a.b"``) takes precedence. ``${payload.x}`` inside a longer text is replaced.
+``steps.<name>.result.<field>`` stands for the result of an earlier step.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _SHOWN = 3
 _RESULT = re.compile(r"steps\.(.+?)\.result((?:\.[\w\-]+)*)")
 
 LONGEST = 1000
-"""Characters of a reference to a result; what is longer is text."""
+"""The most characters of a reference to a result; a longer value is a text."""
 
 
 def fill(value: Any, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:
-    """The value with its references to the payload filled in, in lists and tables too. ``needed``
-    are all keys that the workflow refers to. Raises SpecError for what the payload does not hold."""
+    """The value with its references to the payload filled in, also in lists and tables. ``needed`` are all
+    keys that the workflow uses. Raises SpecError for keys that the payload does not have."""
     if isinstance(value, str):
         whole = _WHOLE.fullmatch(value)
         if whole:
@@ -39,7 +39,7 @@ def fill(value: Any, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> 
 
 
 def list_keys(value: Any) -> list[str]:
-    """The payload's keys that a value refers to, each once."""
+    """The payload's keys to which a value refers, each once."""
     found: list[str] = []
     if isinstance(value, str):
         whole = _WHOLE.fullmatch(value)
@@ -60,7 +60,7 @@ def iterate_texts(value: Any) -> Iterator[str]:
 
 
 def look_up(key: str, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:
-    """The payload's value for a key, which may lead into nested tables. Raises SpecError."""
+    """The payload's value for a key, which may be in nested tables. Raises SpecError."""
     found, value = _descend(key, payload)
     if not found:
         raise SpecError(f"The payload holds no {key!r}.", remedy=_explain_how_to_give(key, payload, needed))
@@ -68,7 +68,7 @@ def look_up(key: str, payload: Mapping[str, Any], needed: Sequence[str] = ()) ->
 
 
 def _explain_how_to_give(key: str, payload: Mapping[str, Any], needed: Sequence[str]) -> str:
-    """What the workflow needs and how it is given; first of all the likely slip of the pen."""
+    """The values that the workflow needs, and how to give them; a probable typing error is named first."""
     meant = near(key, _list_table_keys(payload))
     slip = f"{meant} " if meant.startswith("Did you mean") else ""
     missing = [name for name in needed if not has_key(name, payload)] or [key]

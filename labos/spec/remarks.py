@@ -1,4 +1,4 @@
-"""Findings about places in one file, named by path."""
+"""Findings at places in one file, given by their paths."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from labos.spec.source import Path_, Source
 
 
 class Remarks:
-    """Writes into a report what is wrong at a path of a file; ``key`` points at the key instead
-    of the value."""
+    """Reports a fault at a path of a file; ``key`` points at the key instead of the value."""
 
     def __init__(self, source: Source, report: FindingList) -> None:
         self.source, self.report = source, report

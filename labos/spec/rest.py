@@ -1,8 +1,8 @@
-"""``rest:`` of a module's config: how any HTTP device is asked to do things, as a table.
+"""``rest:`` of a module's config: a table with the requests to any HTTP device.
 
-Texts may hold ``{action}`` (the device's name of it), ``{args}`` (all arguments), ``{id}`` (LabOS' id of
-the action, or the id that the device gave to the job) and ``{argument}``. A text that is one of these and
-nothing else becomes the value itself.
+Texts may contain ``{action}`` (the device's name of the action), ``{args}`` (all arguments), ``{id}`` (LabOS'
+id of the action, or the id that the device gave to the job) and ``{argument}``. A text that consists of only
+one of these is replaced by the value itself.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Reading(Part):
 
 
 class Job(Part):
-    """Actions that go on after the answer: the job's ``id`` is in the answer to the start, and ``path``
-    tells how it is. With no ``id`` the job bears LabOS' id, which the start has sent."""
+    """Actions that continue after the answer. The job's ``id`` is in the answer to the start, and ``path``
+    returns its state. Without ``id``, the job has LabOS' id, which was sent with the start."""
 
     path: str
     id: str = ""
@@ -79,18 +79,18 @@ class RestMapping(Part):
     resources: Levels | None = None
 
     def request(self, action: str) -> Request | None:
-        """How an action is started; None if it is not said."""
+        """The request that starts an action; None if the table has none."""
         told = self.actions.get(action) or self.action
         return None if told is None else request_of(told)
 
 
 def request_of(told: dict[str, Any]) -> Request:
-    """A request as it is written: ``json`` is a word that the models keep for themselves."""
+    """A request in the form of the file: pydantic's models reserve the name ``json``."""
     return Request.model_validate({"json_" if key == "json" else key: value for key, value in told.items()})
 
 
 def find_flaw(told: Any) -> str:
-    """What is wrong with a mapping, in words; empty if nothing is."""
+    """The fault of a mapping, as text; empty if it has none."""
     try:
         mapping = RestMapping.model_validate(told)
         for written in (mapping.action, mapping.reset, mapping.stop, *mapping.actions.values()):

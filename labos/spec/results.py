@@ -1,4 +1,5 @@
-"""Whether what a step returns can be what another one takes, as far as both actions declare it."""
+"""Checks whether the result of a step fits the argument of another step, as far as both actions declare their
+types."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ FITS = {
     "list": {"list"},
     "dict": {"dict"},
 }
-"""What an argument of a type can be given. A type that is not here takes anything."""
+"""The types that an argument accepts. A type that is not here accepts any."""
 
 WORDS = {
     "str": "text",
@@ -37,8 +38,8 @@ WHOLE = {"str", "int", "float", "bool"}
 
 
 def check_results(plan: Plan, described: Mapping[ModuleName, Description], remarks: Remarks) -> None:
-    """Tell of each argument that is given a result of another kind. A result that an action does not
-    declare, or with a field that is read, may be anything."""
+    """Report each argument that gets a result of another type. A result that its action does not declare may
+    be of any type; so may a field of it."""
     actions: dict[int, ActionSpec] = {}
     for index, step in enumerate(plan.steps):
         spec = described[step.module].action(step.action) if step.module in described else None

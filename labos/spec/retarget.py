@@ -1,4 +1,4 @@
-"""Proposes how a workflow of one workcell runs on another: which module does what, and what does not fit."""
+"""Proposes how a workflow of one workcell runs on another: the corresponding modules, and the differences."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from labos.spec.stations import Stations
 from labos.spec.uses import iterate_entries
 
 SAME_DRIVER, SAME_NAME, BOTH_CARRY, ACTION, ARGUMENT, STATION = 40.0, 20.0, 10.0, 4.0, 0.5, 2.0
-"""How much speaks for a module that has the other's driver, name or hand; each of the actions, arguments
-and stations that the workflow uses."""
+"""Points for a candidate module: for the same driver, the same name, or if both are manipulators; and for
+each action, argument and station that the workflow uses."""
 
 
 NAMES_NOTHING = ("name", "description", "metadata", "labos")
-"""Keys of a workflow file under which names mean no modules."""
+"""Keys of a workflow file below which names are not names of modules."""
 
 
 class ModuleMatch(msgspec.Struct, frozen=True):
-    """A module of the one workcell and the one that stands in for it (empty: none); ``why`` it was chosen."""
+    """A module of the old workcell and the one that replaces it (empty: none), with the reason ``why``."""
 
     module: str
     becomes: str
@@ -47,14 +47,14 @@ class Retargeting(msgspec.Struct, frozen=True):
 
 
 class _Need(msgspec.Struct):
-    """What a workflow asks of a module: arguments by action, and stations."""
+    """The actions with their arguments, and the stations, that a workflow needs of a module."""
 
     actions: dict[str, set[str]] = {}
     stations: set[str] = set()
 
 
 class _Module(msgspec.Struct, frozen=True):
-    """A module of a workcell with what its driver says of it."""
+    """A module of a workcell with its driver's description."""
 
     name: str
     driver: str
@@ -68,8 +68,8 @@ def propose(
     given: Mapping[str, str],
     descriptions: Mapping[str, Description],
 ) -> Retargeting:
-    """Which modules of ``new`` do what those of ``old`` did; ``given`` names some beforehand. Raises BadInput
-    for a name of no module."""
+    """The modules of ``new`` that replace those of ``old``; ``given`` fixes some of them. Raises BadInput for
+    a name of no module."""
     before, after = _describe_modules(old, descriptions), _describe_modules(new, descriptions)
     for one, other in given.items():
         _refuse_strangers(one, before, old.name)
@@ -107,7 +107,7 @@ def _refuse_strangers(name: str, modules: Mapping[str, _Module], workcell: str) 
 
 
 def _list_needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str, _Need]:
-    """By module, in the order in which the workflow names them."""
+    """The needs by module, in the order in which the workflow names them."""
     found: dict[str, _Need] = {}
     for _, entry in iterate_entries(file):
         if entry.module in modules and not list_keys(entry.module):
@@ -127,7 +127,8 @@ def _iterate_places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterato
 
 
 def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: Stations) -> tuple[str, str]:
-    """The module for which most speaks among those with all actions; of equals the first by name."""
+    """The module with the most points among those that have all actions; with equal points, the first by
+    name."""
     best, chosen, why = 0.0, "", "nothing here does that"
     for name, module in sorted(modules.items()):
         actions = {action: module.about.action(action) for action in need.actions}
@@ -153,7 +154,7 @@ def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: S
 
 
 def _list_misfits(name: str, module: _Module, need: _Need, places: Stations) -> Iterator[str]:
-    """What the workflow asks of a module that this one does not have."""
+    """The needs of the workflow that this module does not fulfil."""
     new = module.name
     for action, args in sorted(need.actions.items()):
         spec = module.about.action(action)
@@ -169,15 +170,15 @@ def _list_misfits(name: str, module: _Module, need: _Need, places: Stations) -> 
 
 
 def rename(text: str, mapping: Mapping[str, str], workcells: tuple[str, str]) -> str:
-    """A workflow's text with other names of modules and of the workcell, and else as it was, with its
-    comments."""
+    """A workflow's text with the new names of modules and of the workcell; the rest, with its comments, is
+    not changed."""
     old, new = (PurePath(cell).stem for cell in workcells)
     names = {one: other for one, other in mapping.items() if one != other}
     some = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
     in_steps = re.compile(rf"(?<![\w./-])(?:{some})(?=\.\w)|(?<=module: )(?:{some})(?![\w.-])")
     in_lists = re.compile(rf"(?<![\w./-])(?:{some})(?![\w-])")
     whole = rf"(?<![\w-]){re.escape(old)}(?![\w-])"
-    last_name = re.compile(rf"{whole}(?!.*{whole})")  # folders may be called like it
+    last_name = re.compile(rf"{whole}(?!.*{whole})")  # folders may have the same name
     lines, top = [], ""
     for line in text.split("\n"):
         if key := re.match(r"([\w-]+):", line):
@@ -192,7 +193,7 @@ def rename(text: str, mapping: Mapping[str, str], workcells: tuple[str, str]) ->
 
 
 def compare_lines(old: str, new: str) -> Sequence[str]:
-    """The lines that differ, as ``diff`` shows them."""
+    """The lines that differ, in the form of ``diff``."""
     import difflib
 
     return [

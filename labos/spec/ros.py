@@ -1,8 +1,8 @@
-"""``ros:`` of a module's config: which ROS services, actions and topics do what, as a table.
+"""``ros:`` of a module's config: a table with the ROS services, actions and topics for its actions.
 
-Texts may hold ``{argument}``, ``{action}`` (the node's name of it), ``{args}`` (all arguments), ``{vars}``
-(the same as JSON), ``{message}`` (the JSON of WEI: ``action_handle`` and ``action_vars``) and ``{id}``. A
-text that is one of these and nothing else becomes the value itself.
+Texts may contain ``{argument}``, ``{action}`` (the node's name of the action), ``{args}`` (all arguments),
+``{vars}`` (the same as JSON), ``{message}`` (the JSON of WEI: ``action_handle`` and ``action_vars``) and
+``{id}``. A text that consists of only one of these is replaced by the value itself.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from labos.spec.parts import Part
 
 
 class Call(Part):
-    """A call of a ``service``, a goal for an ``action``, or one picture from the topic ``frame``. ``fields``
-    are the request's or the goal's. Of the answer, ``status`` is the field that says how it ended, with one
-    of ``done`` if well; without it, that an answer came is a success."""
+    """A call of a ``service``, a goal for an ``action``, or one image from the topic ``frame``. ``fields``
+    are the request's or the goal's. ``status`` is the field of the answer with the outcome; one of the values
+    ``done`` is a success. Without ``status``, any answer is a success."""
 
     service: str = ""
     action: str = ""
@@ -63,16 +63,17 @@ class RosMapping(Part):
     stop: Call | None = None
 
     def call(self, action: str) -> Call | None:
-        """How an action is started; None if it is not said."""
+        """The call that starts an action; None if the table has none."""
         return self.actions.get(action) or self.action
 
 
 WEI_AT_REST = ["READY", "IDLE", "OK", "COMPLETED", "LOCKED", "PAUSED", "CANCELLED"]
-"""What WEI's ROS nodes say when they carry nothing out; others, as ``UNKNOWN``, do not say that."""
+"""The states of WEI's ROS nodes in which they carry nothing out. Other states, such as ``UNKNOWN``, do not
+show this."""
 
 
 def make_wei_mapping(address: str) -> dict[str, Any]:
-    """What WEI's ROS nodes have below their names (``wei_services``, as its own client calls them)."""
+    """The services of WEI's ROS nodes below their names (``wei_services``, as its own client calls them)."""
     service = {"status": "action_response", "done": [0], "error": "action_msg", "result": "action_msg"}
     fields = {"action_handle": "{action}", "vars": "{vars}"}
     action = f"{address}/action_handler"
@@ -85,5 +86,5 @@ def make_wei_mapping(address: str) -> dict[str, Any]:
 
 
 def make_camera_mapping(address: str) -> dict[str, Any]:
-    """WEI's ROS cameras publish pictures, and have no services."""
+    """WEI's ROS cameras publish images, and have no services."""
     return {"action": {"frame": f"{address}/video_frames"}}

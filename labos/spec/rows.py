@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 class TableLine(msgspec.Struct, frozen=True):
-    """A row: its whole payload, and where it is written. ``columns`` are those of its own values by key,
-    where they have any."""
+    """A row: its whole payload, and its place. ``columns`` are the columns of its own values by key, where
+    they have any."""
 
     payload: dict[str, Any]
     file: str = ""
@@ -31,7 +31,7 @@ class TableLine(msgspec.Struct, frozen=True):
     columns: Mapping[str, int] = {}
 
     def place_of(self, field: str) -> Place:
-        """Where the value of a field of the payload is written, as far as it is known."""
+        """The place of the value of a payload's field, as far as it is known."""
         key = field.removeprefix("payload.")
         for name, column in self.columns.items():
             if field.startswith("payload.") and (key == name or key.startswith(f"{name}.")):
@@ -46,13 +46,13 @@ KINDS = {
     "zip_": "zip",
     "latin_hypercube": "latin_hypercube",
 }
-"""The ways to write rows, by the field of the model."""
+"""The kinds of sources for rows, by the field of the model."""
 
 
 def expand(
     file: CampaignFile, source: Source, files: Mapping[str, bytes], report: FindingList
 ) -> list[TableLine]:
-    """The rows of a campaign; what is wrong with them goes to the report."""
+    """The rows of a campaign; their faults go to the report."""
     from labos.spec.campaign import MOST_ROWS
 
     given = [name for field, name in KINDS.items() if getattr(file.rows, field)]
@@ -99,9 +99,10 @@ def expand(
 
 
 def draw_latin_hypercube(design: LatinHypercube) -> Iterator[dict[str, Any]]:
-    """Rows that meet each of as many slices of each span as there are rows exactly once (McKay, Beckman and
-    Conover 1979). Order and place within a slice are taken from SHA-256 of seed, key and number: the same
-    everywhere and with every version."""
+    """The rows of a Latin hypercube (McKay, Beckman and Conover 1979): each span is divided into as many
+    slices as there are rows, and each slice is used exactly once. The order of the slices and the value
+    within a slice come from SHA-256 of seed, key and number. So they are the same on every computer and with
+    every version."""
     orders: dict[str, list[int]] = {}
     for key in design.spans:
         marks = [_draw(design.seed, key, "order", i) for i in range(design.samples)]
@@ -119,7 +120,7 @@ def draw_latin_hypercube(design: LatinHypercube) -> Iterator[dict[str, Any]]:
 
 
 def _draw(seed: int, key: str, what: str, number: int) -> float:
-    """A number from 0 up to 1."""
+    """A number from 0 (inclusive) to 1 (exclusive)."""
     drawn = hashlib.sha256(f"{seed}/{key}/{what}/{number}".encode()).digest()
     return int.from_bytes(drawn[:7], "big") / 2**56
 
@@ -176,14 +177,14 @@ def _read_list(file: CampaignFile, name: str, text: str, report: FindingList) ->
 
 
 def _put_below_key(text: str) -> str:
-    """A list in YAML as the value of a key, one line further down, as ``parse`` reads tables only."""
+    """A YAML list as the value of a key, one line further down, because ``parse`` reads only tables."""
     if text.lstrip().startswith("["):
         return "rows:\n " + text.replace("\n", "\n ")
     return f"rows:\n{text}"
 
 
 def _read_csv(file: CampaignFile, name: str, text: str, report: FindingList) -> list[TableLine]:
-    """Rows of a CSV file by comma, semicolon or tab. Columns in a message are counted in fields."""
+    """Rows of a CSV file with commas, semicolons or tabs. Columns in messages are numbers of fields."""
     first = text.partition("\n")[0]
     separator = max(",;\t", key=first.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
@@ -230,7 +231,8 @@ def _check_header(header: list[str], name: str, line: int, report: FindingList) 
 
 
 def _read_value(cell: str) -> Any:
-    """A field as YAML means it: a number, true or false, a list or table in brackets, else text."""
+    """The value of a field by the rules of YAML: a number, true or false, a list or table in brackets,
+    otherwise a text."""
     text = cell.strip()
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
@@ -257,7 +259,8 @@ def _merge(
     at: Place,
     number: int,
 ) -> dict[str, Any] | None:
-    """A row's values in the payload that all rows have; ``a.b`` leads into the table ``a``."""
+    """A row's values, added to the common payload of all rows; ``a.b`` is the key ``b`` in the table
+    ``a``."""
     payload = msgspec.json.decode(msgspec.json.encode(base))
     for key, value in own.items():
         here = payload

@@ -25,7 +25,7 @@ FILES: dict[SchemaKind, type[Part]] = {
 }
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 MODELINE = "# yaml-language-server: $schema="
-"""Tells an editor which schema a file has; its path is taken from the file's folder."""
+"""The comment that names a file's schema for an editor; its path is relative to the file's folder."""
 
 _VERSION = "version of this language; marks a file as LabOS' own"
 _PEOPLE = "for people"
@@ -424,7 +424,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "limits": "replace the file's limits",
     },
 }
-"""What each field means, by model; an editor shows it."""
+"""The meaning of each field, by model; an editor shows it."""
 
 ONE_OR_MANY = {"StepEntry": ("wait", "within")}
 """Fields that take one table or a list of them."""

@@ -1,4 +1,5 @@
-"""Which driver serves a module: by its model, or in files of other labs by what model and name suggest."""
+"""The driver of a module, found by its model; in files of other labs, also by the words of its model and
+name."""
 
 from __future__ import annotations
 
@@ -8,17 +9,17 @@ from collections.abc import Iterable, Mapping
 from labos.core.model import Description
 
 SHORTEST = 2
-"""Letters and digits of a word that may name a driver."""
+"""The fewest letters and digits of a word that may name a driver."""
 
 
 def match_driver(model: str, descriptions: Mapping[str, Description]) -> str | None:
-    """The driver that serves a model; the first of several."""
+    """The driver for a model; the first one if there are several."""
     return next(iter(list_drivers(model, descriptions)), None)
 
 
 def list_drivers(model: str, descriptions: Mapping[str, Description]) -> list[str]:
-    """The drivers that serve a model: exactly, or if none does, without regard to capitals, spaces and
-    signs (``UR-5e`` is ``ur5e``)."""
+    """The drivers for a model: with exactly this model, or if there is none, without regard to capitals,
+    spaces and signs (``UR-5e`` is ``ur5e``)."""
     for same in (str, str.lower, _strip_separators):
         found = [
             driver
@@ -31,9 +32,9 @@ def list_drivers(model: str, descriptions: Mapping[str, Description]) -> list[st
 
 
 def suggest_driver(text: str, descriptions: Mapping[str, Description]) -> str | None:
-    """The one driver that the words of a model or of a module's name speak of: ``Opentrons OT-2`` and
-    ``ot2_pcr_alpha`` of ``ot2``, ``Inheco single plate incubator shaker`` of ``inheco``. None if they speak
-    of none, or of several."""
+    """The only driver to which the words of a model or of a module's name refer: ``ot2`` for ``Opentrons
+    OT-2`` and ``ot2_pcr_alpha``, ``inheco`` for ``Inheco single plate incubator shaker``. None if they refer
+    to none, or to several."""
     words = _split_words(text)
     found: dict[str, int] = {}
     for driver, description in descriptions.items():
@@ -49,12 +50,13 @@ def suggest_driver(text: str, descriptions: Mapping[str, Description]) -> str | 
 
 
 def _is_of(description: Description, words: list[str]) -> bool:
-    """Whether the driver itself is named among the words."""
+    """Whether the driver's own name is among the words."""
     return _strip_separators(description.driver) in words
 
 
 def _measure_longest_common(words: list[str], known: list[str]) -> int:
-    """Letters of the longest run of whole words of a text that is a run of whole words of a known name."""
+    """The number of letters in the longest sequence of whole words that a text and a known name have in
+    common."""
     ours, theirs = _list_runs_of_words(words), _list_runs_of_words(known)
     return max((len(run) for run in ours & theirs if not run.isdigit()), default=0)
 
@@ -72,5 +74,5 @@ def _strip_separators(text: str) -> str:
 
 
 def list_models(descriptions: Mapping[str, Description]) -> Iterable[str]:
-    """Every model that some driver serves."""
+    """All models of all drivers."""
     return [model for description in descriptions.values() for model in description.models]

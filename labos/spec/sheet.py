@@ -1,8 +1,8 @@
-"""Sample sheets: CSV that says which sample is in which well, read with places.
+"""Sample sheets: CSV files with the sample in each well, read with the places of their values.
 
-Columns, in any order, by name: ``plate`` (an id or a barcode; may be left out for a single plate),
-``well``, ``sample``, ``volume`` and ``unit`` (µL if there is none). Separated by commas, semicolons
-(then with decimal commas, as spreadsheets of many countries write them) or tabs; UTF-8.
+Columns, in any order, by name: ``plate`` (an id or a barcode; may be left out for a single plate), ``well``,
+``sample``, ``volume`` and ``unit`` (µL if there is none). Separated by commas, semicolons (then with decimal
+commas, as spreadsheets of many countries write them) or tabs; UTF-8.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LONGEST_NAME = 200
 MOST_ROWS = 50_000
 MOST_COLUMNS = 20
 MOST_FAULTS = 100
-"""So many are told; the rest of the sheet is not read then."""
+"""The most faults that are reported; after them, the rest of the sheet is not read."""
 
 
 class SheetLine(msgspec.Struct, frozen=True):
@@ -102,7 +102,7 @@ class Grid(Protocol):
 
 
 def check_wells(rows: list[SheetLine], labware: str, wells: Grid | None, report: FindingList) -> None:
-    """Whether the wells exist on a labware type, and hold what is to be in them."""
+    """Check that the wells exist on a labware type, and can hold their volumes."""
     for row in rows:
         if report.errors >= MOST_FAULTS:
             return
@@ -154,7 +154,7 @@ def _split_cells(line: str, number: int, separator: str, report: FindingList) ->
 
 
 def _read_quoted(line: str, begin: int, number: int, report: FindingList) -> tuple[str, int]:
-    """The text between quotes, and where it ends; two quotes stand for one."""
+    """The text between quotes, and the index of its end; two quotes inside it stand for one."""
     parts: list[str] = []
     at = begin + 1
     while True:

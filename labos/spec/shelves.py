@@ -1,4 +1,4 @@
-"""Poses of hotels: written for the first shelf and a step, known shelf by shelf."""
+"""Poses of hotels: files have the pose of the first shelf and a step; LabOS uses one pose per shelf."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from labos.spec.remarks import Remarks
 
 
 def expand_shelves(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:
-    """The file with a location for each shelf in place of those that speak of a whole hotel."""
+    """The file with a location for each shelf instead of those for whole hotels."""
     locations: dict[str, dict[str, PoseEntry]] = {}
     for owner, places in file.locations.items():
         known = locations[owner] = {}

@@ -1,8 +1,8 @@
-"""``epics:`` and ``opcua:`` of a module's config: which process variables mean what, as a table.
+"""``epics:`` and ``opcua:`` of a module's config: a table with the meaning of process variables.
 
-Names of process variables get the ``prefix``; ``pva://NAME`` or ``ca://NAME`` says the protocol of one of
-EPICS. Texts may hold ``{argument}`` and ``{id}`` (LabOS' id of the action); a text that is one of these and
-nothing else becomes the value itself.
+Names of process variables get the ``prefix``; ``pva://NAME`` or ``ca://NAME`` selects the protocol of EPICS.
+Texts may contain ``{argument}`` and ``{id}`` (LabOS' id of the action); a text that consists of only one of
+these is replaced by the value itself.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Variable = Annotated[str, Field(validation_alias=AliasChoices("pv", "node", "pro
 class Put(Part):
     """A value for a process variable, or a list of arguments for a method of OPC UA. With ``callback`` the
     put ends when the record has been processed, which for a record that moves is the end of the motion.
-    ``object`` is what a method of OPC UA is called on, where several objects share it."""
+    ``object`` is the object whose method of OPC UA is called, if several objects share the method."""
 
     pv: Variable
     value: Any = 1
@@ -32,10 +32,10 @@ class Put(Part):
 
 
 class Condition(Part):
-    """What a process variable tells: ``is`` one of these values or an enumeration's labels, ``near`` a
-    number ``within`` a tolerance, not below ``minimum``, not above ``maximum``. With ``not``, only its
-    values say the opposite: any other says nothing, so that a module is not idle and a place not empty by
-    it."""
+    """A condition on a process variable: ``is`` one of these values or an enumeration's labels, ``near`` a
+    number ``within`` a tolerance, not below ``minimum``, not above ``maximum``. With ``not``, only these
+    values mean that the condition is false. Any other value means nothing, so a module does not count as
+    idle, nor a place as empty."""
 
     pv: Variable
     is_: Any = Field(default=None, alias="is")
@@ -53,9 +53,9 @@ class Condition(Part):
 
 
 class Actuation(Part):
-    """An action: ``set`` what moves nothing, then ``start`` it with one put; it is ``done`` when all of
-    these hold, and has ``failed`` when one of those does. ``files`` are arrays of numbers that are too long
-    for a result: each becomes a file of it, ``NAME.npy``, as numpy writes arrays."""
+    """An action: ``set`` are puts that move nothing, then one put ``start`` starts it. It is ``done`` when
+    all of these conditions hold, and has ``failed`` when one of those holds. ``files`` are arrays of numbers
+    that are too long for a result: each becomes a file of it, ``NAME.npy``, as numpy writes arrays."""
 
     start: Put
     set: Many[Put] = []
@@ -73,13 +73,14 @@ class Actuation(Part):
 
     @property
     def is_proven(self) -> bool:
-        """Whether what it ends by names this very action: then its end is known whatever was lost."""
+        """Whether its end condition contains the id of this action: then the end is certain, even after lost
+        messages."""
         return any("{id}" in str(told.is_) for told in self.done)
 
 
 class DeviceState(Part):
-    """How the device says that it is busy or in error. ``alarms`` are process variables whose severity is
-    looked at: from ``severity`` on it is an error."""
+    """How the device says that it is busy or in error. ``alarms`` are process variables with an alarm
+    severity; at ``severity`` or higher, the device is in error."""
 
     busy: Many[Condition] = []
     error: Many[Condition] = []
@@ -114,10 +115,10 @@ class SignalMapping(Part):
         return self
 
     def find(self, name: str) -> tuple[Protocol, str]:
-        """The protocol and the whole name of a process variable."""
+        """The protocol and the full name of a process variable."""
         for protocol in PROTOCOLS:
             if name.startswith(f"{protocol}://"):
                 return protocol, self.prefix + name.removeprefix(f"{protocol}://")
-        if self.protocol == "ua" and "=" in name:  # a node id as it is
+        if self.protocol == "ua" and "=" in name:  # a node id is used unchanged
             return "ua", name
         return self.protocol, self.prefix + name

@@ -1,7 +1,7 @@
-"""``sila:`` of a module's config: what a SiLA 2 server's feature definitions do not say.
+"""``sila:`` of a module's config: data that are missing in the feature definitions of a SiLA 2 server.
 
-Properties are named ``Feature.Property``, followed by the elements of a structure where the value is one;
-commands ``Feature.Command``.
+Properties are named ``Feature.Property``, followed by the elements of the structure if the value is one.
+Commands are named ``Feature.Command``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class SilaMapping(Part):
 
     @property
     def properties(self) -> set[str]:
-        """All properties that it names."""
+        """All properties that the table names."""
         told = [*self.state.busy, *self.state.error, *self.labware.values()]
         names = {*self.resources.values(), *self.observe.values(), self.state.why}
         return {name for name in names | {condition.pv for condition in told} if name}

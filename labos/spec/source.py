@@ -1,9 +1,9 @@
-"""YAML with positions: every key and value remembers the line and column where it was written.
+"""YAML with positions: every key and value has the line and column where it was written.
 
-The data is plain (dict, list, str, int, float, bool, None) but for the containers, which are
-``SourceMapping`` and ``SourceList`` and carry places. Numbers follow YAML 1.2 (``1e-3`` is a number,
-``12:30`` and dates are text); ``yes``, ``no``, ``on`` and ``off`` stay booleans, because files that other
-laboratories wrote for YAML 1.1 count on it.
+The data is plain (dict, list, str, int, float, bool, None), except for the containers. These are
+``SourceMapping`` and ``SourceList``, which have places. Numbers follow YAML 1.2 (``1e-3`` is a number,
+``12:30`` and dates are text); ``yes``, ``no``, ``on`` and ``off`` are still booleans, because files of other
+laboratories, written for YAML 1.1, depend on it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Path_ = Sequence[str | int]
 
 
 class SourceMapping(dict[str, Any]):
-    """A mapping that knows where it, its keys and its values were written."""
+    """A mapping with the places of itself, its keys and its values."""
 
     def __init__(self, at: Place = NOWHERE) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class SourceMapping(dict[str, Any]):
 
 
 class SourceList(list[Any]):
-    """A sequence that knows where it and its values were written."""
+    """A sequence with the places of itself and its values."""
 
     def __init__(self, at: Place = NOWHERE) -> None:
         super().__init__()
@@ -70,28 +70,28 @@ class SourceList(list[Any]):
 
 
 class Source:
-    """A file as it was read: its data, where everything stands, and the digest of its bytes."""
+    """A file as it was read: its data with all places, and the digest of its bytes."""
 
     def __init__(self, file: str, data: SourceMapping, digest: str, folder: Path | None = None) -> None:
         self.file, self.data, self.digest, self.folder = file, data, digest, folder
         self.written_as: dict[str, str] = {}
-        """Top-level keys that a dialect calls otherwise, for messages."""
+        """Top-level keys that have another name in the dialect, for messages."""
         self.moved: dict[str, str] = {}
-        """Fields of a foreign file, and where a dialect has put them."""
+        """Fields of a foreign file, and their places in LabOS' form."""
         self.text = ""
         """The file as text."""
         self.doubles: tuple[SpecError, ...] = ()
-        """Keys that stand twice in one table, where the last one was let win."""
+        """Keys that occur twice in one table, of which the last one was used."""
 
     def name_field(self, path: Path_) -> str:
-        """The path as a message names it: ``steps[2].args.time``."""
+        """The path in the form for messages: ``steps[2].args.time``."""
         if path and path[0] in self.written_as:
             path = (self.written_as[str(path[0])], *path[1:])
         return name_field(path)
 
     def place(self, path: Path_, *, key: bool = False) -> Place:
-        """Where the value at the path stands (its key, if ``key``); what is missing stands where
-        the innermost part that exists does."""
+        """The place of the value at the path (of its key, if ``key``). If it is missing, the place of the
+        innermost existing part of the path."""
         here: Any = self.data
         at = self.data.at
         for part in path:
@@ -100,7 +100,7 @@ class Source:
             elif isinstance(here, SourceList) and isinstance(part, int) and part < len(here):
                 at = here.values_at[part] if part < len(here.values_at) else at
             elif isinstance(here, SourceMapping) and part == 0:
-                continue  # one thing where a list of them may stand
+                continue  # a single value instead of a list of them
             else:
                 break
             here = here[part]
@@ -120,7 +120,7 @@ class Source:
 
 
 def name_field(path: Path_) -> str:
-    """``steps[2].args.time``."""
+    """The path in the form ``steps[2].args.time``."""
     text = ""
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
@@ -137,8 +137,8 @@ def make_plain(value: Any) -> Any:
 
 
 def read(path: str | Path, *, last_wins: bool = False) -> Source:
-    """Read a YAML file. A key that stands twice is refused; with ``last_wins`` it is noted in
-    the source's ``doubles`` instead, for code that knows the file's dialect. Raises SpecError."""
+    """Read a YAML file. A key that occurs twice is refused. With ``last_wins`` it is only noted in the
+    source's ``doubles``, for code that knows the file's dialect. Raises SpecError."""
     path = Path(path)
     try:
         with path.open("rb") as stream:
@@ -209,7 +209,7 @@ def parse(
 
 
 def _explain_plainly(problem: str) -> str:
-    """Plain words for the parser's messages that would mean nothing to the author of the file."""
+    """Plain explanations for messages of the parser that the author of a file would not understand."""
     if problem == "expected <block end>, but found '?'":
         return "a key stands here whose indentation fits nothing above it"
     if problem == "expected <block end>, but found '-'":
@@ -222,7 +222,7 @@ def _mark(mark: Any) -> Place:
 
 
 class _TooMuch(yaml.composer.ComposerError):
-    """More than any workcell or workflow holds."""
+    """The file is larger than any workcell or workflow."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -275,7 +275,7 @@ for _tag, _pattern, _first in (
 
 
 class _Builder:
-    """Turns composed nodes into data, within bounds."""
+    """Converts composed nodes to data, within limits."""
 
     def __init__(self, file: str) -> None:
         self.file = file

@@ -1,4 +1,4 @@
-"""Finds the station that a written place means."""
+"""Finds the station to which a written place refers."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from labos.spec.findings import near
 
 
 def strip_place(text: str) -> str:
-    """A place without the words that files of WEI write between module and station."""
+    """A place without the words that files of WEI have between module and station."""
     for middle in (".positions.", ".locations."):
         text = text.replace(middle, ".", 1)
     return text
 
 
 class Stations:
-    """The stations of a workcell by every name they answer to.
+    """The stations of a workcell, by all their names.
 
-    A place may be written as ``module.station``, ``module.positions.station``,
-    ``workcell/module.station``, by an alias, by its last part alone where that is clear from
-    the module that acts, and by the module's name where it has but one station. Capital and
-    small letters are told apart only where both exist.
+    A place may be written as ``module.station``, ``module.positions.station``, ``workcell/module.station``,
+    or by an alias. Its last part alone is enough if it is unique for the acting module. The module's name is
+    enough if it has only one station. Capital and small letters are distinguished only where both exist.
     """
 
     def __init__(self, workcell: str, stations: Iterable[StationSpec]) -> None:
@@ -33,7 +32,7 @@ class Stations:
         owned: dict[str, list[StationName]] = {}
         for station in self.by_name.values():
             if station.hotel:
-                continue  # a shelf answers to its full name only
+                continue  # a shelf has only its full name
             written = local(station.name)
             owner, _, last = written.rpartition(".")
             if owner:
@@ -58,8 +57,8 @@ class Stations:
         return name in self.by_name
 
     def find(self, text: str, module: str = "") -> StationName:
-        """The station's full name; ``module`` (local name) is whose bare names count first.
-        Raises SpecError."""
+        """The station's full name. Short names of stations of ``module`` (local name) take precedence. Raises
+        SpecError."""
         written = text.strip()
         home, slash, rest = written.partition("/")
         if slash:
@@ -81,8 +80,8 @@ class Stations:
         )
 
     def list_matches(self, written: str, module: str = "") -> list[StationName]:
-        """The stations that a place written without its workcell may mean, sorted: the nearest meaning only;
-        none if there is none."""
+        """The stations to which a place without its workcell may refer, sorted. Only the nearest meaning
+        counts; empty if there is none."""
         written = strip_place(written.strip())
         names = [written]
         if module and "." not in written:
@@ -96,14 +95,14 @@ class Stations:
         return sorted(self._known.get(written.lower(), ()))
 
     def list_for(self, module: ModuleName) -> list[StationSpec]:
-        """The stations of a module; of a hotel not the single shelves."""
+        """The stations of a module; of a hotel not its shelves."""
         return [s for s in self.by_name.values() if s.module == module and not s.hotel]
 
     def list_shelves(self, hotel: StationName) -> list[StationName]:
-        """The shelves of a hotel, lowest first; none if it has none or is none."""
+        """The shelves of a hotel, lowest first; none for other stations."""
         return [station.name for station in self.by_name.values() if station.hotel == hotel]
 
 
 def resolve_station(workcell: Workcell, text: str, module: str = "") -> StationName:
-    """The station that a written place means. Raises SpecError with the nearest names."""
+    """The station to which a written place refers. Raises SpecError with the nearest names."""
     return Stations(workcell.name, workcell.stations).find(text, module)

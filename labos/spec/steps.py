@@ -17,8 +17,8 @@ from labos.spec.source import Path_
 
 
 class Steps:
-    """The unrolled steps by name. A name that occurs twice gets ``#2`` at its second place; only a
-    reference that leaves open which is meant is an error."""
+    """The unrolled steps by name. A name that occurs twice gets ``#2`` at its second occurrence. Only a
+    reference with more than one possible meaning is an error."""
 
     def __init__(self, layout: Layout, remarks: Remarks) -> None:
         self.layout, self.remarks, self.error = layout, remarks, remarks.error
@@ -30,7 +30,7 @@ class Steps:
         self._read_order()
 
     def find(self, name: str, path: Path_, box: Box | None = None) -> int | None:
-        """The index of the step that a reference means, written in a box; faults are reported at the path."""
+        """The index of the step to which a reference in a box refers; faults are reported at the path."""
         found = self.layout.find_named(name, box or self.layout.find_box_at(path), path, self.remarks)
         if isinstance(found, LayoutNode):
             inside = [key for key in self.keys if key.startswith((f"{found.key}/", f"{found.key}["))]
@@ -52,7 +52,7 @@ class Steps:
         return seen
 
     def sort_steps(self) -> list[int]:
-        """Step indices in an order in which they can run; empty if some wait in a circle."""
+        """Step indices in an order in which they can run; empty if some wait for each other in a cycle."""
         waiting = [len(after) for after in self.after]
         followers: list[list[int]] = [[] for _ in self.after]
         for index, after in enumerate(self.after):
@@ -70,7 +70,7 @@ class Steps:
         return order if len(order) == len(self.after) else []
 
     def is_chain(self) -> bool:
-        """Whether each step of the workflow itself waits for all that are written before it."""
+        """Whether each step of the workflow itself waits for all steps written before it."""
         return all(
             not index or (index - 1 in after and max(after) < index)
             for index, after in enumerate(self.after)
@@ -113,8 +113,8 @@ class Steps:
             self.windows.append((*(windows[anchor] for anchor in sorted(windows)), *outer[index]))
 
     def _make_windows(self, entry: StepEntry, path: Path_) -> tuple[dict[int, Window], list[Window]]:
-        """A step's windows by the step of this run that they are anchored at, and those that are
-        anchored at a step of another run."""
+        """A step's windows by their anchor step in this run, and the windows with an anchor in another
+        run."""
         windows: dict[int, Window] = {}
         outer: dict[tuple[str, str], Window] = {}
         parts: list[tuple[str, int, Wait | Within]] = [("wait", n, p) for n, p in enumerate(entry.wait)]
@@ -135,8 +135,8 @@ class Steps:
         return windows, list(outer.values())
 
     def _find_other_run(self, text: str, path: Path_) -> str | None:
-        """The run or workflow that ``of`` names, which may stand in the payload; empty for the
-        same run, None after a fault."""
+        """The run or workflow that ``of`` names; it may come from the payload. Empty for the same run, None
+        after a fault."""
         try:
             found = fill(text, self.layout.leaves[int(path[1])].scope)
         except SpecError as error:

@@ -1,8 +1,8 @@
-"""Drivers whose actions follow from a table: what is written of a PLC is what its module offers.
+"""Drivers with a configuration table: for example, the table of a PLC determines the actions of its module.
 
-The table stands below the driver's key in a module's ``config``, or in a file of its own that is named
-there. It is read when the workcell is, so that a workflow is planned by it while the device is not there,
-and it is kept with the lab.
+The table is below the driver's key in a module's ``config``, or in a separate file that is named there. It is
+read together with the workcell, so that a workflow can be planned while the device is not there. It is stored
+with the lab.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from labos.spec.validation import validate
 
 
 class Flaw(NamedTuple):
-    """What is wrong at a path of a table, although each part of it fits."""
+    """A fault at a path of a table in which each single part is valid."""
 
     path: Path_
     message: str
@@ -32,8 +32,8 @@ class Flaw(NamedTuple):
 
 
 class DriverTable(NamedTuple):
-    """How a driver is told what it drives. ``key`` is that of ``config``; ``flaws`` finds what does not
-    fit together, ``describe`` says what the module offers (only of a table without flaws)."""
+    """The configuration table of a driver. ``key`` is its key in ``config``. ``flaws`` finds parts that do
+    not fit together. ``describe`` returns the module's description (only for a table without faults)."""
 
     key: str
     model: type[BaseModel]
@@ -42,9 +42,9 @@ class DriverTable(NamedTuple):
 
 
 class Descriptions(dict[str, Description]):
-    """What each driver says of itself; ``tables`` holds those that are told it by a table, ``counters``
-    how those that can read it from a file count what an action uses up, by resource, ``broken`` why
-    others that are installed cannot be used."""
+    """The descriptions of all drivers. ``tables`` has the drivers with a configuration table. ``counters``
+    has functions that read from a file how much of a resource an action uses up, by resource. ``broken`` has
+    the reasons why other installed drivers cannot be used."""
 
     def __init__(
         self,
@@ -60,24 +60,24 @@ class Descriptions(dict[str, Description]):
 
 
 def find_table(driver: str, descriptions: Mapping[str, Description]) -> DriverTable | None:
-    """The table that a driver needs, if it needs one."""
+    """The configuration table of a driver, if it has one."""
     return descriptions.tables.get(driver) if isinstance(descriptions, Descriptions) else None
 
 
 def find_counter(driver: str, resource: str, descriptions: Mapping[str, Description]) -> Counter | None:
-    """How a driver counts what its actions use up of a resource, if it can."""
+    """The function that counts the amount of a resource that a driver's actions use up, if there is one."""
     if not isinstance(descriptions, Descriptions):
         return None
     return descriptions.counters.get(driver, {}).get(resource)
 
 
 def explain_broken(driver: str, descriptions: Mapping[str, Description]) -> str:
-    """Why an installed driver cannot be used; empty if nothing is known against it."""
+    """Why an installed driver cannot be used; empty if no reason is known."""
     return descriptions.broken.get(driver, "") if isinstance(descriptions, Descriptions) else ""
 
 
 def check_table(kind: DriverTable, source: Source, report: FindingList) -> Any:
-    """A table as the driver's model; None, with errors in the report, if it does not fit."""
+    """A table in the form of the driver's model; None, with errors in the report, if it does not fit."""
     told = validate(kind.model, source, report)
     if told is None:
         return None
@@ -88,8 +88,8 @@ def check_table(kind: DriverTable, source: Source, report: FindingList) -> Any:
 
 
 def read_source(written: Any, beside: Source, sent: Mapping[str, bytes] | None = None) -> Source:
-    """Where a table is written: in the workcell file itself, or in a file that this one names. If files were
-    ``sent`` along with it, it is one of these, and no disk is read. Raises SpecError."""
+    """The source of a table: the workcell file itself, or a file that it names. If files were ``sent`` along
+    with the workcell file, the table is one of these, and no disk is read. Raises SpecError."""
     if isinstance(written, SourceMapping):
         return Source(beside.file, written, beside.digest, beside.folder)
     if not isinstance(written, str) or not written:
@@ -111,9 +111,8 @@ def read_source(written: Any, beside: Source, sent: Mapping[str, bytes] | None =
 
 
 def read_table_files(source: Source, descriptions: Mapping[str, Description]) -> dict[str, bytes]:
-    """The contents of the files in which a workcell file says that its tables stand, by the names that it
-    has for them: what has to be sent along with its text. What cannot be read is left out, and missed by
-    whoever compiles it."""
+    """The contents of the table files that a workcell file names, by these names. A client sends them along
+    with its text. Files that cannot be read are left out; the compiler of the workcell reports them."""
     keys = {kind.key for kind in getattr(descriptions, "tables", {}).values()}
     modules = source.data.get("modules")
     found: dict[str, bytes] = {}
@@ -132,7 +131,7 @@ def read_table_files(source: Source, descriptions: Mapping[str, Description]) ->
 
 
 def read_table(kind: DriverTable, written: Any) -> Any:
-    """The driver's model of a table as a node is told it, or of the file of that name. Raises BadInput,
+    """The driver's model of a table that a node has received, or of the file of that name. Raises BadInput,
     SpecError, SpecErrors."""
     if isinstance(written, str):
         source = read(written)
@@ -150,7 +149,7 @@ def read_table(kind: DriverTable, written: Any) -> Any:
 
 
 def _strip_places(value: Any) -> Any:
-    """Plain data in containers that know of no place."""
+    """Plain data in containers without places."""
     if isinstance(value, Mapping):
         table = SourceMapping()
         for key, item in value.items():
@@ -165,6 +164,6 @@ def _strip_places(value: Any) -> Any:
 
 
 def make_plain_table(source: Source) -> dict[str, Any]:
-    """A table in plain containers, as it is kept with the lab."""
+    """A table in plain containers, as it is stored with the lab."""
     told: dict[str, Any] = make_plain(source.data)
     return told

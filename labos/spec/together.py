@@ -1,4 +1,4 @@
-"""What a module's entry says of actions that it carries out for several runs at once."""
+"""The part of a module's entry about actions that it carries out for several runs at once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from labos.spec.stations import Stations
 def read_together(
     entry: ModuleEntry, description: Description, stations: Stations, path: Path_, remarks: Remarks
 ) -> Together | None:
-    """What a module does for several runs at once, as its entry says; None if nothing. Flaws are told."""
+    """The actions of a module for several runs at once, from its entry; None if there are none. Faults are
+    reported."""
     written = entry.together
     if written is None:
         return None
@@ -54,7 +55,7 @@ def _find_fault(action: ActionSpec) -> str:
 
 
 def _check_places(name: str, own: list[StationSpec], at: Path_, remarks: Remarks) -> None:
-    """Whether labware of several runs can be in a module, and nobody reaches in while it is at work."""
+    """Check that labware of several runs can be in a module, and that no arm reaches in while it works."""
     if sum(place.capacity for place in own if not place.hotel) < 2:
         remarks.error(f"{name} has no room for labware of several runs.", at, "Leave `together` out.")
     for place in own:

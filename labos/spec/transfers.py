@@ -1,4 +1,4 @@
-"""What a workcell's file says of transfers that name no module: who carries, and what it costs."""
+"""The part of a workcell's file about transfers that name no module: the modules and the costs."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def list_transfer_ways(
     *,
     foreign: bool,
 ) -> tuple[TransferWay, ...]:
-    """The ways of a file. ``drivers`` are the active modules' descriptions, by module. What another lab's
-    file says of what this workcell does not have is left out, with a warning."""
+    """The ways of a file. ``drivers`` are the active modules' descriptions, by module. In another lab's file,
+    ways with modules or stations that this workcell does not have are left out, with a warning."""
     reader = _Reader(file, drivers, stations, remarks, foreign)
     found = (reader.read_way(entry, ("transfers", index)) for index, entry in enumerate(file.transfers))
     return tuple(way for way in found if way is not None)

@@ -14,14 +14,14 @@ FAMILIES: dict[str, dict[str, float]] = {
     "length": {"mm": 1.0, "cm": 10.0, "m": 1000.0},
     "number": dict.fromkeys(("", "piece", "pieces", "pcs"), 1.0),
 }
-"""Units that can be turned into one another, with what each is worth."""
+"""Units that can be converted to one another, with their factors."""
 
 _SHOWN = {"nl": "nL", "ul": "uL", "ml": "mL", "l": "L"}
 
 
 def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
-    """An amount in the unit ``wanted`` (empty: pieces). Text bears its own unit; a number is in
-    ``unit``, or in the wanted one if that is empty. Raises SpecError."""
+    """An amount in the unit ``wanted`` (empty: pieces). A text contains its own unit. A number is in
+    ``unit``, or in ``wanted`` if ``unit`` is empty. Raises SpecError."""
     if isinstance(value, str):
         found = match_quantity(value)
         if found is None:
@@ -38,13 +38,13 @@ def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
             f"{what} is counted in {_show_unit(wanted)}, which {unit!r} cannot be turned into.",
             remedy=f"Write one of {_list_units([name for name in family if name])}.",
         )
-    # The greater number divides: what comes out whole stays whole.
+    # Divide by the greater factor: then whole results stay whole.
     factor = family[given] / family[counted]
     return value * factor if factor >= 1 else value / (family[counted] / family[given])
 
 
 def _simplify_unit(unit: str) -> str:
-    """A unit as it is looked up: capitals and the two signs for micro do not count."""
+    """The form of a unit for the look-up: without regard to capitals and to the two signs for micro."""
     return unit.strip().lower().replace("µ", "u").replace("μ", "u")
 
 

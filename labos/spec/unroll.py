@@ -1,6 +1,6 @@
 """Unrolls a workflow: ``for_each`` over lists, ``use`` of other files, steps left out by ``when``.
 
-What comes out are plain steps. Each of them knows its payload and the place where it was written.
+The result is a list of plain steps. Each has its payload and the place where it was written.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ MOST_STEPS = 2000
 MOST_ENTRIES = 20_000
 OF_A_RESCUE = {"name", "module", "action", "args", "use", "payload", "for_each", "when", "after"}
 OF_A_RESCUE |= {"retry", "timeout", "comment"}
-"""Keys of a step that stands under ``on_error``."""
+"""Keys of a step below ``on_error``."""
 
 OF_A_USE = {"name", "use", "payload", "for_each", "after", "when", "comment"}
 """Keys of an entry that uses a file."""
 
 DEEPEST = 8
-"""Files that use each other, one inside the other."""
+"""The most levels of files that use each other."""
 
 
 class UnrolledFile:
-    """One file while its steps are laid out."""
+    """One file while its steps are unrolled."""
 
     def __init__(self, file: WorkflowFile, source: Source, names: tuple[str, ...], *, foreign: bool) -> None:
         self.file, self.source, self.names, self.foreign = file, source, names, foreign
@@ -47,7 +47,7 @@ class UnrolledFile:
 
 
 class Unroller:
-    """Lays a workflow's steps out. Faults go to the report."""
+    """Unrolls a workflow's steps. Faults go to the report."""
 
     def __init__(
         self, report: FindingList, finder: FileFinder, defaults: Defaults, carriers: Carriers
@@ -66,7 +66,7 @@ class Unroller:
     def unroll(
         self, file: WorkflowFile, source: Source, payload: Mapping[str, Any], *, foreign: bool
     ) -> Layout:
-        """The steps of a workflow with its payload."""
+        """The steps of a workflow for its payload."""
         frame = UnrolledFile(file, source, (), foreign=foreign)
         self._fill_box(self.layout.main, frame, payload)
         if file.on_cancel is not None:
@@ -86,7 +86,7 @@ class Unroller:
     def _put_way_out(
         self, written: str | list[StepEntry], frame: UnrolledFile, payload: Mapping[str, Any]
     ) -> None:
-        """The steps that bring labware out when a run is cancelled."""
+        """Add the ``on_cancel`` steps, which clear labware away when a run is cancelled."""
         box = self._add_box_aside("on_cancel/")
         self._part = ON_CANCEL
         if isinstance(written, str):
@@ -96,8 +96,8 @@ class Unroller:
         self._part = MAIN
 
     def _put_aside(self, leaf: Leaf, frame: UnrolledFile, path: Path_) -> None:
-        """The steps that serve a step: what resets its module before it is done again, and what is done
-        when it has failed for good."""
+        """Add the steps that serve a step: the reset of its module before a retry, and the steps after its
+        final failure."""
         entry = leaf.entry
         self._part = leaf.index
         if isinstance(entry.retry, RetryEntry) and entry.retry.reset:
@@ -121,7 +121,7 @@ class Unroller:
     def _use_file(
         self, name: str, box: Box, frame: UnrolledFile, at: Path_, scope: Mapping[str, Any]
     ) -> None:
-        """Lay out the steps of a file that has the payload of the step that it serves."""
+        """Add the steps of a file that uses the payload of the step that it serves."""
         known = self._read(name, frame, at) if name not in frame.names else None
         if known is None:
             if name in frame.names:
@@ -139,8 +139,8 @@ class Unroller:
         at: Path_ = ("steps",),
         entries: Sequence[StepEntry] | None = None,
     ) -> None:
-        """Lay out the entries of a list that stands ``at`` a place in a file: its steps, if none are
-        given."""
+        """Add the entries of a list at the place ``at`` in a file; without ``entries``, all steps of the
+        file."""
         entries = frame.file.steps if entries is None else entries
         taken = {entry.name for entry in entries}
         counts: dict[str, int] = {}
@@ -240,7 +240,7 @@ class Unroller:
     def _is_wanted(
         self, node: LayoutNode, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
     ) -> bool:
-        """Whether ``when`` lets an entry in, as far as the payload decides it."""
+        """Whether ``when`` includes an entry, as far as the payload decides it."""
         entry = node.entry
         if not entry.when:
             return True
@@ -253,7 +253,7 @@ class Unroller:
                 self._add_error(frame, what, at, "Name values of the payload: `payload.count > 0`.")
                 return False
             if "steps" in roots:
-                return True  # it is decided while the run goes on
+                return True  # it is decided during the run
             decided = evaluate(expression, {"payload": scope})
         except ExpressionError as error:
             self._add_error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
@@ -269,7 +269,7 @@ class Unroller:
     def _unroll_transfer(
         self, node: LayoutNode, key: str, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
     ) -> None:
-        """Lay out the steps that carry labware from one station to another, with any arm."""
+        """Add the steps that carry labware from one station to another, with any arm."""
         entry = node.entry
         try:
             ends = fill(entry.args, scope, frame.needed)
@@ -287,7 +287,7 @@ class Unroller:
             change: dict[str, Any] = {"module": hop.module, "action": hop.action, "args": dict(hop.args)}
             if len(way) > 1:
                 change["name"] = name
-            if number > 1:  # what the first one waits for, the others have waited for
+            if number > 1:  # the other parts have waited for everything that the first one waits for
                 node.onward.add(len(node.rounds))
                 change |= {"wait": [], "within": []}
             if number < len(way):
@@ -303,11 +303,11 @@ class Unroller:
         scope: Mapping[str, Any],
         written: StepEntry | None = None,
     ) -> None:
-        """Lay out a step, as it is ``written`` or as its node's entry says."""
+        """Add a step, as ``written`` or as in its node's entry."""
         if key in self.layout.by_key:
             self._add_error(frame, f"Two steps would be called {key!r}.", path, "Rename one of them.")
             return
-        # What resets a module before a retry is LabOS' own step: it takes no defaults.
+        # The reset of a module before a retry is LabOS' own step, without defaults.
         entry = written or node.entry
         entry = entry if path[-1] == "reset" else self.defaults.fill_in(entry, scope)
         leaf = Leaf(
@@ -390,7 +390,7 @@ class Unroller:
 
 
 def _is_transfer(entry: StepEntry) -> bool:
-    """Whether a step says what is carried where, and not by which arm."""
+    """Whether a step states what is carried and where, but not the arm."""
     return entry.action == TRANSFER and not entry.module
 
 

@@ -1,8 +1,9 @@
-"""A description as a URDF (Unified Robot Description Format) with simple meshes, for simulators and
-motion planners: metres and radians, one link for each part and each station.
+"""A description as a URDF (Unified Robot Description Format) with simple meshes, for simulators and motion
+planners: metres and radians, one link for each part and each station.
 
-Two meshes serve all instruments: a cube with sides of 1 m, and a cylinder 1 m across and 1 m high, both
-about their middle; ``scale`` makes them what a part is. Masses are not known and left out.
+Two meshes are enough for all instruments: a cube with sides of 1 m, and a cylinder with a diameter and a
+height of 1 m, both centred at 0. ``scale`` gives them the size of a part. Masses are not known and are left
+out.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from labos.spec.describing import places
 from labos.spec.description import BASE, DescriptionFile, MovesEntry, ShapeEntry
 
 SIDES = 32
-"""Corners of the cylinder's ends."""
+"""The number of corners of the cylinder's ends."""
 
 COLOURS = {
     "white": (0.95, 0.95, 0.95, 1.0),
@@ -30,13 +31,13 @@ COLOURS = {
 }
 
 EFFORT, SPEED = "1000", "1"
-"""URDF asks for a greatest force and speed of each joint, which descriptions do not tell."""
+"""URDF requires a maximum force and speed for each joint, which descriptions do not have."""
 
 Corner = tuple[float, float, float]
 
 
 def write_urdf(file: DescriptionFile, name: str = "") -> str:
-    """The URDF; its meshes (``meshes``) are to lie in the same folder."""
+    """The URDF. Its meshes (``meshes``) must be in the same folder."""
     robot = ElementTree.Element("robot", name=name or file.driver)
     robot.append(
         ElementTree.Comment(
@@ -64,7 +65,7 @@ def write_urdf(file: DescriptionFile, name: str = "") -> str:
 
 
 def name_station_link(name: str) -> str:
-    """The name of the link that stands for a station."""
+    """The name of the link for a station."""
     return f"station_{name}"
 
 
@@ -173,7 +174,7 @@ def _iterate_slices() -> Iterator[tuple[Corner, Corner, Corner]]:
 
 
 def _encode_stl(triangles: Sequence[tuple[Corner, Corner, Corner]]) -> bytes:
-    """Binary STL; the normals are 0, so that readers take them from the order of the corners."""
+    """Binary STL. The normals are 0, so that programs compute them from the order of the corners."""
     body = b"".join(
         struct.pack("<12fH", 0, 0, 0, *(value for corner in triangle for value in corner), 0)
         for triangle in triangles

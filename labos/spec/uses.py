@@ -1,4 +1,4 @@
-"""What workflows ask of modules: the actions and arguments that they write, and where."""
+"""The uses of modules by workflows: the actions and arguments that they write, and their places."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from labos.spec.source import Source
 from labos.spec.validation import validate
 
 _NUMBER = re.compile(r"#\d+$|\[\d+\]$")
-"""What is behind the name of one step of several that bear it."""
+"""The suffix of a step's name if several steps have the same name."""
 
 
 class ResultUse(msgspec.Struct, frozen=True):
-    """An argument of a later step that is given these fields of a step's result."""
+    """An argument of a later step that gets these fields of a step's result."""
 
     module: str
     action: str
@@ -33,8 +33,8 @@ class ResultUse(msgspec.Struct, frozen=True):
 
 
 class Use(msgspec.Struct, frozen=True):
-    """A step that asks something of a module; ``where`` is its file and line, ``result_uses`` are those that
-    read its result."""
+    """A step that uses a module. ``where`` is its file and line; ``result_uses`` are the arguments that read
+    its result."""
 
     module: str
     action: str
@@ -44,14 +44,14 @@ class Use(msgspec.Struct, frozen=True):
 
 
 def read_uses(sources: Iterable[Source]) -> list[Use]:
-    """What the workflows among these files ask of modules that they name. Files that cannot be read are left
-    out: the reader of the file says why."""
+    """The uses of modules by the workflows among these files. Files that cannot be read are left out: another
+    check reports them."""
     return [use for source in sources for use in _iterate_uses(source)]
 
 
 def read_carriers(form: Source, file: WorkcellFile) -> list[Use]:
-    """What a workcell says of who carries labware where a step names no module, as if a workflow used it;
-    ``form`` is where its file says so."""
+    """The carriers that a workcell names for steps without a module, in the form of uses by a workflow.
+    ``form`` is the table of the file that names them."""
     found = []
     for index, way in enumerate(file.transfers):
         own = [place for place in file.stations if place.startswith(f"{way.module}.")]
@@ -65,9 +65,9 @@ def read_carriers(form: Source, file: WorkcellFile) -> list[Use]:
 
 
 def sort_workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
-    """The workflows among these files that use each of the workcells among them, by the workcell's file:
-    those that name it; and those that name none of these, where it has their modules. Of several, the
-    nearest."""
+    """The workflows among these files for each workcell among them, by the workcell's file. A workflow
+    belongs to the workcells that it names. A workflow that names none of them belongs to those with its
+    modules; if there are several, to the nearest."""
     cells: dict[str, set[str]] = {}
     flows: list[tuple[Source, WorkflowFile]] = []
     for source in sources:
@@ -115,7 +115,7 @@ def _find_stem(path: str) -> str:
 
 
 def _count_shared(one: str, other: str) -> int:
-    """How many folders two files have in common, from the root."""
+    """The number of folders that two paths have in common, from the root."""
     pairs = zip(PurePath(one).parts[:-1], PurePath(other).parts[:-1], strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
 
@@ -156,7 +156,7 @@ def _iterate_uses(source: Source) -> Iterator[Use]:
 
 
 def iterate_entries(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
-    """All steps that stand in a file, with their paths."""
+    """All steps in a file, with their paths."""
     on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
     waiting = [(("steps", i), entry) for i, entry in enumerate(file.steps)]
     waiting += [(("on_cancel", i), entry) for i, entry in enumerate(on_cancel)]

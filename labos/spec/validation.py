@@ -1,4 +1,4 @@
-"""Checks data against a model and says what is wrong in LabOS' words, with places."""
+"""Checks data against a model, and reports the faults in LabOS' words, with places."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def validate(model: type[M], source: Source, report: FindingList) -> M | None:
 
 
 def expect_valid(model: type[M], source: Source, report: FindingList) -> M:
-    """The same of a file that nothing can be done without. Raises SpecErrors."""
+    """The same for a file that is indispensable. Raises SpecErrors."""
     file = validate(model, source, report)
     if file is None:
         raise SpecErrors(report.sort_findings())
@@ -38,7 +38,7 @@ def expect_valid(model: type[M], source: Source, report: FindingList) -> M:
 
 
 def _is_misspelt(error: Any, others: Sequence[Any]) -> bool:
-    """Whether a key is missing only because it stands there with a slip of the pen."""
+    """Whether a key is missing only because of a typing error."""
     *table, key = error["loc"]
     beside = [
         str(other["loc"][-1]).lower()
@@ -95,7 +95,7 @@ def _translate(model: type[BaseModel], source: Source, report: FindingList, erro
 
 
 def _keep_existing(source: Source, loc: Sequence[int | str], kind: str) -> tuple[int | str, ...]:
-    """The error's path without the steps that pydantic adds for unions and for keys."""
+    """The error's path without the parts that pydantic adds for unions and for keys."""
     path: list[int | str] = []
     here: Any = source.data
     for position, part in enumerate(loc):

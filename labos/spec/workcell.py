@@ -64,11 +64,12 @@ MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "sila_node": ("sila", partial(find_first_flaw, SilaMapping)),
     "madsci_sila_node": ("sila", partial(find_first_flaw, SilaMapping)),
 }
-"""The interfaces that are told by a table below ``config``: its key, and what is wrong with it."""
+"""The interfaces that a table below ``config`` configures: the table's key, and a function that finds its
+faults."""
 
 
 class CompiledWorkcell(msgspec.Struct, frozen=True):
-    """A workcell, what stands on it at first, the warnings of its file; the file with what was drafted."""
+    """A workcell, its initial contents, the warnings of its file, and the file with the drafted parts."""
 
     workcell: Workcell
     bench: BenchFile
@@ -77,7 +78,7 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
 
     @property
     def left_out(self) -> dict[str, str]:
-        """The modules of the file that the workcell does not have, and why."""
+        """The modules of the file that are not in the workcell, with the reasons."""
         there = {local(module.name) for module in self.workcell.modules}
         return {
             entry.name: "no driver serves it" if entry.active else "it is switched off (`active: false`)"
@@ -99,8 +100,8 @@ def parse_workcell(
     file: str = "",
     sent: Mapping[str, bytes] | None = None,
 ) -> CompiledWorkcell:
-    """Compile a workcell given as text, with the files that were ``sent`` along with it: those that it names,
-    by these names. Raises SpecError or SpecErrors."""
+    """Compile a workcell given as text. ``sent`` are the files that it names, by these names. Raises
+    SpecError or SpecErrors."""
     return compile_workcell(parse(text, file, last_wins=True), descriptions, sent)
 
 
@@ -110,9 +111,9 @@ def compile_workcell(
     sent: Mapping[str, bytes] | None = None,
     uses: Sequence[Use] | None = None,
 ) -> CompiledWorkcell:
-    """Compile a workcell. The files that it names are looked for beside it, or among those ``sent`` if they
-    are given: then no disk is read. What another lab's file does not say is drafted from the ``uses`` that
-    workflows make of it, if they are given. Raises SpecError or SpecErrors."""
+    """Compile a workcell. The files that it names are searched beside it; if ``sent`` is given, only among
+    these, and no disk is read. If ``uses`` by workflows are given, missing parts of another lab's file are
+    drafted from them. Raises SpecError or SpecErrors."""
     report = FindingList(source.file)
     form, dialect = convert_workcell(source, report)
     file = expect_valid(WorkcellFile, form, report)
@@ -152,7 +153,7 @@ def _draft(
     remarks: Remarks,
     own: Mapping[str, LabwareType],
 ) -> WorkcellFile:
-    """Another lab's file with what the workflows show of its modules and places."""
+    """Another lab's file with its modules and places drafted from the workflows."""
     aside = Remarks(form, FindingList(form.file))
     file = draft_modules(file, _Modules(file, descriptions, aside, True).drivers, uses, remarks)
     described = _Modules(file, descriptions, aside, True).drivers
@@ -161,7 +162,7 @@ def _draft(
 
 
 def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, Description]) -> list[Finding]:
-    """What is wrong with a workcell file; never raises for what the file holds."""
+    """The faults of a workcell file; it never raises because of the file's content."""
     try:
         source = source if isinstance(source, Source) else read(source, last_wins=True)
         return list(compile_workcell(source, descriptions).findings)
@@ -200,7 +201,8 @@ class _Modules:
                     self.drivers[entry.name] = found
 
     def _describe(self, entry: ModuleEntry, path: Path_) -> Description | None:
-        """What its own ``about:`` says, else its driver; with what it offers beyond that."""
+        """The description from its own ``about:``, otherwise from its driver; with the additions of
+        ``extends``."""
         told = "about" if entry.about is not None else "extends"
         if entry.about is not None and (entry.driver or entry.extends is not None):
             other = "driver" if entry.driver else "extends"
@@ -222,7 +224,7 @@ class _Modules:
             return None
 
     def _find_description(self, entry: ModuleEntry, path: Path_) -> Description | None:
-        """What its driver says, which may follow from a table."""
+        """The description of its driver, which may depend on a table."""
         driver = self._find_driver(entry, path)
         kind = find_table(driver, self.descriptions) if driver else None
         if kind is not None:
@@ -230,7 +232,7 @@ class _Modules:
         return self.descriptions[driver] if driver else None
 
     def _describe_by_table(self, kind: DriverTable, entry: ModuleEntry, path: Path_) -> Description | None:
-        """What follows from the table that the driver is told."""
+        """The description that follows from the driver's configuration table."""
         at = (*path, "config", kind.key)
         if kind.key not in entry.config:
             self.remarks.error(
@@ -257,14 +259,14 @@ class _Modules:
         return kind.describe(told)
 
     def make_digest(self, source: Source, labware: Sequence[str]) -> str:
-        """That of the file, of the tables that stand in files of their own, and of ``labware`` files."""
+        """The digest of the file, of its tables in separate files, and of ``labware`` files."""
         others = [table.digest for table in self._tables.values() if table.digest != source.digest]
         others += labware
         return digest("\n".join([source.digest, *others]).encode()) if others else source.digest
 
     def _check_interface(self, entry: ModuleEntry, path: Path_) -> None:
-        """An interface that nobody has heard of is a slip. One without an adapter is no error here: the
-        module can be simulated; its node says so on a real bench."""
+        """An unknown interface is a typing error. A known one without an adapter is no error here: the module
+        can be simulated, and its node reports the missing adapter on a real bench."""
         at = (*path, "interface")
         why = explain_unreachable(entry.interface)
         if why and entry.interface not in PLANNED and not self.foreign:
@@ -315,7 +317,7 @@ class _Modules:
         return None
 
     def _suggest(self, entry: ModuleEntry, path: Path_) -> str | None:
-        """The driver that the file of another lab seems to mean. Public files call a module by its kind and
+        """The driver to which another lab's file probably refers. Public files name a module by its kind, and
         its model by a name of their own."""
         exact = match_driver(entry.name, self.descriptions)
         if exact:
@@ -333,7 +335,7 @@ class _Modules:
         return None
 
     def build(self, name: str, stations: Stations) -> ModuleSpec:
-        """A module as it stands in the workcell."""
+        """A module of the compiled workcell."""
         (index, entry), description = self._entries[name], self.drivers[name]
         path = ("modules", index)
         if entry.coordinates is not None and len(entry.coordinates) != 7:
@@ -373,7 +375,7 @@ class _Modules:
         )
 
     def _list_capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:
-        """What the file says of consumables, in the units in which the driver counts them."""
+        """The capacities for consumables in the file, in the units in which the driver counts them."""
         found: dict[str, float] = {}
         for name, written in entry.resources.items():
             value, unit = (written.amount, written.unit) if isinstance(written, Amount) else (written, "")
@@ -393,9 +395,9 @@ class _Modules:
     def _make_config(
         self, name: str, entry: ModuleEntry, description: Description, stations: Stations
     ) -> dict[str, Any]:
-        """What the module's node is told: ``config`` as written, ``poses`` of a manipulator by
-        station (``poses_of`` labware types, by type and station), and ``interface`` and ``coordinates``
-        where the file gives them."""
+        """The configuration of the module's node: ``config`` as written; ``poses`` of a manipulator by
+        station (``poses_of`` labware types, by type and station); and ``interface`` and ``coordinates`` if
+        the file has them."""
         config = dict(entry.config)
         ways = config.get("representations")
         if isinstance(ways, dict):
@@ -438,7 +440,7 @@ class _Modules:
     def _list_poses(
         self, name: str, description: Description, stations: Stations
     ) -> tuple[dict[str, list[float]], dict[str, dict[str, list[float]]]]:
-        """The module's taught locations, under the stations' own names; and those of labware types."""
+        """The module's taught locations by the stations' own names; and those for single labware types."""
         poses: dict[str, list[float]] = {}
         poses_of: dict[str, dict[str, list[float]]] = {}
         for place, written in self.file.locations.get(name, {}).items():
@@ -447,7 +449,7 @@ class _Modules:
                 poses[station] = written
                 continue
             if isinstance(written, ShelfPoses):
-                continue  # its shelves stand beside it, or it has none, which was told
+                continue  # its shelves are listed separately, or it has none, which was reported
             self._check_types(name, place, written, description)
             poses[station] = written.get(ANY, [])
             for kind, joints in written.items():
@@ -458,7 +460,8 @@ class _Modules:
     def _check_types(
         self, name: str, place: str, written: Mapping[str, list[float]], description: Description
     ) -> None:
-        """Poses by labware type: for a module that hears what it carries, and with one for the rest."""
+        """Check poses by labware type: the module has to receive the type of its labware, and there has to be
+        a pose for all other types."""
         at = ("locations", name, place)
         if ANY not in written:
             message = f"It is not said where {name} finds {place} with labware of other types."
@@ -468,7 +471,7 @@ class _Modules:
             self.remarks.error(message, at, "Write one list of numbers.", key=True)
 
     def _regrip(self, name: str, entry: ModuleEntry, path: Path_, stations: Stations) -> StationName:
-        """Where the arm turns its grip: as written, else a station of its own called regrip."""
+        """The station where the arm changes its grip: as written, otherwise its own station ``regrip``."""
         if not entry.regrip:
             own = StationName(f"{self.file.name}/{name}.regrip")
             return own if own in stations else StationName("")
@@ -480,7 +483,7 @@ class _Modules:
 
 
 def _station_of(place: str, module: str, stations: Stations) -> str:
-    """A station as steps name it, by what a file calls it; what is none stays as it is."""
+    """The name that steps use for a station of the file; other names are not changed."""
     try:
         return local(stations.find(place, module))
     except SpecError:

@@ -33,8 +33,8 @@ from labos.spec.validation import expect_valid
 
 
 class StartingLabware(msgspec.Struct, frozen=True):
-    """Labware that a person must have put somewhere before a run: ``labware`` is a type that is accepted
-    there, with its lid if it needs one, ``variables`` what it must be (``{"sealed": True}``)."""
+    """Labware that a person must have put at a station before a run. ``labware`` is a type that is accepted
+    there, with its lid if it needs one. ``variables`` are the required values (``{"sealed": True}``)."""
 
     station: StationName
     labware: str
@@ -42,11 +42,12 @@ class StartingLabware(msgspec.Struct, frozen=True):
 
 
 class Compiled(msgspec.Struct, frozen=True):
-    """A plan, the stations where labware must stand at its start and those where it stands at
-    its end (one entry a piece), the warnings, the content of pinned files by digest, and what a person
-    must have ``brought`` before. ``others`` are plans of the same steps on other modules, where the workflow
-    leaves a choice; everything else is that of ``plan``. ``windows`` is what the workflow says of windows
-    that cannot be kept for all durations, ``written`` where the steps with windows have them."""
+    """A compiled workflow. It has a plan, the stations where labware must be at its start, and those where it
+    is at its end (one entry per piece). It also has the warnings, and the content of pinned files by digest.
+    ``brought`` is the labware that a person must have put there before. ``others`` are plans of the same
+    steps on other modules, if the workflow has a choice; all other fields are those of ``plan``. ``windows``
+    is the workflow's reaction to windows that cannot be kept for all durations, and ``written`` are the
+    places of the steps with windows."""
 
     plan: Plan
     inputs: tuple[StationName, ...] = ()
@@ -60,7 +61,7 @@ class Compiled(msgspec.Struct, frozen=True):
 
     @property
     def plans(self) -> tuple[Plan, ...]:
-        """All plans between which a run chooses."""
+        """All plans from which a run can choose."""
         return (self.plan, *self.others)
 
 
@@ -88,12 +89,11 @@ def compile_workflow(
 ) -> Compiled:
     """Compile a workflow.
 
-    ``files`` are contents by the path that arguments name, as a client sends them along; other
-    files are looked up beside the workflow and in the folders of ``search``. A file that is
-    nowhere is a warning if ``simulate``, else an error. ``bench`` tells what the stacks hold: what
-    it does not name is empty; without it, nothing is known of them. ``left_out`` are modules of the
-    workcell's file that the workcell does not have, and why.
-    Raises SpecError or SpecErrors.
+    ``files`` are contents by the path that arguments name, as a client sends them along; other files are
+    looked up beside the workflow and in the folders of ``search``. A file that is nowhere is a warning if
+    ``simulate``, else an error. ``bench`` has the contents of the stacks; stacks that it does not name are
+    empty. Without it, the contents of all stacks are unknown. ``left_out`` are modules of the workcell's file
+    that the workcell does not have, and why. Raises SpecError or SpecErrors.
     """
     source = source if isinstance(source, Source) else read_workflow(source)
     report = FindingList(source.file)
@@ -122,7 +122,7 @@ def compile_workflow(
 
 
 class Given(msgspec.Struct):
-    """What a workflow is compiled from, beside itself."""
+    """The data for compiling a workflow, besides the workflow itself."""
 
     source: Source
     form: Source
@@ -134,7 +134,7 @@ class Given(msgspec.Struct):
 
 
 def _with_choice(finding: Finding, chosen: Mapping[str, str]) -> Finding:
-    """A finding that says with which modules it was made, where there is a choice."""
+    """A finding with the chosen modules for which it was made, if there is a choice."""
     if not chosen:
         return finding
     by = ", ".join(f"{name!r} by {module}" for name, module in chosen.items())
@@ -142,7 +142,7 @@ def _with_choice(finding: Finding, chosen: Mapping[str, str]) -> Finding:
 
 
 def _refuse_unlike(found: Sequence[Compiled], form: Source, report: FindingList) -> None:
-    """Raises SpecErrors for plans that differ in more than who does the steps."""
+    """Raises SpecErrors for plans that differ in more than their modules."""
     keys = [[(step.key, step.part) for step in each.plan.steps] for each in found]
     if any(other != keys[0] for other in keys):
         report.error(
@@ -216,7 +216,7 @@ def validate_workflow(
     descriptions: Mapping[str, Description],
     **options: Any,
 ) -> list[Finding]:
-    """What is wrong with a workflow; never raises for what the file or the payload holds."""
+    """The faults of a workflow; it never raises because of the content of the file or the payload."""
     try:
         return list(compile_workflow(source, payload, workcell, descriptions, **options).findings)
     except SpecErrors as errors:

@@ -1,4 +1,5 @@
-"""The tables of who may sign in, on SQLite or PostgreSQL. They stand beside the log, and can be erased."""
+"""The tables of accounts (persons, passwords, tokens, sessions), on SQLite or PostgreSQL. They are stored
+beside the log, and can be erased."""
 
 from __future__ import annotations
 
@@ -57,12 +58,12 @@ class SqlAccounts:
             _replace(connection, person_table, person.user, name=person.name, mail=person.mail)
 
     def erase(self, user: str) -> None:
-        """Forget who a user is, and all that they sign in with."""
+        """Erase the personal data of a user, and all passwords, tokens and sessions."""
         with self.change() as connection:
             for table in _OF_A_USER:
                 connection.execute(delete(table).where(table.c.user_id == user))
         if self._writing.dialect.name == "sqlite":
-            # Deleted bytes are overwritten (secure_delete); the write-ahead log has older pages yet.
+            # Deleted bytes are overwritten (secure_delete), but the write-ahead log still has older pages.
             with suppress(SQLAlchemyError), self._writing.connect() as connection:
                 connection.connection.driver_connection.execute(  # type: ignore[union-attr]
                     "PRAGMA wal_checkpoint(TRUNCATE)"
@@ -71,7 +72,7 @@ class SqlAccounts:
     # -- passwords -----------------------------------------------------------------------------
 
     def password(self, user: str) -> str:
-        """The hash of a user's password; empty for one who has none."""
+        """The hash of a user's password; empty if there is none."""
         return str(self._value(select(password_table.c.hash).where(password_table.c.user_id == user)) or "")
 
     def set_password(self, user: str, hash_: str, now: int) -> None:
@@ -89,7 +90,7 @@ class SqlAccounts:
         return next(iter(self._tokens(token_table.c.digest == digest)), None)
 
     def tokens(self, user: str = "") -> list[Token]:
-        """The tokens of a user, or of all; the oldest first."""
+        """The tokens of a user, or of all users; the oldest first."""
         return self._tokens(token_table.c.user_id == user if user else None)
 
     def _tokens(self, condition: Any) -> list[Token]:
@@ -114,7 +115,7 @@ class SqlAccounts:
     # -- sessions ------------------------------------------------------------------------------
 
     def add_session(self, session: Session, digest: bytes) -> None:
-        """Sessions that are over go on this occasion."""
+        """Sessions that have ended are deleted here too."""
         with self.change() as connection:
             connection.execute(delete(session_table).where(session_table.c.expires_at <= session.created_at))
             connection.execute(
@@ -143,7 +144,7 @@ class SqlAccounts:
     # -- who an identity provider means ----------------------------------------------------------
 
     def user_of(self, issuer: str, subject: str) -> str:
-        """The user with this name at a provider; empty if there is none."""
+        """The user with this name at an identity provider; empty if there is none."""
         table = identity_table.c
         found = self._value(select(table.user_id).where(table.issuer == issuer, table.subject == subject))
         return str(found or "")
@@ -165,8 +166,8 @@ def _replace(connection: Connection, table: Table, user: str, **values: Any) -> 
 
 
 def open_accounts(url: str) -> SqlAccounts:
-    """The accounts beside the log, in a database that has its tables. Close it before the log: SQLite makes
-    one file of its parts when the last connection goes."""
+    """The accounts beside the log, in a database that has its tables. Close them before the log: SQLite
+    merges its files into one when the last connection is closed."""
     parsed = parse_url(url)
     if parsed.get_backend_name() != "sqlite":
         from labos.store._postgres import make_small_engine

@@ -1,7 +1,7 @@
-"""Who may sign in, in a backup: a file beside the segments that is written anew with each backup.
+"""The accounts in a backup: a file beside the segments that is written anew with each backup.
 
-Accounts are no part of the log, because they can be erased. So their copy is one too: a person who was erased
-is gone from the backup's folder with the next backup into it. Sessions of browsers are not copied.
+Accounts are not part of the log, because they can be erased. The same holds for their copy: an erased person
+is removed from the backup's folder by the next backup into it. Sessions of browsers are not copied.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class AccountsCopy(msgspec.Struct, frozen=True):
 
     @property
     def users(self) -> int:
-        """Of how many users something is known."""
+        """The number of users with any data."""
         return len({row["user_id"] for rows in self.tables.values() for row in rows})
 
 
 def copy_accounts(
     accounts: SqlAccounts, lab: str, folder: Path, now_ns: int, key: bytes = b""
 ) -> AccountsCopy:
-    """Write the accounts as they are now into a backup's folder, in place of those before."""
+    """Write the present accounts into a backup's folder, and replace the earlier copy."""
     with accounts.read() as connection:
         tables = {
             table.name: [_make_plain_row(row._asdict()) for row in connection.execute(select(table))]
@@ -53,8 +53,7 @@ def copy_accounts(
 
 
 def read_accounts_copy(folder: Path, lab: str, key: bytes = b"") -> AccountsCopy | None:
-    """The accounts of a backup; None if it has none. Raises BadInput, and Refused for a seal that does not
-    hold."""
+    """The accounts of a backup; None if it has none. Raises BadInput, and Refused for a wrong seal."""
     path = folder / FILE
     if not path.exists():
         return None
@@ -83,7 +82,7 @@ _WITHOUT = "Move the file away to restore the log without accounts, then make ne
 
 
 def put_accounts_back(accounts: SqlAccounts, copied: AccountsCopy) -> None:
-    """Put copied accounts into a database that has none, all or nothing."""
+    """Put copied accounts into a database that has none; all or none."""
     with accounts.change() as connection:
         for table in TABLES:
             rows = [_decode_row(table, row) for row in copied.tables.get(table.name, ())]

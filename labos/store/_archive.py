@@ -1,7 +1,7 @@
-"""Old segments of a backup, moved to where they are kept for years.
+"""Moving old segments of a backup to their place for long-term storage.
 
-A segment is copied, synced and read again before it leaves the folder: whenever this is broken off, it is in
-one of the two places, or in both. The newest segment stays.
+A segment is copied, synced and read again before it is removed from the folder. So after an interruption it
+is in at least one of the two places. The newest segment stays.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from labos.store._segment import digest_file
 
 
 def move_old_segments(folder: Path, to: Path, before_ns: int) -> list[Segment]:
-    """Move the segments whose newest event was recorded before a time (UTC ns); returns those that were
-    moved. Raises LogDamaged for a segment that is not what was sealed (it stays), StoreUnavailable,
+    """Move the segments whose newest event was recorded before a time (UTC ns); returns the moved ones.
+    Raises LogDamaged for a segment that differs from the sealed one (it stays), StoreUnavailable,
     BadInput."""
     found = read_backup(folder)
     moved = []
     for segment in found.segments[:-1]:
         if segment.recorded_at >= before_ns:
-            break  # later ones are younger
+            break  # later segments are newer
         source, target = folder / segment.file, to / segment.file
         if not source.is_file():
             continue  # it was moved before

@@ -1,4 +1,4 @@
-"""What SQLite and PostgreSQL do differently; everything else is in ``_event_store``."""
+"""The differences between SQLite and PostgreSQL; everything else is in ``_event_store``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ Row = tuple[Any, ...]
 
 
 class WordChanges(msgspec.Struct, frozen=True):
-    """What records do to the words beside them: rows that are added, and parameters of ``ERASE_WORDS``."""
+    """The changes of the words beside the log by new records: rows to add, and parameters of
+    ``ERASE_WORDS``."""
 
     added: Sequence[Row] = ()
     erased: Sequence[Row] = ()
@@ -28,11 +29,11 @@ REWRITE_WORDS = (
     "ALTER TABLE words ALTER COLUMN text SET STATISTICS 0, "
     "ALTER COLUMN text TYPE text COLLATE \"C\" USING text || ''"
 )
-"""Writes the table into a new file, without the rows that are no more. The server takes no samples of the
-texts for its planner: they would stand in its catalogue."""
+"""Writes the table into a new file, without deleted rows. The server must not take samples of the texts for
+its planner: they would be stored in its catalogue."""
 
 REWRITING = "labos_rewrite_words"
-"""The function by which a role that does not own the table has that done."""
+"""The function with which a role that does not own the table has it rewritten."""
 
 MOVE_HEAD = (
     "UPDATE head SET position = ?, hash = ?, recorded_at = ? "
@@ -54,81 +55,82 @@ def make_head_row(expected: Head, after: Head) -> Row:
 
 
 class Backend(Protocol):
-    """The part of the store that knows its database."""
+    """The part of the store that depends on the database."""
 
     reading: Engine
-    """Connections for readers; they cannot write and never make the writer wait."""
+    """Connections for readers. They cannot write, and the writer never waits for them."""
 
     writing: Engine
-    """Makes the one connection that writes; a transaction on it is immediately exclusive."""
+    """Makes the single connection that writes; its transactions are exclusive from their begin."""
 
     now_ms: ColumnElement[int]
     """The database's clock, milliseconds since 1970."""
 
     def occupy(self, owner: str) -> None:
-        """Before a claim: take what only one kernel can hold. Raises Refused."""
+        """Take the lock that only one kernel can hold; called before a claim. Raises Refused."""
 
     def take_over(self, epoch: int, owner: str, remaining_ms: int) -> None:
-        """Inside a claim, with the head row locked: make sure that the kernel of ``epoch`` is
-        gone, and show that the kernel of ``epoch + 1`` lives. Raises Refused."""
+        """Make sure that the kernel of ``epoch`` is gone, and show that the kernel of ``epoch + 1`` lives.
+        Called inside a claim, while the head row is locked. Raises Refused."""
 
     def vacate(self) -> None:
-        """Give back what ``occupy`` and ``take_over`` took."""
+        """Release what ``occupy`` and ``take_over`` took."""
 
     def keep(self, epoch: int) -> None:
-        """At every renewal: take again what a lost connection dropped."""
+        """Take again what a lost connection released; called at every renewal."""
 
     def is_locked(self, connection: Connection, epoch: int) -> bool:
-        """Whether the kernel of this epoch still holds what only a living one can hold; asked by
-        a reader. True if there is no telling."""
+        """Whether the kernel of this epoch still holds the lock of a living kernel; called by readers. True
+        if this cannot be found out."""
 
     def stand_by(self, name: str) -> None:
-        """Show that somebody of this name stands by."""
+        """Show that a standby of this name is ready."""
 
     def standbys(self) -> list[str]:
-        """The names of those who stand by."""
+        """The names of the standbys that are ready."""
 
     def append(
         self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: WordChanges
     ) -> bool:
-        """In one exclusive transaction move the head from ``expected`` to ``after``, add rows
-        of the event table, in the order of its columns, and do what follows for words. False, and nothing
-        done, if the head is
-        another. By plain statements: SQLAlchemy would take longer over each than the database."""
+        """In one exclusive transaction, move the head from ``expected`` to ``after``, add rows of the event
+        table in the order of its columns, and make the changes of words. Returns False, and changes nothing,
+        if the head is a different one. It uses plain statements, because SQLAlchemy would take longer for
+        each than the database."""
 
     def insert(self, connection: Connection, rows: Sequence[Row], beside: WordChanges) -> None:
-        """Add rows of the event table, and do what follows for words, inside the transaction that the caller
+        """Add rows of the event table, and make the changes of words, inside the transaction that the caller
         began."""
 
     def scrub(self) -> str:
-        """Let nothing of what was erased stand anywhere in the database's files. Returns why it may still;
-        empty if it does not."""
+        """Remove all erased data from the database's files. Returns why some may remain; empty if none
+        does."""
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
-        """Rows of a plain statement (``?`` marks), by a reader's connection, without the cost
-        that SQLAlchemy adds to each row."""
+        """The rows of a plain statement (``?`` marks), by a reader's connection, without SQLAlchemy's cost
+        for each row."""
 
     def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
-        """Whether a column of text or bytes contains this text or these bytes, exactly."""
+        """Whether a column of text or bytes contains exactly this text or these bytes."""
 
     def flaw(self, connection: Connection) -> str:
-        """What the database itself finds wrong with its tables and indices; empty if nothing, or if it has
-        no means to tell."""
+        """The fault that the database itself finds in its tables and indexes; empty if it finds none, or
+        cannot check."""
 
     def forget(self) -> None:
-        """Before the writer connects again after an error: end what the server may still do for
-        its old connection. Raises StoreUnavailable, or the driver's error, if that is not sure."""
+        """End the work that the server may still do for the writer's old connection; called before the
+        writer connects again after an error. Raises StoreUnavailable, or the driver's error, if this is
+        not certain."""
 
     def hang_up(self) -> None:
-        """End every connection from this side, even if somebody waits on it. From any thread; waits for
-        nothing."""
+        """Close every connection from this side, even if a thread waits for an answer on it. May be called
+        from any thread; it does not wait."""
 
     def close(self) -> None: ...
 
 
 class Holder(msgspec.Struct, frozen=True):
-    """Who is the kernel by the head row (empty: the lab was given back), for how long its lease still
-    runs, and whether it holds what only a living kernel can hold."""
+    """The kernel that holds the lab according to the head row (empty: the lab was given back), the remaining
+    time of its lease, and whether it holds the lock of a living kernel."""
 
     owner: str
     lease_left_s: float
@@ -140,7 +142,7 @@ class Holder(msgspec.Struct, frozen=True):
 
 
 def find_holder(backend: Backend) -> Holder:
-    """Asked by a reader: nobody waits for it."""
+    """Called by readers; no other connection waits for it."""
     with backend.reading.connect() as connection:
         left = (head.c.lease_until - backend.now_ms).label("left")
         row = connection.execute(select(head.c.lease_owner, head.c.epoch, left)).one()

@@ -1,10 +1,10 @@
-"""Backups: the log as sealed segments and its blobs, in a folder, taken while the lab runs.
+"""Backups: the log as sealed segments, with its blobs, in a folder; made while the lab runs.
 
-The log only grows, so what stands up to a position is read at leisure while the kernel writes on:
-nobody waits. A second backup into the same folder adds a segment with what is new. A segment is
-never changed; its manifest in ``backup.json`` names its hashes, the state that it ends in, and bears
-a seal if a key was given. People's words stand in a file of their own (``_words_copy``). The folder is
-verified by itself, without a database.
+The log only grows. So the records up to a position can be copied while the kernel continues to write; no
+process waits. A second backup into the same folder adds a segment with the new records. A segment is never
+changed. Its manifest in ``backup.json`` has its hashes, the hash of the state at its end, and a seal if a key
+was given. People's words are in a separate file (``_words_copy``). The folder can be verified without a
+database.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _FILE = re.compile(r"\w[\w.-]*", re.ASCII)
 
 
 class Segment(msgspec.Struct, frozen=True, omit_defaults=False):
-    """A sealed stretch of the log. ``before`` and ``hash`` are the chain's hashes in front of it and
-    at its end, ``state`` the hash of the state that the log amounts to there, as the fold ``fold``
-    has it; ``seal`` is empty if no key was given."""
+    """A sealed part of the log. ``before`` and ``hash`` are the chain's hashes before it and at its end.
+    ``state`` is the hash of the state at its end, computed by the fold code ``fold``. ``seal`` is empty if no
+    key was given."""
 
     lab: str
     first: int
@@ -55,7 +55,7 @@ class Segment(msgspec.Struct, frozen=True, omit_defaults=False):
 
 
 class Backup(msgspec.Struct, frozen=True):
-    """What ``backup.json`` holds. ``epoch`` is the highest that the log's kernels had."""
+    """The content of ``backup.json``. ``epoch`` is the highest epoch of the log's kernels."""
 
     format: int
     lab: str
@@ -84,10 +84,10 @@ def backup(
     key: bytes = b"",
     simulated: bool = False,
 ) -> Backup:
-    """Bring a backup up to the log's present end; returns what the folder holds then.
+    """Extend a backup to the log's present end; returns the new content of the folder.
 
-    Raises Refused if the folder holds another lab's backup or one that the log contradicts,
-    LogDamaged (nothing is added), StoreUnavailable, BadInput.
+    Raises Refused if the folder holds another lab's backup or a backup that the log contradicts, LogDamaged
+    (nothing is added), StoreUnavailable, BadInput.
     """
     head = store.head()
     if not head.position:
@@ -127,7 +127,7 @@ def backup(
             sha256=digest,
         )
         segments = (*segments, add_seal(segment, key))
-    # After the log: words and a blob are on disk before the event that names them.
+    # Copied after the log: words and a blob are on disk before the event that refers to them.
     copy_words(store.all_words(), folder, head.position)
     copies = _copy_blobs(blobs, FolderBlobs(folder / "blobs"), set(known.blobs) if known else set())
     made = Backup(FORMAT, str(head.lab), head.epoch, segments, copies, simulated)
@@ -136,7 +136,7 @@ def backup(
 
 
 def read_backup(folder: Path) -> Backup:
-    """What a folder says that it holds. Raises BadInput."""
+    """The content of a folder by its manifest. Raises BadInput."""
     try:
         found = msgspec.json.decode((folder / MANIFEST).read_bytes(), type=Backup)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -149,7 +149,8 @@ def read_backup(folder: Path) -> Backup:
             remedy="Upgrade this installation: pip install --upgrade labos-sdl",
         )
     for segment in found.segments:
-        if not _FILE.fullmatch(segment.file):  # it is read from, and moved to, places beside the manifest
+        # The name is used for reading and moving files beside the manifest.
+        if not _FILE.fullmatch(segment.file):
             raise BadInput(
                 f"The manifest of {folder} names {segment.file[:80]!r}, which is no segment.",
                 remedy="Somebody has changed it: take another copy of the backup.",
@@ -159,7 +160,7 @@ def read_backup(folder: Path) -> Backup:
 
 def records_of(folder: Path, found: Backup, archive: Path | None = None) -> Iterator[Record]:
     """The records of a backup, each checked against the chain and the manifests; segments that are not in its
-    folder are read from the ``archive`` they were moved to. Raises LogDamaged."""
+    folder are read from the ``archive`` to which they were moved. Raises LogDamaged."""
     yield from read_stretch(folder, found.lab, found.segments, GENESIS, 0, archive)
 
 
@@ -171,8 +172,8 @@ def read_stretch(
     after: int,
     archive: Path | None = None,
 ) -> Iterator[Record]:
-    """The records of segments that follow each other, the first one behind the position ``after`` with the
-    hash ``before``; each checked against the chain and the manifests. Raises LogDamaged."""
+    """The records of consecutive segments. The first segment begins after the position ``after`` with the
+    hash ``before``. Each record is checked against the chain and the manifests. Raises LogDamaged."""
     for segment in segments:
         if segment.lab != lab:
             raise report_damage(segment, f"is of the lab {segment.lab}, and the backup is of {lab}")
@@ -188,13 +189,13 @@ def read_stretch(
 
 
 def find_segment(folder: Path, segment: Segment, archive: Path | None) -> Path:
-    """Where the file of a segment is: in the backup's folder, else where it was moved to."""
+    """The file of a segment: in the backup's folder, or in the archive."""
     here = folder / segment.file
     return here if archive is None or here.is_file() else archive / segment.file
 
 
 def _read_segment_of_lab(path: Path, segment: Segment) -> Iterator[Record]:
-    """The records of a segment's file. Whose they are is said before the chain."""
+    """The records of a segment's file. The lab is checked before the chain."""
     for record in read_segment(path, segment.first - 1):
         if record.head.lab != segment.lab:
             raise report_damage(segment, f"holds a record of the lab {record.head.lab}")
@@ -202,8 +203,8 @@ def _read_segment_of_lab(path: Path, segment: Segment) -> Iterator[Record]:
 
 
 def verify_backup(folder: Path, *, key: bytes = b"", archive: Path | None = None) -> tuple[Backup, LabState]:
-    """Check a backup by itself: seals, files, chain, fold and blobs; returns it and the state that it
-    amounts to. Segments that are not in its folder are looked for in the ``archive``. Raises LogDamaged,
+    """Check a backup without a database: seals, files, chain, fold and blobs. Returns the backup and its
+    final state. Segments that are not in its folder are searched in the ``archive``. Raises LogDamaged,
     LogTooNew, BadInput."""
     found = read_backup(folder)
     check_manifests(folder, found.segments, key, archive)
@@ -221,7 +222,7 @@ def verify_backup(folder: Path, *, key: bytes = b"", archive: Path | None = None
                 remedy="What stands before it may be trusted.",
             ) from None
         end = ends.get(at.position)
-        # Another version of LabOS may picture the same state otherwise.
+        # Another version of LabOS may encode the same state differently.
         if end is not None and end.fold == fold_fingerprint() and end.state != hash_state(state):
             raise report_damage(end, "folds to another state than when it was sealed")
     words.end()
@@ -238,7 +239,8 @@ def verify_backup(folder: Path, *, key: bytes = b"", archive: Path | None = None
 def check_manifests(
     folder: Path, segments: Sequence[Segment], key: bytes, archive: Path | None = None
 ) -> None:
-    """Whether segments are there, and their seals good if a key is given. Raises LogDamaged."""
+    """Check that all segments are there, and that their seals are correct if a key is given. Raises
+    LogDamaged."""
     for segment in segments:
         if fault := check_seal(segment, key):
             raise report_damage(segment, f"cannot be trusted: {fault}")
@@ -247,14 +249,14 @@ def check_manifests(
 
 
 def check_files(folder: Path, segments: Sequence[Segment], archive: Path | None = None) -> None:
-    """Whether segments are the files that were sealed, to the byte. Raises LogDamaged."""
+    """Check that the files of segments are identical to the sealed ones. Raises LogDamaged."""
     for segment in segments:
         if digest_file(find_segment(folder, segment, archive)) != segment.sha256:
             raise report_damage(segment, "is not the file that was sealed")
 
 
 def report_damage(segment: Segment, why: str) -> LogDamaged:
-    """What is wrong with a segment as a whole."""
+    """The error for a segment that is damaged as a whole."""
     return LogDamaged(
         f"The segment {segment.file} (positions {segment.first} to {segment.last}) {why}.",
         position=segment.first,
@@ -308,7 +310,7 @@ def _copy_blobs(source: Blobs, target: FolderBlobs, done: set[str]) -> tuple[str
 
 
 def key_of(file: Path) -> bytes:
-    """A key from a file: the SHA-256 of its bytes without the white space around them. Raises BadInput."""
+    """A key from a file: the SHA-256 of its bytes without white space at both ends. Raises BadInput."""
     try:
         text = file.read_bytes().strip()
     except OSError as error:

@@ -12,7 +12,7 @@ from labos.errors import LogDamaged, NotFound, StoreUnavailable
 from labos.private import make_folder, remove_leftovers, replace_file, sync_folder, tighten
 
 DIGEST = re.compile("[0-9a-f]{64}")
-"""What a blob is called: its SHA-256."""
+"""The name of a blob: its SHA-256."""
 
 
 REMOVING = ".removing"
@@ -21,24 +21,24 @@ REMOVING = ".removing"
 class FolderBlobs:
     """Blobs in a local folder (``ab/cd/abcd…``); implements ``labos.ports.BlobStore``.
 
-    Several processes may use one folder. A blob is whole or absent: it is written beside its
-    place, synced, then renamed.
+    Several processes may use one folder. A blob is complete or absent: it is written to a temporary file,
+    synced, then renamed.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path).absolute()
 
     def put(self, data: bytes) -> str:
-        """Keep bytes, synced on return, and return their SHA-256. Keeping the same bytes again
-        changes nothing, and mends a file that was damaged. Raises StoreUnavailable."""
+        """Store bytes, synced on return, and return their SHA-256. Storing the same bytes again changes
+        nothing, but repairs a damaged file. Raises StoreUnavailable."""
         name = digest(data)
         target = self._find_file(name)
         try:
             made = make_folder(target.parent)
-            # First of all it becomes young: then nobody removes it as unused.
+            # The time of the file is renewed first, so that no other process removes it as unused.
             if not (_touch(target) and _holds_data(target, data)):
                 replace_file(target, data)
-            # Also for a blob that was there: another process may have renamed it only just now.
+            # This is also done for an existing blob: another process may have renamed it just now.
             for folder in {target.parent, *(folder.parent for folder in made)}:
                 sync_folder(folder)
         except OSError as error:
@@ -70,7 +70,7 @@ class FolderBlobs:
             try:
                 return path.read_bytes()
             except FileNotFoundError:
-                continue  # perhaps it is put aside for a moment
+                continue  # it may be set aside for a moment
         return file.read_bytes()
 
     def names(self) -> Iterator[str]:
@@ -83,26 +83,26 @@ class FolderBlobs:
             raise self._make_unavailable_error(error) from error
 
     def remove_unused(self, name: str, before: float) -> bool:
-        """Remove a blob that nothing names, unless it was kept again since ``before`` (UNIX time); whether
-        that was done. Raises StoreUnavailable."""
+        """Remove a blob to which no event refers, unless it was stored again since ``before`` (UNIX time).
+        Returns whether it was removed. Raises StoreUnavailable."""
         source, aside = self._find_file(name), self.path / REMOVING / name
         try:
             make_folder(aside.parent)
             if source.stat().st_mtime >= before:
-                return False  # a young blob is not put aside at all: its readers would have to look for it
+                return False  # a new blob is not set aside at all: its readers would have to search for it
             source.rename(aside)
             if aside.stat().st_mtime >= before:
                 aside.rename(source)
                 return False
             aside.unlink()
         except FileNotFoundError:
-            return False  # somebody has removed it, or keeps it just now
+            return False  # another process has removed it, or stores it just now
         except OSError as error:
             raise self._make_unavailable_error(error) from error
         return True
 
     def put_back_removed(self) -> None:
-        """What a removal that was broken off has put aside stands where it was. Raises StoreUnavailable."""
+        """Move blobs back that an interrupted removal has set aside. Raises StoreUnavailable."""
         try:
             for aside in (self.path / REMOVING).glob("*"):
                 target = self._find_file(aside.name)
@@ -114,8 +114,8 @@ class FolderBlobs:
             raise self._make_unavailable_error(error) from error
 
     def tidy(self) -> None:
-        """What a lab does when it opens: the folder becomes private, and what writers that died left behind
-        of blobs that are not whole goes away."""
+        """Clean up when a lab opens: make the folder private, and delete incomplete files of writers that
+        died."""
         tighten([self.path], "the folder of blobs")
         remove_leftovers(self.path, "[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/.*")
 
@@ -130,7 +130,7 @@ class FolderBlobs:
 
 
 def verify_blob(where: Path | str, name: str, data: bytes) -> None:
-    """Raises LogDamaged if these are not the bytes of that name."""
+    """Raises LogDamaged if the bytes do not match the name."""
     if digest(data) != name:
         raise LogDamaged(
             f"The blob {name} in {where} is not what was stored: its bytes changed.",
@@ -140,7 +140,7 @@ def verify_blob(where: Path | str, name: str, data: bytes) -> None:
 
 
 def _touch(file: Path) -> bool:
-    """Make a file young; whether there is one."""
+    """Renew the time of a file; returns whether the file exists."""
     try:
         os.utime(file)
     except FileNotFoundError:

@@ -1,8 +1,8 @@
-"""Records as a fold reads them: each is checked against the chain before anybody believes it.
+"""Records for a fold: each is checked against the chain before it is used.
 
-A database that was damaged, or changed by somebody, is found out here and not by what the lab does because
-of it. Checked are the hash (so the envelope, and its link to the record before), the payload's digest, and
-the columns that a fold uses against the envelope. The other columns only serve queries; ``first_damage``
+So a damaged or manipulated database is detected here, and not by its consequences in the lab. The check
+covers the hash (and therefore the envelope, and its link to the record before), the payload's digest, and the
+columns that a fold uses against the envelope. The other columns only serve queries; ``find_first_damage``
 checks them too.
 """
 
@@ -31,23 +31,24 @@ _sha256 = hashlib.sha256
 
 
 class CheckedRows:
-    """Rows of ``COLUMNS`` in, (position, type, schema, recorded_at, payload) out; ``hash`` is that of the
-    last row that was good, at first that of the record before the first row."""
+    """Takes rows of ``COLUMNS``, and gives (position, type, schema, recorded_at, payload). ``hash`` is the
+    hash of the last correct row; at first it is the hash of the record before the first row."""
 
     def __init__(self, name: str, lab: str, before: bytes) -> None:
         self._name, self._lab = name, lab
         self.hash = before
 
     def check(self, rows: Sequence[Row]) -> Iterator[Row]:
-        """Raises LogDamaged at the first row that is not what was recorded; those before it are given."""
+        """Raises LogDamaged at the first row that differs from what was recorded; the rows before it are
+        given."""
         number = self._count_good(rows)
-        # By one call for all of them: a step in Python for each would cost as much as its check.
+        # One call checks all of them: a Python step for each would cost as much as its check.
         yield from map(_FOLDED, rows if number == len(rows) else rows[:number])
         if number < len(rows):
             raise report_damage(self._name, rows[number][0], _find_fault(rows[number], self.hash, self._lab))
 
     def _count_good(self, rows: Sequence[Row]) -> int:
-        """How many rows, from the first one on, are what was recorded."""
+        """The number of rows, from the first one on, that are as recorded."""
         previous, lab, decode, sha256 = self.hash, self._lab, decode_folded, _sha256
         number = 0
         try:
@@ -67,15 +68,15 @@ class CheckedRows:
                 previous = stored
                 number += 1
         except (TypeError, ValueError, msgspec.MsgspecError):
-            pass  # ``_find_fault`` says which field it is
+            pass  # ``_find_fault`` finds the field
         self.hash = previous
         return number
 
 
 def _find_fault(row: Row, previous: bytes, lab: str) -> str:
-    """What is wrong with a row, in words that name the field."""
+    """The fault of a row, with the name of the field."""
     position, kind, schema, recorded_at, payload, envelope, stored = row
-    # SQLite lets a column hold a value of any type.
+    # SQLite allows values of any type in a column.
     fields = {"envelope": envelope, "payload": payload, "hash": stored}
     wrong = [name for name, value in fields.items() if not isinstance(value, bytes)]
     if wrong:
@@ -96,7 +97,7 @@ def _find_fault(row: Row, previous: bytes, lab: str) -> str:
 
 
 def report_damage(name: str, position: int, fault: str) -> LogDamaged:
-    """The error for a record that cannot be believed."""
+    """The error for a record that is not as recorded."""
     return LogDamaged(
         f"The record at position {position} of the {name} is damaged: {fault}.",
         position=position,

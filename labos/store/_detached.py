@@ -1,9 +1,9 @@
-"""The later segments of a backup, checked without those before them, which may be kept elsewhere.
+"""A check of the later segments of a backup, if the segments before them are kept elsewhere.
 
-A segment's manifest says which hash the chain had in front of it. From there on the chain is checked as
-in a whole backup; that the log before was what it was, the segment takes on trust. A seal covers that
-hash too. Words that the segments refer to are checked as in a whole backup. A state cannot be folded from the
-middle: it is as the manifests say, not as anybody checked.
+A segment's manifest has the hash of the chain before the segment. From there on the chain is checked as in a
+whole backup. This hash itself is not checked; a seal covers it too. Words to which the segments refer are
+checked as in a whole backup. A state cannot be folded from the middle of a log, so the hashes of states in
+the manifests are not checked.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from labos.store._words_copy import WordsExpected
 
 
 class Detached(msgspec.Struct, frozen=True):
-    """What was checked (``segments``), what it rests on (``before``: the chain's hash at the position
-    ``after``; ``sealed`` if a seal vouches for it), and what is not here. ``blobs`` counts those that were
-    checked."""
+    """The result: the checked ``segments``, the hash ``before`` that was not checked (of the chain at the
+    position ``after``; ``sealed`` if a seal covers it), and the missing parts. ``blobs`` counts the checked
+    blobs."""
 
     lab: str
     segments: tuple[Segment, ...]
@@ -47,8 +47,8 @@ class Detached(msgspec.Struct, frozen=True):
 
 
 def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
-    """Check the segments of a backup from the first one on that is in its folder; none may be missing
-    behind it. Raises LogDamaged, BadInput."""
+    """Check the segments of a backup from the first one that is in its folder; no later segment may be
+    missing. Raises LogDamaged, BadInput."""
     found = read_backup(folder)
     there = [(folder / segment.file).is_file() for segment in found.segments]
     if not any(there):
@@ -73,7 +73,7 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
 
 
 def _count_blobs(folder: Path, found: Backup) -> tuple[int, int]:
-    """How many blobs are there and good, and how many are not there. Raises LogDamaged."""
+    """The number of blobs that are there and correct, and the number of missing ones. Raises LogDamaged."""
     blobs = FolderBlobs(folder / "blobs")
     here = set(found.blobs).intersection(blobs.names())
     for name in here:

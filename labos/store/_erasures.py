@@ -1,8 +1,9 @@
-"""A list of erasures, kept beside the database: an older copy of the log that is put back must not bring back
-what was erased since.
+"""A list of erasures, stored beside the database: a restored older copy of the log must not bring erased
+words back.
 
-One line of JSON for each text: the lab, the reference, the position of the event that erased it. Without its
-salt, which is gone, a reference tells nothing of the text. The list only grows; a torn last line is cut off.
+There is one line of JSON for each text: the lab, the reference, and the position of the event that erased it.
+Its salt is deleted, and without the salt nothing can be learned from a reference. The list only grows; a torn
+last line is cut off.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ _decoder = msgspec.json.Decoder(Erased)
 
 
 def read_erasures(file: Path) -> Iterator[Erased]:
-    """What a list says. Raises BadInput for a file that is none."""
+    """The entries of a list. Raises BadInput for a file that is not such a list."""
     try:
         lines = file.read_bytes().split(b"\n")
     except OSError as error:
         raise BadInput(
             f"{file} cannot be read: {error.strerror}.", remedy="Name a lab's labos.erased."
         ) from None
-    for number, line in enumerate(lines[:-1], 1):  # what stands behind the last newline was cut off
+    for number, line in enumerate(lines[:-1], 1):  # bytes after the last newline are a torn line
         try:
             yield _decoder.decode(line)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""The one door through which a database's errors become LabOS's own."""
+"""Translates a database's errors into LabOS' own; the only place that does."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     ),
 )
 LEAST_FREE = 64 * 1024
-"""Bytes without which SQLite cannot even begin."""
+"""With less free space than this, SQLite cannot even start."""
 
 _OTHERWISE = "Check that the database runs and can be reached."
 
 
 def translate_error(url: URL, error: BaseException) -> LabosError | None:
-    """What a database's error means for LabOS; None if it is a surprise of our own making."""
+    """LabOS' error for a database's error; None if it is an unexpected error of LabOS itself."""
     names = _list_dbapi_names(error)
     if names & {"IntegrityError", "DataError"}:
         return InvariantBroken(
@@ -75,7 +75,7 @@ def translate_error(url: URL, error: BaseException) -> LabosError | None:
 
 
 def find_remedy(reason: str) -> str:
-    """What to do about a driver's message."""
+    """The remedy for a driver's message."""
     lowered = reason.lower()
     for words, remedy in _REMEDIES:
         if any(word in lowered for word in words):
@@ -93,12 +93,13 @@ _DRIVERS = ("sqlite3", "psycopg")
 
 
 def _describe_error(url: URL, error: BaseException) -> str:
-    """The driver's own words: one line, without SQL and without the password."""
+    """The driver's message in one line, without SQL and without the password."""
     origin = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
     lines = [line.strip() for line in str(origin).splitlines() if line.strip()]
     text = (lines[0] if lines else type(origin).__name__).rstrip(".")
     if "disk i/o error" in text.lower() and _is_full(url):
-        text += ", as its disk is full"  # SQLite says no more where its shared memory finds no room
+        # SQLite reports nothing else when there is no room for its shared memory.
+        text += ", as its disk is full"
     return text.replace(url.password, "***") if url.password else text
 
 

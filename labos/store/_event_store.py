@@ -23,7 +23,7 @@ from labos.store._tables import head, snapshot
 from labos.store._words import make_changes, read_erased, read_words
 
 CLOSE_S = 2.0
-"""How long a store that is to be closed waits for a write that is under way, before it breaks it off."""
+"""When the store is closed, a write under way may take this long before it is broken off."""
 
 _log = structlog.get_logger(__name__)
 
@@ -68,23 +68,23 @@ class SqlEventStore(LogReader):
 
     @property
     def known_position(self) -> int:
-        """The highest position that this lab's log is known to have had when it was opened; 0 if nothing is
-        known. If it is above the head's, the log has lost its tail: by a damaged disk, or because somebody
-        put an older copy in its place. It comes from a note in the lab's folder and from the sealed snapshot,
-        so it may also be too low. Raises StoreUnavailable."""
+        """The highest position that this lab's log is known to have had when it was opened; 0 if it is not
+        known. If it is above the head's position, the log has lost its end, because of a damaged disk or a
+        restored older copy. It comes from a note in the lab's folder and from the sealed snapshot, so it may
+        be too low. Raises StoreUnavailable."""
         if self._known is None:
             self._known = self._look_for_known()
         return self._known
 
     def accept_end(self) -> None:
-        """A person has compared the bench with this log: it is whole now, however far it once reached."""
+        """A person has compared the bench with this log: its present end counts as complete."""
         self._known = 0
         self._files.begin_notes(0)
 
     def _look_for_known(self) -> int:
-        """Where this log is known to have reached."""
+        """The highest known position of this log."""
         note, found = self._files.read_known_end(), self.read_snapshot_row()
-        head = self.head()  # after those two: a kernel may be writing on
+        head = self.head()  # read after those two, because a kernel may be writing
         known = 0
         if note is not None and (note.lab == head.lab or not head.position):
             known = note.position
@@ -99,32 +99,32 @@ class SqlEventStore(LogReader):
         return known
 
     def find_holder(self) -> Holder:
-        """Who is the kernel, and whether it lives. Writes nothing and keeps nobody waiting. Raises
+        """The present kernel, and whether it lives. Nothing is written, and no other process waits. Raises
         StoreUnavailable."""
         with self._door:
             return find_holder(self._backend)
 
     def stand_by(self, name: str) -> None:
-        """Show to the kernel that somebody stands by; to be called again every few seconds. Raises
+        """Show the kernel that a standby is ready; has to be called again every few seconds. Raises
         StoreUnavailable."""
         with self._door:
             self._backend.stand_by(name)
 
     def stand_down(self) -> None:
-        """Show no more that somebody stands by."""
+        """Stop showing that a standby is ready."""
         with self._door:
             self._backend.vacate()
 
     def standbys(self) -> list[str]:
-        """Who stands by, and has shown so in the last seconds. Raises StoreUnavailable."""
+        """The standbys that have shown in the last seconds that they are ready. Raises StoreUnavailable."""
         with self._door:
             return self._backend.standbys()
 
     def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
         """Become the lab's one kernel: raise the epoch and take the lease.
 
-        ``lab`` is given to an empty log; any other keeps its id, which the returned head bears.
-        Raises Refused while another kernel lives, StoreUnavailable.
+        ``lab`` is the id for an empty log. Any other log keeps its id, which is in the returned head. Raises
+        Refused while another kernel lives, StoreUnavailable.
         """
         self._refuse_if_read_only()
         with self._door:
@@ -141,13 +141,13 @@ class SqlEventStore(LogReader):
         if self._known is None:
             self._known = self._look_for_known()
         self._keep_erasures(claimed.lab)
-        # An empty log is a new lab's from now on.
+        # From now on the empty log belongs to a new lab.
         self._files.begin_notes(self._known if claimed.position else 0)
         return claimed
 
     def _keep_erasures(self, lab: LabId) -> None:
-        """Note what a kernel erased that died before it could note it; and erase again what somebody brought
-        back with an older copy of the database."""
+        """Note erasures of a kernel that died before it could note them, and erase again what an older copy
+        of the database brought back."""
         try:
             known = self._files.erasures(lab)
         except BadInput as error:
@@ -166,18 +166,18 @@ class SqlEventStore(LogReader):
                 self._backend.scrub()
 
     def note_erasures(self) -> None:
-        """Note in the lab's folder what this database says that was erased. Raises StoreUnavailable."""
+        """Note in the lab's folder the erasures that are in this database. Raises StoreUnavailable."""
         self._files.note_erasures(self._lab_id(), self._find_erased_here())
 
     def _find_erased_here(self) -> dict[str, int]:
-        """What this database says that was erased, and the lab's folder does not know."""
+        """The erasures in this database that are not noted in the lab's folder."""
         known = self.erasures()
         with self._door, self._backend.reading.connect() as connection:
             return {name: at for name, at in read_erased(connection).items() if name not in known}
 
     def erasures(self) -> dict[str, int]:
-        """The words of this lab that were erased by what the lab's folder knows, also in a newer copy of this
-        log: references, and positions of the events that did it. Raises BadInput, StoreUnavailable."""
+        """The erased words of this lab according to its folder, also of a newer copy of this log: references,
+        and positions of the erasing events. Raises BadInput, StoreUnavailable."""
         return self._files.erasures(self._lab_id())
 
     def _take_over(self, connection: Connection, lab: LabId, owner: str, lease_s: float) -> Head:
@@ -206,8 +206,9 @@ class SqlEventStore(LogReader):
             self._backend.keep(epoch)
 
     def release(self, epoch: int, *, to_standby: bool = False) -> None:
-        """Give the lease back. Does nothing if another kernel has taken over already. A lab that is left
-        ``to_standby`` still bears the name of its last kernel: that is what a standby goes by."""
+        """Release the lease. Nothing happens if another kernel has taken over already. With
+        ``to_standby``, the head row keeps the name of its last kernel, by which the standby knows that it
+        should take over."""
         values = {"lease_until": 0} if to_standby else {"lease_owner": "", "lease_until": 0}
         with self._door:
             try:
@@ -221,12 +222,12 @@ class SqlEventStore(LogReader):
     # -- writing ---------------------------------------------------------------------------
 
     def append(self, expected: Head, records: Sequence[Record]) -> Head:
-        """Write records behind ``expected``, all or none, synced to disk on return.
+        """Write records after ``expected``, all or none, synced to disk on return.
 
-        Raises Fenced if the head is not the expected one or this store did not claim the lab,
-        StoreUnavailable if nothing was written or the outcome of the commit is not known (ask
-        ``head``), InvariantBroken if the database holds such a record already, ValueError if
-        the records do not follow ``expected``. Never tries again.
+        Raises Fenced if the head is not the expected one, or if this store did not claim the lab. Raises
+        StoreUnavailable if nothing was written, or if the outcome of the commit is not known (ask ``head``).
+        Raises InvariantBroken if the database has such a record already, and ValueError if the records do
+        not follow ``expected``. It is never retried.
         """
         if not records:
             return expected
@@ -244,15 +245,15 @@ class SqlEventStore(LogReader):
         return after
 
     def scrub(self) -> str:
-        """Let nothing of words that were erased stand in the database's files any more. Returns why something
-        still may, empty if it does not. Raises StoreUnavailable."""
+        """Remove all erased words from the database's files. Returns why some may remain; empty if none does.
+        Raises StoreUnavailable."""
         self._refuse_if_read_only()
         with self._door, self._turn:
             return self._backend.scrub()
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
-        """Keep a disposable picture of the state, sealed with the lab's key; replaces older ones. Without a
-        key nothing is kept, as nobody would believe it. Raises StoreUnavailable."""
+        """Store a snapshot of the state, sealed with the lab's key; it replaces older ones. Without a key
+        nothing is stored, because it would not be used. Raises StoreUnavailable."""
         self._refuse_if_read_only()
         if not self._files.key():
             return
@@ -270,21 +271,22 @@ class SqlEventStore(LogReader):
             connection.execute(insert(snapshot), values)
 
     def hang_up(self) -> None:
-        """Break off whatever any thread waits for in the database; it gets StoreUnavailable. Waits for
-        nothing itself. What the writer was about is in doubt then, as when the line breaks: ask ``head``.
-        On SQLite there is no line; a thread that waits for a disk cannot be helped."""
+        """Break off every call that waits for the database, in any thread; it raises StoreUnavailable. The
+        function itself does not wait. Afterwards the outcome of the writer's last transaction is in doubt, as
+        after a lost connection: ask ``head``. On SQLite there is no connection to a server; a thread that
+        waits for a disk continues to wait."""
         self._backend.hang_up()
 
     def close(self) -> None:
-        """Close every connection and give back what makes this process the kernel; the lease
-        itself ends by ``release``. Callers that still wait for the database get StoreUnavailable."""
+        """Close every connection, and release the locks that make this process the kernel; the lease itself
+        is ended by ``release``. Callers that still wait for the database get StoreUnavailable."""
         mine = self._turn.acquire(timeout=CLOSE_S)
         if not mine:
             self.hang_up()
             mine = self._turn.acquire(timeout=CLOSE_S)
         try:
             self._backend.reading.dispose()
-            if mine:  # else a thread hangs in it, and takes it along when the process ends
+            if mine:  # otherwise a thread hangs in it, and so does the end of the process
                 self._drop_writer()
             self._epoch = None
             self._files.end_notes()
@@ -303,8 +305,8 @@ class SqlEventStore(LogReader):
 
     @contextmanager
     def _connection(self) -> Iterator[Connection]:
-        """The writer's connection, which is thrown away after any error but an expected one: what
-        it did is then not known."""
+        """The writer's connection. After an unexpected error it is closed, because its effect is not
+        known."""
         self._refuse_if_read_only()
         with self._turn:
             if self._writer is None:

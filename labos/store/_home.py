@@ -1,11 +1,11 @@
-"""What the store keeps in the lab's folder, outside the database: a key, a note of the log's end, and which
-words were erased.
+"""The store's files in the lab's folder, outside the database: a key, a note of the log's end, and a list of
+erased words.
 
-The key seals snapshots: somebody who can write to the database, but not read the lab's folder, cannot make a
-state that the kernel believes. The note says how far the log has reached, so that a database that lost its
-tail shows: SQLite drops the rest of a damaged write-ahead log without a word. It is written after each commit
-and synced now and then, so it may be behind the log, never before it. It can only say that the log was once
-longer; what follows from that, the kernel decides."""
+The key seals snapshots. So an attacker who can write to the database, but cannot read the lab's folder,
+cannot make a snapshot that the kernel uses. The note has the last known position of the log. It shows when a
+database has lost its end: SQLite drops the rest of a damaged write-ahead log without an error. The note is
+written after each commit and synced from time to time, so it may be behind the log, but never ahead of it. It
+can only show that the log was longer before; the kernel decides what follows."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
 KEY_FILE = "labos.key"
 END_FILE = "labos.head"
 END_BYTES = 512
-"""The note is always so long, so that a shorter one leaves nothing of a longer one behind."""
+"""The note always has this length, so that a shorter note leaves no rest of a longer one."""
 
 SYNC_EVERY = 1000
-"""Commits after which the note is synced."""
+"""The note is synced after this number of commits."""
 
 _KEY = re.compile(rb"[0-9a-f]{64}\s*")
 SEAL = "hmac-sha256:"
-"""How the seal of a snapshot begins; older versions of LabOS kept a bare digest there."""
+"""The beginning of a snapshot's seal; older versions of LabOS stored a plain digest there."""
 
 _log = structlog.get_logger(__name__)
 
 
 class KnownEnd(msgspec.Struct, frozen=True):
-    """How far a log has reached: the hash, as hexadecimal digits, that it had at a position."""
+    """The known end of a log: a position, and the hash of the log there (hexadecimal digits)."""
 
     lab: str
     position: int
@@ -51,8 +51,8 @@ class KnownEnd(msgspec.Struct, frozen=True):
 
 
 class HomeFiles:
-    """The files in one lab's folder. ``home`` is None for a store that has no such folder: it has no key, so
-    it keeps and uses no snapshots, and takes no note of the log's end."""
+    """The files in one lab's folder. ``home`` is None for a store without such a folder. Such a store has no
+    key, so it neither stores nor uses snapshots, and keeps no note of the log's end."""
 
     def __init__(self, home: Path | None) -> None:
         self._home = home
@@ -71,12 +71,14 @@ class HomeFiles:
         return self._key
 
     def make_key(self) -> None:
-        """Give the lab a key if it has none. Without one, as on a full disk, it goes without snapshots."""
+        """Make a key for the lab if it has none. If this fails, as on a full disk, the lab has no
+        snapshots."""
         if self._home is None or self.key():
             return
         path = self._home / KEY_FILE
         try:
-            if path.exists():  # what cannot be read is not overwritten: somebody may have a copy to put back
+            # A file that cannot be read is not overwritten: a person may restore it from a copy.
+            if path.exists():
                 return
             make_folder(self._home)
             with create_file(path, exclusive=True) as file:
@@ -121,15 +123,15 @@ class HomeFiles:
     # -- what was erased ---------------------------------------------------------------------
 
     def erasures(self, lab: str) -> dict[str, int]:
-        """The references of a lab's words that were erased, and the positions of the events that did it.
-        Raises BadInput."""
+        """The references of a lab's erased words, and the positions of the erasing events. Raises
+        BadInput."""
         file = self._home / ERASURES if self._home is not None else None
         if file is None or not file.exists():
             return {}
         return {each.reference: each.position for each in read_erasures(file) if each.lab == lab}
 
     def note_erasures(self, lab: str, erased: Mapping[str, int]) -> None:
-        """These words were erased, in the database as well. If it cannot be noted, the next start does."""
+        """Note erased words, which are also erased in the database. If this fails, the next start does it."""
         if self._home is None or not erased:
             return
         try:
@@ -140,7 +142,7 @@ class HomeFiles:
     # -- the end of the log ------------------------------------------------------------------
 
     def read_known_end(self) -> KnownEnd | None:
-        """What the note says; None if there is none that can be believed."""
+        """The content of the note; None if there is no valid one."""
         if self._home is None:
             return None
         path = self._home / END_FILE
@@ -157,7 +159,7 @@ class HomeFiles:
         return found
 
     def begin_notes(self, known: int) -> None:
-        """From now on ``note`` writes, but nothing below the position that is known already."""
+        """From now on ``note`` writes, but no position below the known one."""
         self._known = known
         if self._home is None or self._note is not None:
             return
@@ -170,7 +172,7 @@ class HomeFiles:
             self._give_up(error)
 
     def note(self, head: Head) -> None:
-        """The log reaches to there, on disk."""
+        """Note that the log on disk ends at this head."""
         if self._note is None or head.position < self._known:
             return
         end = add_seal(KnownEnd(head.lab, head.position, head.hash.hex()), self.key())
@@ -196,7 +198,7 @@ class HomeFiles:
                 os.close(handle)
 
     def _give_up(self, error: OSError) -> None:
-        """The lab works without it; but one witness less can show that the log has lost its end."""
+        """The lab works without the note, but one proof less can show that the log has lost its end."""
         _log.warning("end_of_log_not_noted", folder=str(self._home), why=str(error))
         handle, self._note = self._note, None
         if handle is not None:
@@ -204,5 +206,5 @@ class HomeFiles:
 
 
 def forget_end(home: Path) -> None:
-    """A log is put back from a copy on purpose: how far it once reached is of no more use. Raises OSError."""
+    """Delete the note, because a log is restored from a copy on purpose. Raises OSError."""
     (home / END_FILE).unlink(missing_ok=True)

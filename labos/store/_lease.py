@@ -1,4 +1,4 @@
-"""Questions about a database that need no log: who runs the lab on it, its size, its name."""
+"""Queries about a database without reading its log: the present kernel, its size, its name."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from labos.store._url import find_sqlite_path, parse_url
 
 
 def find_lease_holder(url: str) -> str:
-    """Who is the kernel on this database now; empty if nobody is, or if there is no telling.
+    """The present kernel on this database; empty if there is none, or if this cannot be found out.
 
-    A kernel that was killed holds nothing, although the lease that it wrote down has not run out:
-    its lock went with it. Raises BadInput for a URL that cannot be used.
+    A kernel that was killed does not count, even if its lease has not expired: its lock was released when it
+    died. Raises BadInput for a URL that cannot be used.
     """
     parsed = parse_url(url)
     if parsed.get_backend_name() == "sqlite" and not find_sqlite_path(parsed).is_file():
@@ -38,8 +38,8 @@ def find_lease_holder(url: str) -> str:
 
 
 def find_silent_holder(url: str) -> str:
-    """The last kernel on this database, if it neither gave the lab back nor lives; else empty.
-    Raises BadInput for a URL that cannot be used, StoreUnavailable."""
+    """The last kernel on this database, if it neither released the lab nor lives; otherwise empty. Raises
+    BadInput for a URL that cannot be used, StoreUnavailable."""
     parsed = parse_url(url)
     backend = choose_backend(parsed)
     try:
@@ -51,7 +51,7 @@ def find_silent_holder(url: str) -> str:
 
 
 def measure_database(url: str) -> int:
-    """How much room the database takes, its write-ahead log included. Raises StoreUnavailable."""
+    """The size of the database in bytes, with its write-ahead log. Raises StoreUnavailable."""
     file = find_database_file(url)
     if file is not None:
         files = (file, file.with_name(file.name + "-wal"))

@@ -1,4 +1,4 @@
-"""The open connections to a server, so that they can be cut while somebody waits on one."""
+"""The open connections to a server. They can be closed while a thread waits for an answer."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import psycopg
 
 
 class Lines:
-    """Connections of psycopg. libpq waits for an answer without any limit of its own, and a frozen
-    server's system goes on acknowledging what is sent: nothing but the end of the line wakes who waits."""
+    """Connections of psycopg. libpq waits for an answer without a time limit, and the system of a frozen
+    server continues to acknowledge what is sent. Only closing the connection wakes the waiting thread."""
 
     def __init__(self) -> None:
         self._open: WeakSet[psycopg.Connection[Any]] = WeakSet()
@@ -25,7 +25,7 @@ class Lines:
             self._open.add(connection)
 
     def cut(self) -> None:
-        """End all of them from this side: callers that wait get psycopg's OperationalError."""
+        """Close all connections from this side: waiting callers get psycopg's OperationalError."""
         with self._lock:
             lines = list(self._open)
         for line in lines:
@@ -33,8 +33,9 @@ class Lines:
 
 
 def _shut(line: psycopg.Connection[Any]) -> None:
-    # By a handle of its own: the thread that waits may close the line at this moment, and its number
-    # may be another file's then. One that is still open afterwards was the line's.
+    # The connection is closed by a handle of its own: the waiting thread may close it at this moment, and its
+    # number may then belong to another file. If the handle is still open afterwards, it belonged to the
+    # connection.
     with (
         contextlib.suppress(psycopg.Error, OSError),
         socket.fromfd(line.pgconn.socket, socket.AF_INET, socket.SOCK_STREAM) as handle,

@@ -31,10 +31,10 @@ _MIGRATION_LOCK = 0x4C61624D
 
 
 class DatabaseStatus(msgspec.Struct, frozen=True):
-    """What a database holds, as far as migrations are concerned.
+    """The state of a database for migrations.
 
-    ``state`` is ``missing`` (no file), ``empty`` (no tables of LabOS), ``older``, ``current`` or
-    ``newer``; ``revision`` is what it has, ``expected`` what this LabOS needs.
+    ``state`` is ``missing`` (no file), ``empty`` (no tables of LabOS), ``older``, ``current`` or ``newer``;
+    ``revision`` is its revision, ``expected`` the one that this LabOS needs.
     """
 
     name: str
@@ -44,7 +44,8 @@ class DatabaseStatus(msgspec.Struct, frozen=True):
 
 
 def is_replica(url: str) -> bool:
-    """Whether a database only follows another one: nothing can be written there. Raises StoreUnavailable."""
+    """Whether a database is a replica of another one, so that it cannot be written. Raises
+    StoreUnavailable."""
     parsed = parse_url(url)
     if parsed.get_backend_name() == "sqlite":
         return False
@@ -59,7 +60,7 @@ def is_replica(url: str) -> bool:
 
 
 def find_migrations_folder() -> Path:
-    """The migrations in the installed package, else those of the checkout."""
+    """The folder of the migrations: in the installed package, otherwise in the checkout."""
     here = Path(__file__).resolve()
     for folder in (here.parents[1] / "_migrations", here.parents[2] / "migrations"):
         if (folder / "env.py").is_file():
@@ -81,10 +82,10 @@ def alembic_config() -> Config:
 
 
 def migrate(url: str) -> str:
-    """Bring an empty or older database to this version's revision and return that.
+    """Bring an empty or older database to this version's revision; returns the revision.
 
-    Raises LogTooNew for a database of a newer LabOS, which is left untouched, and
-    StoreUnavailable if the database cannot be reached or written.
+    Raises LogTooNew for a database of a newer LabOS, which is left untouched, and StoreUnavailable if the
+    database cannot be reached or written.
     """
     parsed = parse_url(url)
     with TranslatedErrors(parsed):
@@ -98,7 +99,7 @@ def migrate(url: str) -> str:
 
 
 def read_database_status(url: str) -> DatabaseStatus:
-    """What a database holds; nothing is created or changed. Raises StoreUnavailable."""
+    """The state of a database; nothing is created or changed. Raises StoreUnavailable."""
     parsed = parse_url(url)
     with TranslatedErrors(parsed):
         return _status(parsed)
@@ -164,8 +165,8 @@ def _list_revisions() -> set[str]:
 
 
 def find_schema_of_log(connection: Connection) -> str:
-    """PostgreSQL's schema in which the log stands, quoted; empty if there is none. It is not always the first
-    that a role looks into: a role `labos` finds the schema of the views before it."""
+    """The PostgreSQL schema with the log, quoted; empty if there is none. It need not be the first schema in
+    a role's search path: for a role `labos`, the schema of the views comes before it."""
     found = connection.execute(
         text(
             "SELECT quote_ident(nspname) FROM pg_class JOIN pg_namespace ON pg_namespace.oid = relnamespace "

@@ -15,8 +15,9 @@ REMEDY = "Check the address (LABOS_BLOBS), the credentials and that the bucket e
 
 class ObjectBlobs:
     """Blobs as objects below a URL that fsspec knows (``s3://bucket/lab``); implements
-    ``labos.ports.BlobStore``. An object store keeps an object whole or not at all, and has it on disk when
-    it says so; of others the digest shows what is half written. Raises BadInput if the URL cannot be used.
+    ``labos.ports.BlobStore``. An object store has complete objects only, and has them on disk when it
+    confirms a write. For other stores, the digest shows an incomplete object. Raises BadInput if the URL
+    cannot be used.
     """
 
     def __init__(self, url: str) -> None:
@@ -28,7 +29,7 @@ class ObjectBlobs:
             ) from None
         self.url = url.rstrip("/")
         try:
-            # Other processes write there too: what was listed once may be old.
+            # Other processes write there too, so an earlier listing may be outdated.
             found = url_to_fs(self.url, use_listings_cache=False, skip_instance_cache=True)
         except (ImportError, ValueError) as error:
             raise BadInput(f"Blobs cannot be kept at {url}: {error}.", remedy=REMEDY) from None
@@ -36,12 +37,12 @@ class ObjectBlobs:
         self._root = str(found[1]).rstrip("/")
 
     def put(self, data: bytes) -> str:
-        """Keep bytes and return their SHA-256; the same bytes again change nothing, and mend an object that
-        was damaged. Raises StoreUnavailable."""
+        """Store bytes and return their SHA-256. Storing the same bytes again changes nothing, but repairs a
+        damaged object. Raises StoreUnavailable."""
         name = digest(data)
         try:
             self._files.pipe_file(self._name_object(name), data)
-        except Exception as error:  # each kind of store raises its own
+        except Exception as error:  # each kind of store raises its own errors
             raise self._make_unavailable_error(error) from error
         return name
 
@@ -75,7 +76,7 @@ class ObjectBlobs:
                 yield name
 
     def tidy(self) -> None:
-        """An object store looks after itself."""
+        """An object store needs no cleaning up."""
 
     def _name_object(self, name: str) -> str:
         return f"{self._root}/{name[:2]}/{name[2:4]}/{name}"

@@ -1,4 +1,4 @@
-"""From a URL to a store: the only place that chooses between SQLite and PostgreSQL."""
+"""Opens the store for a URL: the only place that chooses between SQLite and PostgreSQL."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def open_store(
     url: str, *, create: bool = True, read_only: bool = False, home: Path | None = None
 ) -> SqlEventStore:
     """Open the log at ``sqlite:///file`` or ``postgresql://user:password@host/database``. ``home`` is the
-    lab's folder, which holds the key of its snapshots: without one none is kept or used.
+    lab's folder with the key of its snapshots. Without a key, snapshots are neither stored nor used.
 
-    With ``create``, an empty database gets its tables and an older one is migrated. With
-    ``read_only``, nothing is created or changed and every write is refused.
-    Raises BadInput for a URL that cannot be used, LogTooNew for a database of a newer LabOS
-    (nothing is touched), StoreUnavailable for one that cannot be reached.
+    With ``create``, an empty database gets its tables and an older one is migrated. With ``read_only``,
+    nothing is created or changed and every write is refused. Raises BadInput for a URL that cannot be used,
+    LogTooNew for a database of a newer LabOS (nothing is touched), StoreUnavailable for one that cannot be
+    reached.
     """
     parsed = parse_url(url)
     if create and not read_only:
@@ -38,8 +38,8 @@ def open_store(
 
 
 def scrub_words(url: str) -> str:
-    """Let nothing of words that were erased stand in a database's files any more; returns why something still
-    may, empty if it does not. Raises StoreUnavailable."""
+    """Remove all erased words from a database's files; returns why some may remain, empty if none does.
+    Raises StoreUnavailable."""
     parsed = parse_url(url)
     _expect_current(_migrate.read_database_status(url))
     backend = choose_backend(parsed)
@@ -51,8 +51,8 @@ def scrub_words(url: str) -> str:
 
 
 def _list_own_files(url: URL, home: Path | None) -> list[Path]:
-    """What of a lab only its owner may read: the folder, so all that is in it, and the database, which may
-    stand elsewhere."""
+    """The parts of a lab that only its owner may read: its folder with all files, and the database, which may
+    be elsewhere."""
     files = [home] if home is not None else []
     if url.get_backend_name() == "sqlite":
         file = find_sqlite_path(url)
@@ -61,7 +61,7 @@ def _list_own_files(url: URL, home: Path | None) -> list[Path]:
 
 
 def choose_backend(url: URL) -> Backend:
-    """The dialect part for a parsed URL."""
+    """The backend for a parsed URL."""
     if url.get_backend_name() == "sqlite":
         return SqliteBackend(url)
     from labos.store._postgres import PostgresBackend

@@ -45,23 +45,24 @@ CONNECT_TIMEOUT_S = 5
 VANISHED_S = 10
 LOCK_TIMEOUT_S = 15
 IDLE_TRANSACTION_TIMEOUT_S = 5
-"""The server ends a writer that stands still inside a transaction (a frozen process), so that the
-next kernel, which waits for the head row up to LOCK_TIMEOUT_S, gets it."""
+"""The server ends a writer that stands still inside a transaction (a frozen process). Then the next kernel,
+which waits for the head row up to LOCK_TIMEOUT_S, gets it."""
 
 SILENT_S = 2
-"""A writer that lets the server wait for so long inside a transaction while its lease is over is frozen."""
+"""A writer counts as frozen if its lease is over and the server has waited for it this long inside a
+transaction."""
 
 _KERNEL_LOCK = 0x4C61624F
 """First half of the advisory lock ("LabO"); the second half is the epoch."""
 
 _COPY_FROM = 20
-"""Rows from which COPY is faster than single inserts."""
+"""From this number of rows on, COPY is faster than single inserts."""
 
 FORGET_S = 5.0
-"""How long a session that was ended may take to be gone."""
+"""A session that was ended has to be gone after this time."""
 
 LOOK_S = 0.1
-"""How often a kernel that claims the log looks at a writer that seems to stand still."""
+"""The pause between two checks of a writer that seems to stand still, by a kernel that claims the log."""
 
 _IN_MID_TRANSACTION = """
 SELECT pid, state_change < clock_timestamp() - make_interval(secs => :silent_s) AS silent
@@ -70,12 +71,13 @@ WHERE datname = current_database() AND left(application_name, 6) = 'labos-'
   AND right(application_name, 2) = '-w' AND wait_event = 'ClientRead' AND xact_start IS NOT NULL
   AND lease_until < extract(epoch FROM clock_timestamp()) * 1000
 """
-"""Writers of a kernel whose lease is over, and that let the server wait inside a transaction. The server
-ends such a session by itself only between two statements: not while it waits for the rows of a COPY, nor
-for the rest of a pipeline."""
+"""Writers whose lease is over, and for which the server waits inside a transaction. The server ends such a
+session by itself only between two statements, but not while it waits for the rows of a COPY or for the rest
+of a pipeline."""
 
 STANDBY_SHOWN_S = 5
-"""Who has not shown for so long that he stands by may be cut off: the server does not know."""
+"""A standby that has not shown for this long that it is ready may have lost its connection: the server cannot
+know."""
 
 _STANDBY = "labos standby "
 
@@ -96,11 +98,12 @@ _INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(
 _MOVE_HEAD = MOVE_HEAD.replace("?", "%s")
 
 SCRUB_WAITS_S = 2
-"""A scrub waits so long for readers of the table: the kernel writes nothing, and its lease runs."""
+"""A scrub waits at most this long for readers of the table, because the kernel writes nothing meanwhile and
+its lease runs."""
 
 _INSERT_WORDS = INSERT_WORDS.replace("?", "%s")
 _ERASE_WORDS = ERASE_WORDS.replace("?", "%s")
-# Named by their oid: where the tables stand need not be the first schema that this role looks into.
+# Named by their oid: the tables need not be in the first schema of this role's search path.
 _MAY_REWRITE = f"""
 SELECT pg_has_role(relowner, 'MEMBER') AS owns,
   coalesce(has_function_privilege(to_regprocedure('{REWRITING}()')::oid, 'EXECUTE'), false) AS granted,
@@ -114,11 +117,11 @@ _TYPES = ["int8", "text", "text", "int4", "text", "int4", "int8"] + ["text"] * 4
 
 
 class PostgresBackend:
-    """The dialect part for PostgreSQL.
+    """The backend for PostgreSQL.
 
-    A kernel holds the advisory lock (LabO, epoch) in a session of its own. The server drops it
-    when the kernel's process dies, so a successor finds that lock free and need not wait for the
-    lease; a kernel that lives but is cut off or frozen keeps it until the lease expires.
+    A kernel holds the advisory lock (LabO, epoch) in a session of its own. The server drops it when the
+    kernel's process dies, so a successor finds that lock free and need not wait for the lease; a kernel that
+    lives but is cut off or frozen keeps it until the lease expires.
     """
 
     now_ms: ColumnElement[int] = literal_column(
@@ -127,7 +130,7 @@ class PostgresBackend:
 
     def __init__(self, url: URL) -> None:
         self.name = display_name(url)
-        # Names the writer's session, so that exactly that one can be ended.
+        # A name for the writer's session, so that exactly this session can be ended.
         self._tag = f"labos-{Uuid7Ids().new()}"
         self._lines = Lines()
         self.writing = _make_engine(url, f"{self._tag}-w", self._lines, writes=True)
@@ -145,8 +148,8 @@ class PostgresBackend:
     # -- one kernel ------------------------------------------------------------------------
 
     def occupy(self, owner: str) -> None:
-        # Before the claim's transaction, in which nothing may take long. A lease can be over sooner than
-        # its kernel has been silent for long enough to be called frozen: then that is waited for.
+        # This is before the transaction of the claim, in which nothing may take long. A lease can end before
+        # its kernel has been silent long enough to count as frozen: then the claim waits for that.
         keeper = self._open_keeper()
         give_up = time.monotonic() + 2 * SILENT_S
         while time.monotonic() < give_up:
@@ -250,9 +253,9 @@ class PostgresBackend:
             _insert(cursor, rows, beside)
 
     def scrub(self) -> str:
-        # A row that was erased stands in the table's file until that is written anew: by the owner, or by the
-        # function that the owner made for the role of kernels. VACUUM FULL would take along what is erased
-        # for as long as anybody in the database looks at an older state of it.
+        # An erased row stays in the table's file until the file is rewritten: by the owner, or by the
+        # function that the owner made for the role of kernels. VACUUM FULL would copy erased rows as long as
+        # any session in the database uses an older state of it.
         with self._keeping.connect() as connection:
             may = connection.execute(text(_MAY_REWRITE)).one()
             if not may.owns and not may.granted:
@@ -294,11 +297,11 @@ class PostgresBackend:
         return ""
 
     def forget(self) -> None:
-        # If the line broke, the server may still be about to finish the old transaction. When that
-        # session is gone, the answer of `head` is final; while nobody can say so, nothing is.
+        # If the connection broke, the server may still be completing the old transaction. When that session
+        # is gone, the answer of `head` is final. As long as this is not certain, no answer is.
         give_up = time.monotonic() + FORGET_S
         while True:
-            with self.reading.connect() as connection:  # each look by a transaction of its own
+            with self.reading.connect() as connection:  # each check uses its own transaction
                 left = connection.execute(text(_END_WRITER), {"writer": f"{self._tag}-w"}).scalar_one()
             if not left:
                 return
@@ -344,11 +347,11 @@ def _make_arguments(name: str) -> dict[str, Any]:
     return {
         "application_name": name,
         "connect_timeout": CONNECT_TIMEOUT_S,
-        # A peer that vanished without a word: while it has not acknowledged what was sent, the system
-        # gives up after VANISHED_S (by itself only after a quarter of an hour, and keepalives do not
-        # count then); while its answer is waited for, some 5 s later, at the second keepalive. On systems
-        # that have no such option (Windows, macOS), and where the peer's system lives while the server
-        # is frozen, only the kernel's own limit helps.
+        # For a peer that vanished without closing the connection: while it has not acknowledged what was
+        # sent, the system gives up after VANISHED_S (by default only after a quarter of an hour; keepalives
+        # do not count then). While its answer is awaited, the system gives up about 5 s later, at the second
+        # keepalive. Only the kernel's own limit helps on systems without this option (Windows, macOS), and if
+        # the server is frozen while its system lives.
         "tcp_user_timeout": VANISHED_S * 1000,
         "keepalives_idle": 10,
         "keepalives_interval": 5,
@@ -357,7 +360,7 @@ def _make_arguments(name: str) -> dict[str, Any]:
 
 
 def make_small_engine(url: URL) -> Engine:
-    """Connections for what is not the log; the kernel's own sessions are not touched by it."""
+    """Connections for data other than the log; they do not affect the kernel's own sessions."""
     return create_engine(
         url, pool_size=2, max_overflow=4, pool_pre_ping=True, connect_args=_make_arguments("labos accounts")
     )
@@ -369,7 +372,8 @@ def _make_engine(url: URL, name: str, lines: Lines, *, writes: bool) -> Engine:
         settings = [
             f"SET lock_timeout = '{LOCK_TIMEOUT_S}s'",
             f"SET idle_in_transaction_session_timeout = '{IDLE_TRANSACTION_TIMEOUT_S}s'",
-            # Acknowledged means on disk, whatever the server's default; stronger settings stay.
+            # A commit is acknowledged only when it is on disk, whatever the server's default; stronger
+            # settings stay.
             "SELECT set_config('synchronous_commit', 'on', false) "
             "WHERE current_setting('synchronous_commit') = 'off'",
         ]

@@ -1,4 +1,4 @@
-"""Reading the log: by connections of the reader's own, from any thread."""
+"""Reading the log, by the reader's own connections, from any thread."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from labos.store._words import StoredWords, read_all_words, read_words, read_wor
 _log = structlog.get_logger(__name__)
 
 _CHUNK = 500
-"""Records a reader fetches at once. Between chunks it holds neither connection nor snapshot, so
-a slow reader never keeps the WAL from being checkpointed."""
+"""The number of records that a reader fetches at once. Between chunks it holds neither a connection nor a
+snapshot, so a slow reader never prevents a checkpoint of the WAL."""
 
 _COLUMNS = ", ".join(f'"{column.name}"' for column in event.columns)
 _READ = f"SELECT {_COLUMNS} FROM event WHERE position > ? ORDER BY position LIMIT "
 _REPLAY = f"SELECT {_checked.COLUMNS} FROM event WHERE position > ? ORDER BY position LIMIT "
 HASH = "SELECT hash, envelope FROM event WHERE position = ?"
 _BEHIND = "SELECT position FROM event WHERE position > ? ORDER BY position LIMIT 1"
-# The limit is part of the text: PostgreSQL plans a statement that it prepared without knowing its
-# parameters, and reads the whole rest of the log for a limit that it does not know.
+# The limit is part of the text. PostgreSQL plans a prepared statement without its parameters, and for an
+# unknown limit it would read the whole rest of the log.
 _LIMIT = literal_column(str(_CHUNK), Integer)
 
 
 class StoredSnapshot(msgspec.Struct, frozen=True):
-    """The row of the snapshot. ``fault`` says why it is not ``genuine``; ``on_log`` is the hash that the log
-    has at its position, None if it does not reach so far."""
+    """The row of the snapshot. ``fault`` says why it is not ``genuine``. ``on_log`` is the hash of the log at
+    the snapshot's position; None if the log is shorter."""
 
     position: int
     hash: bytes
@@ -54,8 +54,8 @@ class StoredSnapshot(msgspec.Struct, frozen=True):
 
 
 class LogReader:
-    """The reading half of the event store. No call holds a connection while its caller looks at
-    what it got."""
+    """The reading half of the event store. No call holds a connection while its caller works with the
+    results."""
 
     def __init__(self, url: URL, backend: Backend, files: HomeFiles) -> None:
         self._files = files
@@ -64,7 +64,7 @@ class LogReader:
         self._backend = backend
         self._door = TranslatedErrors(url)
         self.answered = 0
-        """Goes up while a ``replay`` gets on."""
+        """Increases while a ``replay`` makes progress."""
 
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
         """Records in order, from ``after + 1`` to ``upto`` or the end. Raises StoreUnavailable,
@@ -78,12 +78,12 @@ class LogReader:
     def replay(
         self, after: int = 0, upto: int | None = None, *, before: bytes = b"", end: Head | None = None
     ) -> Iterator[Row]:
-        """What a fold needs of each record, as plain tuples: (position, type, schema, recorded_at,
-        payload). Each is checked against the chain before it is given.
+        """The data of each record for a fold, as plain tuples: (position, type, schema, recorded_at,
+        payload). Each record is checked against the chain before it is given.
 
-        ``before`` is the hash that the chain must have at ``after``; if it is not given, the log's own is
-        taken on trust. With ``end`` (the head row) the log must end there: with that hash, at that
-        position, and with nothing behind it. Raises StoreUnavailable, LogDamaged with the position.
+        ``before`` is the hash that the chain must have at ``after``; if it is not given, the log's own hash
+        is not checked. With ``end`` (the head row), the log must end exactly there: at that position, with
+        that hash, without further records. Raises StoreUnavailable, LogDamaged with the position.
         """
         upto = end.position if end is not None else upto
         start, recorded_at = self._read_chain_at(after)
@@ -100,7 +100,8 @@ class LogReader:
             self._expect_end(end, position, checked.hash if checked is not None else start, recorded_at)
 
     def _expect_end(self, end: Head, position: int, hash_: bytes, recorded_at: int) -> None:
-        """Raises LogDamaged if a log that was read up to a position does not end as its head row says."""
+        """Raises LogDamaged if the end of a log that was read up to a position does not match its head
+        row."""
         if position != end.position:
             fault = f"it is missing, though the head row says that the log reaches to {end.position}"
             raise report_damage(self.name, position + 1, fault)
@@ -117,8 +118,8 @@ class LogReader:
             raise report_damage(self.name, position, fault)
 
     def _read_chain_at(self, position: int) -> tuple[bytes, int]:
-        """The hash that the log bears at a position, and when that was recorded. Raises LogDamaged if it has
-        no such record, or if that is of another lab than the head row says."""
+        """The hash of the log at a position, and the time at which that record was made. Raises LogDamaged if
+        there is no such record, or if it belongs to another lab than the head row."""
         if not position:
             return GENESIS, 0
         with self._door:
@@ -137,7 +138,7 @@ class LogReader:
         return bytes(hash_), at.recorded_at
 
     def _read_chunks(self, statement: str, after: int, upto: int | None) -> Iterator[list[Row]]:
-        """Rows in pieces. Raises LogDamaged where a position is missing."""
+        """Rows in chunks. Raises LogDamaged where a position is missing."""
         while upto is None or after < upto:
             limit = _CHUNK if upto is None else min(_CHUNK, upto - after)
             with self._door:
@@ -188,8 +189,8 @@ class LogReader:
             after = rows[-1].position
 
     def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
-        """The words that stand beside the log for these references, also those that were erased; of others
-        there are none. Raises StoreUnavailable."""
+        """The words that are stored beside the log for these references, including erased ones. References
+        without words are left out. Raises StoreUnavailable."""
         with self._door, self._backend.reading.connect() as connection:
             return read_words(connection, references)
 
@@ -199,8 +200,7 @@ class LogReader:
             return read_words_by(connection, user)
 
     def all_words(self) -> Iterator[StoredWords]:
-        """All words, also those that were erased, in the order of their references. Raises
-        StoreUnavailable."""
+        """All words, including erased ones, in the order of their references. Raises StoreUnavailable."""
         after = ""
         while True:
             with self._door, self._backend.reading.connect() as connection:
@@ -211,7 +211,7 @@ class LogReader:
             after = found[-1].words.reference
 
     def list_caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
-        """The positions of those of the ``last`` records whose causation begins so, and the causations.
+        """Positions and causations of those of the ``last`` records whose causation begins with ``prefix``.
         Raises StoreUnavailable."""
         first = select(head.c.position - last).scalar_subquery()
         wanted = (event.c.position > first, event.c.causation.startswith(prefix, autoescape=True))
@@ -220,9 +220,9 @@ class LogReader:
             return [(row.position, row.causation) for row in connection.execute(statement)]
 
     def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None:
-        """(position, hash, data) of the snapshot of this fold, if it bears the seal of this lab's key. One
-        that does not is not used, which is said once. Raises StoreUnavailable; LogDamaged if the snapshot
-        is genuine and the log has another record at its position."""
+        """(position, hash, data) of the snapshot for this fold code, if it has a seal by this lab's key. A
+        snapshot without a correct seal is not used, which is reported once. Raises StoreUnavailable;
+        LogDamaged if the snapshot is genuine and the log has another record at its position."""
         found = self.read_snapshot_row()
         if found is None or not found.genuine:
             if found is not None:
@@ -237,7 +237,7 @@ class LogReader:
         return (found.position, found.hash, found.data) if found.fingerprint == fingerprint else None
 
     def read_snapshot_row(self) -> StoredSnapshot | None:
-        """What stands in the table of snapshots, genuine or not. Raises StoreUnavailable."""
+        """The content of the table of snapshots, genuine or not. Raises StoreUnavailable."""
         at = snapshot.outerjoin(event, event.c.position == snapshot.c.position)
         query = select(snapshot, event.c.hash.label("on_log"), head.c.lab).select_from(at).join(head, true())
         with self._door, self._backend.reading.connect() as connection:
@@ -247,7 +247,7 @@ class LogReader:
         try:
             seal = self._files.seal_snapshot(row.lab, row.position, row.hash, row.fingerprint, row.data)
             genuine = bool(seal) and hmac.compare_digest(seal, row.digest)
-        except (TypeError, AttributeError, ValueError):  # SQLite lets a column hold a value of any type
+        except (TypeError, AttributeError, ValueError):  # SQLite allows values of any type in a column
             seal, genuine = "-", False
         if genuine:
             fault = ""
@@ -262,8 +262,8 @@ class LogReader:
         )
 
     def flaw(self) -> str:
-        """What the database itself finds wrong with its tables and indices, in its own words; empty if
-        nothing is, or if it has no means to tell (PostgreSQL). Raises StoreUnavailable."""
+        """The fault that the database itself finds in its tables and indexes, in its own words; empty if it
+        finds none, or cannot check (PostgreSQL). Raises StoreUnavailable."""
         with self._door, self._backend.reading.connect() as connection:
             return self._backend.flaw(connection)
 
@@ -273,6 +273,6 @@ class LogReader:
             _log.warning("snapshot_not_used", why=why, instead="the log is folded from its beginning")
 
     def _lab_id(self) -> str:
-        """The lab, from the head row. Ask once there is a record: from then on it is constant."""
+        """The lab's id, from the head row. It is constant as soon as there is a record."""
         with self._door, self._backend.reading.connect() as connection:
             return str(connection.execute(select(head.c.lab)).scalar_one())

@@ -1,8 +1,8 @@
-"""Putting a log back into an empty database, all or nothing, and saying that this was done.
+"""Restoring a log into an empty database, all or nothing, with a new epoch.
 
-A restored log may be older than what its nodes know: their journals have seen kernels of later
-epochs. It begins with an epoch that no kernel of this lab can have had, so that the nodes obey it
-and nothing that an older kernel sent can run any more.
+A restored log may be older than the journals of its nodes, which know kernels of later epochs. So it begins
+with an epoch that no kernel of this lab can have had. Then the nodes obey it, and a request that an older
+kernel sent can no longer be carried out.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ _BEGAN_S = 1_767_225_600
 
 
 def leap_epoch(epoch: int, now_ns: int) -> int:
-    """An epoch above every one that a kernel of this lab can have had: seconds since 2026, unless
-    kernels started more than once a second all the time."""
+    """An epoch above every possible epoch of this lab's kernels: the seconds since 2026. It would be too low
+    only if kernels had started more than once per second all the time."""
     return max(epoch + LEAP, now_ns // 1_000_000_000 - _BEGAN_S)
 
 
 def restore_log(
     url: str, records: Iterable[Record], lab: str, epoch: int, words: Iterable[StoredWords] = ()
 ) -> Head:
-    """Put records, and the words beside them, into a database that has no log, in one transaction, and return
-    its head. The caller has checked them. Raises Refused if there is a log, StoreUnavailable; then nothing of
-    them is there."""
+    """Put records, and the words beside them, into a database without a log, in one transaction; returns the
+    log's head. The caller has checked the records. Raises Refused if there is a log, StoreUnavailable; in
+    both cases nothing was written."""
     parsed = parse_url(url)
     refuse_to_overwrite(url)
     migrate(url)
@@ -58,7 +58,8 @@ def restore_log(
                 if found:
                     raise _refuse_occupied(url, found)
                 rest = iter(words)
-                while some := list(islice(rest, _CHUNK)):  # before the events that erased some of them
+                # The words are written before the events that erased some of them.
+                while some := list(islice(rest, _CHUNK)):
                     backend.insert(connection, (), WordChanges(list(map(row_of, some))))
                 while chunk := list(islice(source, _CHUNK)):
                     rows = rows_of(end, chunk)
@@ -80,7 +81,7 @@ def restore_log(
 
 
 def refuse_to_overwrite(url: str) -> None:
-    """Raise Refused if a database holds a log already, or a kernel lives on it."""
+    """Raise Refused if a database has a log already, or if a kernel lives on it."""
     status = read_database_status(url)
     if status.state in ("missing", "empty"):
         return
@@ -107,7 +108,7 @@ def refuse_to_overwrite(url: str) -> None:
 
 
 def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
-    """Say that a database was put back from a copy: its next kernel's epoch is above every one that
+    """Record that a database was restored from a copy: the epoch of its next kernel is above every epoch that
     its nodes can have seen. Returns the epochs before and after. Raises Refused while a kernel lives,
     StoreUnavailable."""
     owner = find_lease_holder(url)

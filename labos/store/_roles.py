@@ -1,8 +1,8 @@
-"""Two roles on PostgreSQL: the owner makes and upgrades the tables, the writer is what kernels work as.
+"""Two roles on PostgreSQL: the owner makes and upgrades the tables; the writer is the role of kernels.
 
-The writer may add records to the log and move its head. It may not change, delete or truncate records, nor
-take away the triggers that refuse this to everybody: those belong to the owner, whose password no running
-lab needs. It may have the table of people's words written anew, by a function of the owner's.
+The writer may add records to the log and move its head. It may not change, delete or truncate records, or
+remove the triggers that refuse this to all roles. These belong to the owner, whose password no running lab
+needs. The writer may have the table of people's words rewritten, by a function of the owner.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ _REWRITING = (
     f"REVOKE ALL ON FUNCTION {{schema}}.{REWRITING}() FROM PUBLIC",
     f"GRANT EXECUTE ON FUNCTION {{schema}}.{REWRITING}() TO {{role}}",
 )
-"""What takes an owner, and a kernel may have done all the same: what was erased leaves the table's file."""
+"""Functions that need the owner's rights, but that a kernel may call: they remove erased rows from the
+table's file."""
 
 _ROLE = text(
     "SELECT rolsuper, pg_has_role(rolname, (SELECT relowner FROM pg_class WHERE oid = to_regclass('event')), "
@@ -44,8 +45,8 @@ _ROLE = text(
 
 
 def grant_writer(url: str, role: str) -> None:
-    """Let a role that exists write the log in a PostgreSQL database, and do nothing else to it. ``url`` is
-    the owner's. Raises BadInput for another kind of database, NotFound for an unknown role, Refused for one
+    """Let an existing role write the log in a PostgreSQL database, with no other rights. ``url`` is the
+    owner's. Raises BadInput for another kind of database, NotFound for an unknown role, Refused for a role
     that may do everything anyway, StoreUnavailable."""
     parsed = parse_url(url)
     if parsed.get_backend_name() == "sqlite":

@@ -1,8 +1,8 @@
-"""Segments: stretches of the log as files, each line a record byte for byte.
+"""Segments: parts of the log as files. Each line is one record, byte for byte.
 
-A line is ``{"envelope":…,"hash":"…","payload":…}``, what ``labos log --json`` prints; files that end
-in ``.gz`` are compressed. Bytes are kept as they were hashed, so that a file is verified alone: no
-database is needed.
+A line is ``{"envelope":…,"hash":"…","payload":…}``, the same as the output of ``labos log --json``. Files
+that end in ``.gz`` are compressed. The bytes are those that were hashed, so a file can be verified without a
+database.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ def encode_record(record: Record) -> bytes:
 
 
 def decode_record(line: bytes) -> Record:
-    """The record of a line. Raises msgspec.MsgspecError or ValueError for what is no such line."""
+    """The record of a line. Raises msgspec.MsgspecError or ValueError for a line that is not a record."""
     found = _line.decode(line)
     envelope = bytes(found.envelope)
     return Record(_envelope.decode(envelope), envelope, bytes(found.payload), bytes.fromhex(found.hash))
 
 
 def write_segment(path: Path, records: Iterable[Record]) -> str:
-    """Write records to a file, synced on return and whole or absent; returns its SHA-256."""
+    """Write records to a file, which is synced on return and complete or absent; returns its SHA-256."""
     beside = path.with_name(f".{path.name}.part")
     try:
         with create_file(beside) as file:
             if path.name.endswith(".gz"):
-                # No time and no name in it: the same records give the same file.
+                # The file contains no time and no name: the same records give the same file.
                 with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
                     _write_lines(packed.write, records)
             else:
@@ -77,8 +77,8 @@ def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) ->
 
 
 def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
-    """The records of a file that begins behind a position, in order. Raises BadInput if it cannot be opened,
-    LogDamaged where a line cannot be read; says nothing about the chain."""
+    """The records of a file that begins after a position, in order. Raises BadInput if it cannot be opened,
+    LogDamaged where a line cannot be read. The chain is not checked."""
     position = after
     try:
         with _open_segment(path) as file:
@@ -112,7 +112,7 @@ def _open_segment(path: Path) -> BinaryIO | gzip.GzipFile:
 
 
 def check_chain(records: Iterable[Record], before: bytes = GENESIS, after: int = 0) -> Iterator[Record]:
-    """The same records, as long as each follows from the one before. Raises LogDamaged."""
+    """The same records, as long as each follows the one before in the chain. Raises LogDamaged."""
     for record in records:
         if record.head.position != after + 1:
             raise _report_break(after + 1, "the record is missing")
@@ -131,6 +131,6 @@ def _report_break(position: int, fault: str) -> LogDamaged:
 
 
 def digest_file(path: Path) -> str:
-    """The SHA-256 of a file, read in pieces."""
+    """The SHA-256 of a file, read in chunks."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

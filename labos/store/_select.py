@@ -31,7 +31,7 @@ def make_selection(query: LogQuery, contains: Contains) -> Select[Any]:
     if query.actor:
         conditions.append(c.actor == query.actor)
     if query.mentions:
-        # In a payload the text stands as JSON writes it.
+        # In a payload the text has the form of JSON.
         quoted = msgspec.json.encode(query.mentions)[1:-1]
         beside = select(words.c.position).where(contains(words.c.text, query.mentions))
         told = (contains(c.payload, quoted), contains(c.stream, query.mentions), c.position.in_(beside))
@@ -55,7 +55,7 @@ def select_positions_of_last(statement: Select[Any], n: int) -> Select[Any]:
 
 
 def _match_type(name: str) -> ColumnElement[bool]:
-    """A type, or every type of a family: what lies between ``name.`` and ``name/``, the next
-    character in byte order. A range uses the index, and knows no wildcards."""
+    """A type, or every type of a family: all names between ``name.`` and ``name/``, the next character in
+    byte order. A range uses the index, and has no wildcards."""
     family = name.rstrip(".*")
     return or_(event.c.type == family, and_(event.c.type >= f"{family}.", event.c.type < f"{family}/"))

@@ -33,7 +33,7 @@ from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Row, Word
 from labos.store._url import find_sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
-"""How long to wait for a foreign program that writes to the same file."""
+"""How long to wait for another program that writes to the same file (seconds)."""
 
 _log = structlog.get_logger(__name__)
 
@@ -41,7 +41,7 @@ _INSERT = "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
 class SqliteBackend:
-    """The dialect part for SQLite."""
+    """The backend for SQLite."""
 
     now_ms: ColumnElement[int] = literal_column(
         "CAST((julianday('now') - 2440587.5) * 86400000 AS INTEGER)", BigInteger
@@ -63,7 +63,7 @@ class SqliteBackend:
             )
 
     def take_over(self, epoch: int, owner: str, remaining_ms: int) -> None:
-        # The file lock decides: it goes with its process, so a restart need not wait.
+        # The file lock decides: it is released with its process, so a restart need not wait.
         pass
 
     def vacate(self) -> None:
@@ -106,8 +106,8 @@ class SqliteBackend:
         _insert(connection.connection.driver_connection, rows, beside)
 
     def scrub(self) -> str:
-        # What is erased is overwritten (secure_delete), but the pages of before may stand in the write-ahead
-        # log until that is moved into the file and cut to nothing.
+        # Erased data is overwritten (secure_delete), but older pages may be in the write-ahead log until it
+        # is moved into the file and truncated.
         return self._move_into_the_file()
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
@@ -136,17 +136,18 @@ class SqliteBackend:
         pass
 
     def close(self) -> None:
-        # The readers first: SQLite moves its write-ahead log into the file and removes it when the last
-        # connection goes, but only if that is one that may write.
+        # Close the readers first. SQLite moves its write-ahead log into the file and removes it when the last
+        # connection is closed, but only if this connection may write.
         self.reading.dispose()
         self.vacate()
         self.writing.dispose()
 
     def _move_into_the_file(self) -> str:
-        """After an orderly end the one file is the whole log, even if others still have it open. Returns
-        why it is not."""
+        """After an orderly end, the single file contains the whole log, even if others still have it open.
+        Returns why it does not."""
         try:
-            # Not by an engine of ours, which would make the file anew if somebody has moved it away.
+            # An engine of LabOS is not used here: it would create the file again if a person has moved it
+            # away.
             with closing(_open(self.path, "rw")) as connection:
                 connection.execute("PRAGMA checkpoint_fullfsync = ON")
                 busy, *_ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -172,17 +173,17 @@ def make_writing_engine(path: Path) -> Engine:
     """Connections that write to a file, each for one use; a transaction is exclusive from its begin."""
 
     def connect() -> sqlite3.Connection:
-        # The log is for its lab's eyes: SQLite gives its side files the rights that the file has.
+        # Only the lab may read the log: SQLite's side files get the permissions of the main file.
         make_database_file(path)
-        # isolation_level None: sqlite3 would otherwise begin transactions of its own, deferred ones.
+        # isolation_level None: otherwise sqlite3 would begin its own transactions, which are deferred.
         connection = sqlite3.connect(
             path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
         )
         try:
             connection.execute("PRAGMA synchronous = FULL")
-            # What is erased, or moved to another page, is overwritten.
+            # Erased or moved data is overwritten.
             connection.execute("PRAGMA secure_delete = ON")
-            # macOS: fsync leaves data in the drive's cache unless told so; ignored elsewhere.
+            # macOS: without this setting, fsync leaves data in the drive's cache; other systems ignore it.
             connection.execute("PRAGMA fullfsync = ON")
             connection.execute("PRAGMA checkpoint_fullfsync = ON")
             (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
@@ -206,7 +207,7 @@ def make_writing_engine(path: Path) -> Engine:
 
 
 def make_reading_engine(path: Path) -> Engine:
-    """Connections that cannot write, and never make the writer wait."""
+    """Connections that cannot write; the writer never waits for them."""
 
     def connect() -> sqlite3.Connection:
         connection = _open(path, "ro")
@@ -217,8 +218,8 @@ def make_reading_engine(path: Path) -> Engine:
             wal = path.with_name(path.name + "-wal")
             if os.access(path.parent, os.W_OK) or (wal.exists() and wal.stat().st_size):
                 raise
-            # A database at rest in a folder where nobody may write: SQLite cannot make its
-            # side files there and needs none.
+            # The database is in a folder without write permission: SQLite cannot make its side files there
+            # and needs none.
             return _open(path, "ro&immutable=1")
         return connection
 
@@ -234,7 +235,7 @@ def make_reading_engine(path: Path) -> Engine:
 
 
 def _open(path: Path, mode: str) -> sqlite3.Connection:
-    """A connection to a file that is there: SQLite makes none in these modes."""
+    """A connection to an existing file: in these modes SQLite does not create one."""
     return sqlite3.connect(
         f"{path.as_uri()}?mode={mode}",
         uri=True,

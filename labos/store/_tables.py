@@ -1,4 +1,4 @@
-"""The tables as the present version knows them; ``migrations/`` brings a database here."""
+"""The tables in the present version; ``migrations/`` bring a database to it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sqlalchemy import (
 
 # Byte order, so that ranges of types mean the same on every server.
 Name = Text().with_variant(Text(collation="C"), "postgresql")
-# SQLite takes exactly INTEGER PRIMARY KEY as its row id.
+# SQLite uses exactly INTEGER PRIMARY KEY as its row id.
 Position = BigInteger().with_variant(Integer, "sqlite")
 
 metadata = MetaData()
@@ -45,7 +45,7 @@ event = Table(
     Index("event_correlation", "correlation", "position"),
     Index("event_recorded_at", "recorded_at"),
 )
-"""One row a record. The lab's id stands in ``head`` and in the envelope's bytes."""
+"""One row per record. The lab's id is in ``head`` and in the bytes of the envelope."""
 
 head = Table(
     "head",
@@ -73,9 +73,9 @@ snapshot = Table(
     Column("data", LargeBinary, nullable=False),
     CheckConstraint("id = 1", name="snapshot_is_one_row"),
 )
-"""At most one row: the newest picture of the state."""
+"""At most one row: the newest snapshot of the state."""
 
-# What follows is no part of the log: it can be changed, and erased. No event holds any of it.
+# The following tables are not part of the log: they can be changed and erased. No event contains their data.
 
 words = Table(
     "words",
@@ -87,8 +87,8 @@ words = Table(
     Column("erased_at", BigInteger, nullable=False),
     Index("words_position", "position"),
 )
-"""What people wrote into events: ``reference`` stands there in its place, ``position`` is the first such
-event. Erased, a row has neither salt nor text, and the position of the event that erased it."""
+"""Words that people wrote into events. The event contains the ``reference`` instead; ``position`` is the
+first such event. An erased row has neither salt nor text, but the position of the event that erased it."""
 
 account_person = Table(
     "account_person",
@@ -97,7 +97,7 @@ account_person = Table(
     Column("name", Name, nullable=False),
     Column("mail", Name, nullable=False),
 )
-"""Who the user of an id is."""
+"""The person of a user id."""
 
 account_password = Table(
     "account_password",
@@ -135,7 +135,7 @@ account_session = Table(
     Column("expires_at", BigInteger, nullable=False),
     Index("account_session_user", "user_id"),
 )
-"""Sessions of browsers: the SHA-256 of what the cookie holds. One that has ended has no row."""
+"""Sessions of browsers: the SHA-256 of the cookie's value. An ended session has no row."""
 
 account_identity = Table(
     "account_identity",
@@ -145,7 +145,7 @@ account_identity = Table(
     Column("user_id", Name, nullable=False),
     Index("account_identity_user", "user_id"),
 )
-"""Which user belongs to a name at an identity provider."""
+"""The user for a name at an identity provider."""
 
 VERSION_TABLE = "labos_version"
-"""Where Alembic keeps the revision; a name of our own, so that other programs may share the database."""
+"""The table of Alembic's revision; it has its own name, so that other programs may use the same database."""

@@ -1,4 +1,4 @@
-"""Which database a URL means, and how to speak of it without its password."""
+"""Parses the URLs of databases, and shows them without the password."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ EXAMPLES = "Use sqlite:///lab.db or postgresql://user:password@host/database."
 
 
 def parse_url(url: str) -> URL:
-    """The URL with the driver that LabOS uses. Raises BadInput for what is neither SQLite nor
-    PostgreSQL; the message never contains the URL, which may bear a password."""
+    """The URL with the driver that LabOS uses. Raises BadInput for a URL of neither SQLite nor PostgreSQL.
+    The message never contains the URL, which may contain a password."""
     try:
         parsed = make_url(url)
     except (ArgumentError, ValueError):
@@ -35,7 +35,7 @@ def parse_url(url: str) -> URL:
 
 
 def display_name(url: URL) -> str:
-    """The database as messages name it: no password, no options."""
+    """The name of the database for messages: without password and options."""
     if url.get_backend_name() == "sqlite":
         return f"SQLite database {find_sqlite_path(url)}"
     host = url.host or url.query.get("host") or "localhost"

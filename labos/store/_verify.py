@@ -1,4 +1,4 @@
-"""Walks the whole chain and says where it first breaks."""
+"""Checks the whole chain and finds its first damage."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Progress = Callable[[int, int], None]
 
 
 class Damage(msgspec.Struct, frozen=True):
-    """The first thing wrong with a log: the position and what is wrong there, in one sentence."""
+    """The first damage of a log: its position, and its description in one sentence."""
 
     position: int
     reason: str
@@ -25,10 +25,10 @@ def find_first_damage(
 ) -> Damage | None:
     """Check every record of the log against the chain, and its end against the head.
 
-    ``progress`` is called after each ``every`` records with (positions checked, positions to check).
-    None means that the log is whole as far as it can itself tell: somebody who rewrites all of it, head
-    included, is found out only by a checkpoint that was kept elsewhere. Records that are appended
-    meanwhile are not checked. Raises StoreUnavailable.
+    ``progress`` is called after each ``every`` records with (positions checked, positions to check). None
+    means that the log shows no damage. If an attacker has rewritten all of it, including the head, only a
+    checkpoint that was stored elsewhere can show it. Records that are appended during the check are not
+    checked. Raises StoreUnavailable.
     """
     head = store.head()
     previous, position, recorded_at = GENESIS, 0, 0
@@ -64,5 +64,5 @@ def _describe_damage(previous: bytes, record: Record) -> str:
     try:
         return find_damage(previous, record)
     except (TypeError, ValueError) as error:
-        # SQLite lets a column hold a value of any type.
+        # SQLite allows values of any type in a column.
         return f"a column holds a value of the wrong type ({error})"

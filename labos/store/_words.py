@@ -1,4 +1,4 @@
-"""The words that stand beside the log: rows that are written with their events, read, and erased."""
+"""The words beside the log: they are written with their events, read, and erased."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from labos.store._backend import Row, WordChanges
 from labos.store._tables import event, words
 
 _AT_ONCE = 500
-"""References that are looked for by one statement."""
+"""The number of references that one statement looks up."""
 
 
 class StoredWords(msgspec.Struct, frozen=True):
-    """Words beside the log, the ``position`` of the first event that refers to them, and that of the event
-    that erased them (0: none did). One behind the end of the log: they were erased in a log that this one
-    is an older copy of."""
+    """Words beside the log. ``position`` is the first event that refers to them, and ``erased_at`` the event
+    that erased them (0: none). If that is after the end of the log, they were erased in a log of which this
+    one is an older copy."""
 
     words: Kept
     position: int
@@ -34,7 +34,7 @@ NOTHING = WordChanges()
 
 
 def make_changes(records: Sequence[Record]) -> WordChanges:
-    """What is to be written with records."""
+    """The changes of words that have to be written with records."""
     added = [
         (kept.reference, record.head.position, kept.salt, kept.text, 0)
         for record in records
@@ -55,7 +55,7 @@ def _list_erased(record: Record) -> Iterator[Row]:
 
 
 def read_words(connection: Connection, references: Iterable[str]) -> dict[str, Kept]:
-    """The words of references, as far as there are any; those that were erased, too."""
+    """The words of references, including erased ones. References without words are left out."""
     named = list(references)
     found: dict[str, Kept] = {}
     for begin in range(0, len(named), _AT_ONCE):
@@ -66,7 +66,7 @@ def read_words(connection: Connection, references: Iterable[str]) -> dict[str, K
 
 
 def read_all_words(connection: Connection, after: str, limit: int) -> list[StoredWords]:
-    """Some words in the order of their references, those behind one."""
+    """The next words after a reference, in the order of their references."""
     query = select(words).where(words.c.reference > after).order_by(words.c.reference).limit(limit)
     return [_make_stored(row) for row in connection.execute(query)]
 
@@ -84,13 +84,13 @@ def read_words_by(connection: Connection, user: str) -> list[tuple[int, str]]:
 
 
 def read_erased(connection: Connection) -> dict[str, int]:
-    """The references of all words that were erased, and the positions of the events that did it."""
+    """The references of all erased words, and the positions of the erasing events."""
     query = select(words.c.reference, words.c.erased_at).where(words.c.erased_at > 0)
     return {row.reference: row.erased_at for row in connection.execute(query)}
 
 
 def row_of(each: StoredWords) -> Row:
-    """The row of words that are put back."""
+    """The row for restored words."""
     return each.words.reference, each.position, each.words.salt, each.words.text, each.erased_at
 
 
@@ -101,6 +101,6 @@ def _make_stored(row: Any) -> StoredWords:
 def _read_kept(row: Any) -> Kept:
     salt, text = row.salt, row.text
     if not isinstance(salt, bytes | memoryview) or not isinstance(text, str):
-        # SQLite lets a column hold a value of any type; a wrong one is noticed by its digest.
+        # SQLite allows values of any type in a column; a wrong value is detected by its digest.
         return Kept(row.reference, str(salt).encode(), str(text))
     return Kept(row.reference, bytes(salt), text)

@@ -1,7 +1,8 @@
-"""People's words in a backup: a file that is written anew each time, so that it loses what was erased.
+"""People's words in a backup: a file that is rewritten with each backup, so that erased words disappear from
+it.
 
-They are no part of the segments, which never change. Each line is a text with its salt, and is checked
-against the reference in its event; or the mark that it was erased.
+They are not part of the segments, which never change. Each line is either a text with its salt, which is
+checked against the reference in its event, or the mark that it was erased.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ _decoder = msgspec.json.Decoder(_Line)
 
 
 def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> int:
-    """Write the words of events up to a position; returns how many texts there are."""
+    """Write the words of events up to a position; returns the number of texts."""
     number = 0
     lines = []
     for each in words:
         if each.position > upto:
-            continue  # of an event that the backup does not hold yet
+            continue  # the backup does not have its event yet
         kept = each.words
         line = _Line(kept.reference, each.position, kept.salt.hex(), kept.text, each.erased_at)
         lines.append(msgspec.json.encode(line) + b"\n")
@@ -66,7 +67,7 @@ def read_words_copy(folder: Path) -> Iterator[StoredWords]:
 
 
 class WordsExpected:
-    """Finds out, from the records of a backup, whether all words are there."""
+    """Checks, from the records of a backup, that all words are there."""
 
     def __init__(self, folder: Path) -> None:
         self._known = {each.words.reference: each.words.is_erased for each in read_words_copy(folder)}
@@ -85,7 +86,7 @@ class WordsExpected:
             self._named.setdefault(reference, head.position)
 
     def end(self) -> None:
-        """Raises LogDamaged."""
+        """Raises LogDamaged if words are missing."""
         for reference, position in self._named.items():
             if reference not in self._known:
                 raise _report_damage(position, f"its words are missing from {WORDS}")

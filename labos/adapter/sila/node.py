@@ -307,7 +307,7 @@ class SilaNode(ForeignNode):
         listening = asyncio.ensure_future(self._listen(command, execution, told))
         try:
             result = result_with_files(await self._end(command, execution))
-            # What it told last may still be on its way.
+            # The last reported responses may still be on their way.
             await asyncio.wait({listening}, timeout=self.poll_s)
         finally:
             listening.cancel()
@@ -354,7 +354,7 @@ class SilaNode(ForeignNode):
             except DeviceError as refused:
                 if refused.effects != "none":
                     raise
-                silence.go_on(refused)  # the question was refused, which says nothing of the execution
+                silence.go_on(refused)  # the query was refused, which shows nothing about the execution
             await asyncio.sleep(self.poll_s)
 
     def _watch_execution(self, command: SilaCommand, execution: str) -> AsyncGenerator[int, None]:

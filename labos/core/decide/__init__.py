@@ -9,7 +9,7 @@ from collections.abc import Callable
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, check_recordable
 from labos.core.decide.limits import cut_report, refuse_misfit, shorten_report
 from labos.core.decide.reactions import REACTIONS
-from labos.core.decide.rights import Denied, check_rights  # Its table imports the modules of all commands.
+from labos.core.decide.rights import Denied, check_rights  # its table imports the modules of all commands
 from labos.core.decide.submissions import hold_for_approval, name_both_actors
 from labos.core.decide.wording import refer_to_words
 from labos.core.registry import Event
@@ -41,7 +41,7 @@ def carry_out(
         return decision
     events = [write(event) for event in decision]
     most = len(events) + max(MOST_REACTIONS, 10 * len(events))
-    for event in events:  # Includes the events that are added meanwhile.
+    for event in events:  # includes the events that are added meanwhile
         for react in REACTIONS.get(type(event), ()):
             for follows in react(state, event):
                 events.append(write(follows))
@@ -65,7 +65,7 @@ def decide(state: LabState, command: Command, actor: str, keep: Keep | None = No
     if isinstance(command, Report) and isinstance(decision, Rejection) and decision.code == UNFIT:
         return _decide(
             state, shorten_report(command), actor
-        )  # A report of a past event is recorded in any case, if necessary without the words.
+        )  # a report of a past event is recorded in any case, if necessary without the words
     return decision
 
 

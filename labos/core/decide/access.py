@@ -188,7 +188,7 @@ def _apply_change(
             "Answer what is asked: labos resolve",
         )
     before = left.setdefault(labware.station, list(state.bench.stations[labware.station].labware))
-    if labware.id in before:  # Otherwise the station was cleared.
+    if labware.id in before:  # otherwise the station was cleared
         before.remove(labware.id)
     here.append(labware.id)
     return [LabwareObserved(labware.id, "", change.station, by)]

@@ -188,7 +188,7 @@ def request_action(
     if step.by_person:
         events.append(ask_for_work(state, run, step, command.action, args, effects, command.now))
     unfit = check_recordable(events)
-    if isinstance(unfit, Rejection):  # Results of earlier steps were too large for it.
+    if isinstance(unfit, Rejection):  # results of earlier steps were too large for it
         return _fail_start(state, run, step, unfit.message)
     return events
 
@@ -346,7 +346,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
             f"Journal {action.journal} was asked to do {action.id}, and {command.journal} says how it ended.",
         )
     if action.looks:
-        return []  # The result is known, and is being confirmed by an observer, or a person is asked.
+        return []  # the result is known, and is being confirmed by an observer, or a person is asked
     places = list_watched(state, action) if command.succeeded else ()
     if places:
         return [_report(action, command, places)]
@@ -448,7 +448,7 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
 def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.looks or find_work(state, action) is not None:
-        return []  # Its device has reported success, or a person knows the outcome.
+        return []  # its device has reported success, or a person knows the outcome
     if action.status == ActionStatus.UNKNOWN:
         return _settle_by_sight(state, action)
     return doubt(state, action, command.why)

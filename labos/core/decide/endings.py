@@ -115,7 +115,7 @@ def end_run(
 def fail_run(state: LabState, run: RunState, why: str, kind: str = "software") -> Iterator[Event]:
     """A step has failed, and with it the run. A cancelled run carries out its ``on_cancel`` steps first."""
     if not has_open_action(run) and will_leave(state.runs.plan_of(run), run):
-        return  # Its ``on_cancel`` steps begin at the places where this action has left its labware.
+        return  # its ``on_cancel`` steps begin at the places where this action has left its labware
     if not has_open_action(run) and run.status == RunStatus.LEAVING:
         what = f"was cancelled, and its way out failed: {(run.why or why).rstrip('.')}"
         yield from record_end(state, run, RunCancelled(run.id), what)
@@ -156,4 +156,4 @@ def record_end(state: LabState, run: RunState, end: RunEnd, what: str) -> Iterat
             yield state.interventions.ask(
                 left, f"Run {run.id} ({run.workflow}) {what.rstrip('.')}. It left {stands}."
             )
-    yield end  # The last event in the run's stream.
+    yield end  # the last event in the run's stream

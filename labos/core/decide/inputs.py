@@ -39,7 +39,7 @@ def name_returned_files(
         if not (isinstance(written, dict) and written.get("$file")):
             continue
         found = args[name]
-        if isinstance(found, dict) and len(found) == 1:  # The only file of the step.
+        if isinstance(found, dict) and len(found) == 1:  # the only file of the step
             (found,) = found.values()
         if not isinstance(found, dict) or not {"file", "sha256"} <= found.keys():
             key = plan.steps[written["$result"][0]].key

@@ -122,7 +122,7 @@ def _decide_answer(state: LabState, question: Intervention, command: ResolveInte
         case LostExperiment():
             return _close(state, topic) if choice == "close" else []
         case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | BookedPlace() | None:
-            return []  # Nothing follows, except that a person has taken care of it.
+            return []  # nothing follows, except that a person has taken care of it
         case _:
             assert_never(topic)
 
@@ -217,9 +217,9 @@ def _expect_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Deci
         place, station = event.station, stations[event.station]
         item = state.bench.labware.get(event.labware)
         if item is not None and item.on in station.labware:
-            continue  # It lies on the plate there.
+            continue  # it lies on the plate there
         if isinstance(event, LabwarePlaced) and event.stack == place:
-            continue  # It only gets its id there.
+            continue  # it only gets its id there
         if station.count - _is_awaited(state, item, place) >= station.spec.capacity:
             held = ", ".join(station.labware) or "something is on its way there"
             return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")

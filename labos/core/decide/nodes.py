@@ -170,7 +170,7 @@ def report_state(state: LabState, command: ReportState) -> Decision:
     if status == "BUSY" and module.in_flight:
         status = (
             "BUSY" if module.status == ModuleStatus.BUSY else "IDLE"
-        )  # The error is over, and the action continues.
+        )  # the error is over, and the action continues
     if status == module.status and command.error == module.error:
         return []
     return [NodeStateChanged(command.module, status, command.error)]

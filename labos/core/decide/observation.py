@@ -261,7 +261,7 @@ def _decide_count(
         sight.add_empty(name)
         return chain(_withdraw_strange(state, name), sight.events())
     if any(name in found for found in state.bench.searched.values()):
-        return []  # It may be an item from a stack that has no id yet.
+        return []  # it may be an item from a stack that has no id yet
     may_be = sight.may_be_at(name, command.kind)
     if len(may_be) < more:
         taken = _find_take(state, name)

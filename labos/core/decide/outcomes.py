@@ -88,7 +88,7 @@ def limit_result(result: Any) -> Any:
     if result is None:
         return None
     try:
-        size = len(encode_canonical([result])) - len("[]")  # In its event it is nested one level deeper.
+        size = len(encode_canonical([result])) - len("[]")  # in its event it is nested one level deeper
     except (ValueError, TypeError) as error:
         return {"$unreadable": str(error)[:200]}
     return result if size <= LARGEST_RESULT else {"$too_large": size}
@@ -97,7 +97,7 @@ def limit_result(result: Any) -> Any:
 def is_read_later(state: LabState, action: Action) -> bool:
     """Whether later steps of its run read the result of an action."""
     run = state.runs.active.get(action.run)
-    told = bool(action.looks)  # Its device has already reported the result.
+    told = bool(action.looks)  # its device has already reported the result
     return run is not None and not told and action.step in state.runs.plan_of(run).feeds
 
 
@@ -241,7 +241,7 @@ def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, f
     try:
         doses = list_doses(effect)
     except ValueError:
-        return []  # Such a request is refused before it is sent; an older LabOS did not check this.
+        return []  # such a request is refused before it is sent; an older LabOS did not check this
     return [(w, volume) for w, volume in doses if volume] if effect.labware in state.bench.labware else []
 
 
@@ -250,7 +250,7 @@ def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, Station
     are not places of the motion. This observation is later than the device's report."""
     own = {StationName(""), name_hand(action.module), *list_places(action.effects)}
     items = [state.bench.labware[e.labware] for e in list_moved(action.effects)]
-    astray = state.shorter.astray  # A later action may have carried it further.
+    astray = state.shorter.astray  # a later action may have carried it further
     return {item.id: item.station for item in items if item.station not in own or item.id in astray}
 
 
@@ -341,7 +341,7 @@ def settle_found(state: LabState, motions: tuple[AnyEffect, ...], choice: str, b
     for effect in motions:
         match effect, choice:
             case Move(), _ if effect.labware not in state.bench.labware:
-                pass  # It has left the bench since the question was asked.
+                pass  # it has left the bench since the question was asked
             case Move(), "gone":
                 why = f"taken away ({by})"
                 yield from remove_labware(state.bench, effect.labware, "", StationName(""), why)

@@ -148,7 +148,7 @@ def _iterate_reasons(state: LabState, asked: Submission, actor: str) -> Iterator
     )
     others = asked.before is not None and person != asked.user
     if operates and (policy.own or others):
-        return  # The submitter could approve it anyway.
+        return  # the submitter could approve it anyway
     given = state.approvals.given.get(asked.user, 0)
     is_vouched_for = operates or asked.user in policy.trusted or state.users.is_open
     if given < policy.newcomers and not is_vouched_for:

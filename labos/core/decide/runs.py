@@ -318,7 +318,7 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
     within = window.within_s or 0.0
     breached = WindowBreached(run.id, command.step, window.anchor, within, started_by)
     if run.is_ending:
-        return [breached]  # The run ends in any case.
+        return [breached]  # the run ends in any case
     what = describe_lateness(run, plan, command.step, window)
     if window.on_breach == "fail":
         return chain([breached], give_up(state, run, what))

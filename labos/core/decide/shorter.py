@@ -145,7 +145,7 @@ def record_journal(
     again = [entry.name for entry in found if entry.action in actions.open]
     for told in (state.shorter.evidence, state.shorter.answered):
         if f"position {beyond}" in told.get(str(module), ""):
-            beyond = 0  # It has reported this before.
+            beyond = 0  # it has reported this before
     knows = []
     if fresh:
         more = f" and {len(fresh) - 1} more" if len(fresh) > 1 else ""

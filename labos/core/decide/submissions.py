@@ -116,7 +116,7 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
         return _check_policy_actor(state, actor) or decision
     events = list(decision)
     if not events:
-        return events  # It is known already.
+        return events  # it is known already
     if isinstance(command, SubmitRow):
         return _decide_row(state, command, events)
     high = refuse_priority(state, command, actor)
@@ -353,4 +353,4 @@ def _make_digest(values: Terms | dict[str, Any]) -> str:
     try:
         return digest(encode_canonical(values))
     except (ValueError, TypeError, OverflowError, RecursionError):
-        return ""  # It cannot be recorded, and is refused for that reason.
+        return ""  # it cannot be recorded, and is refused for that reason

@@ -41,7 +41,7 @@ def suggest_order(state: LabState, command: SuggestOrder) -> Decision:
     for one in sorted(command.steps, key=lambda step: step.start):
         run = state.runs.get(one.run)
         if run is None:
-            continue  # It has ended meanwhile.
+            continue  # it has ended meanwhile
         plan = state.runs.plan_of(run)
         if plan.workcell != command.workcell:
             return Rejection(

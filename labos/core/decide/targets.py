@@ -93,7 +93,7 @@ def find_workcell_target(state: LabState, command: Any) -> Iterable[Target]:
 
 def target_run(state: LabState, name: str) -> Target:
     run = state.runs.get(name)
-    if run is None:  # It will be refused for that reason.
+    if run is None:  # it will be refused for that reason
         return Target("submitter", (ANYWHERE,))
     return Target("submitter", (state.runs.plan_of(run).workcell,), run.user, f"The run {run.id}")
 

@@ -196,7 +196,7 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
     if state.users.roles.get(command.subject, {}).get(command.scope) == command.role:
         return []
     kind, _, name = command.subject.partition(":")
-    if kind == "user" and command.scope == WHOLE_LAB:  # It replaces the role in the whole lab.
+    if kind == "user" and command.scope == WHOLE_LAB:  # it replaces the role in the whole lab
         wrong = _check_last_admin(state, name)
     return wrong or [RoleGranted(command.subject, command.role, command.scope)]
 

@@ -1,7 +1,7 @@
-"""Foreign files, rewritten into LabOS' own form before anything else looks at them.
+"""Foreign files, converted to LabOS' own form before they are used.
 
-A dialect keeps the places of what it moves, so that an error still names the line in the file
-as it was written. What LabOS does not use becomes a warning.
+A dialect keeps the places of the data that it moves, so that an error still names the line in the original
+file. Data that LabOS does not use gives a warning.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _NO_SPECS = {
     "workcell_server_url": "These MADSci settings name no nodes: add `workcell_nodes:`.",
     "manager_type": "Of MADSci's managers the workcell's is read; put `locations:` into its file.",
 }
-"""Keys that show what a file is instead, and what to do with it."""
+"""Keys that show the kind of another file, with a remedy."""
 
 
 def detect_kind(source: Source) -> tuple[Kind, Dialect]:
-    """What a file describes, and in which dialect. Raises SpecError for what is none of ours."""
+    """The kind and the dialect of a file. Raises SpecError for a file of no known kind."""
     found = find_kind(source)
     if found is None:
         raise make_unknown_error(source)
@@ -41,10 +41,10 @@ def detect_kind(source: Source) -> tuple[Kind, Dialect]:
 
 
 def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
-    """As ``detect_kind``; None for what is none of ours. Raises SpecError for drafts that nobody runs."""
+    """As ``detect_kind``, but None for a file of no known kind. Raises SpecError for unfinished drafts."""
     data = source.data
     own = "labos" in data
-    if "labware" in data and "modules" not in data:  # a workcell names its labware files
+    if "labware" in data and "modules" not in data:  # a workcell also names its labware files
         return "labware", "labos"
     if opentrons.is_labware(source):
         return "labware", "opentrons"
@@ -67,7 +67,7 @@ def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
 
 
 def make_unknown_error(source: Source) -> SpecError:
-    """What a file is that is none of ours."""
+    """The error for a file of no known kind."""
     keys = ", ".join(f"`{key}`" for key in list(source.data)[:5])
     why = next((why for key, why in _NO_SPECS.items() if key in source.data), "Check which file was meant.")
     return source.error(f"This is neither a workcell, a workflow nor labware; it holds {keys}.", remedy=why)
@@ -104,14 +104,14 @@ def convert_labware(source: Source, report: FindingList) -> tuple[Source, Dialec
 
 
 def _check_own(source: Source) -> Source:
-    """LabOS' own files say everything once."""
+    """Check that LabOS' own files have no key twice."""
     if source.doubles:
         raise source.doubles[0]
     return source
 
 
 def _warn_of_doubles(source: Source, report: FindingList) -> None:
-    """Foreign programs read with PyYAML, which lets the last one of equal keys win."""
+    """Foreign programs read files with PyYAML, which uses the last one of equal keys."""
     for double in source.doubles:
         report.add_warning(
             f"{double.message} The last one counts, as in the program that it was written for.",

@@ -36,7 +36,7 @@ class Parameters:
                 break
 
     def make_form(self, at: Any) -> SourceMapping:
-        """As LabOS declares them; those that earlier steps return are none."""
+        """The parameters in LabOS' form, without those that earlier steps return."""
         out = SourceMapping(at)
         for name, entry in self.inputs.items():
             parameter = SourceMapping(entry.at)
@@ -53,7 +53,7 @@ class Parameters:
         return out
 
     def declare(self, entry: SourceMapping, path: Path_, kind: str = "") -> str:
-        """Add a parameter; its key."""
+        """Add a parameter, and return its key."""
         kind = str(entry.get("parameter_type") or kind)
         if not kind:
             simple = str(entry.get("type", "")).lower().strip()

@@ -1,7 +1,7 @@
-"""MADSci's transfer capabilities, as the ways of transfers in a workcell's file.
+"""MADSci's transfer capabilities, as the transfers in a workcell's file.
 
-Its location manager plans over them: of the templates for a pair of locations, else of those for the source,
-else of those for the target, else of all others, the one with the least ``cost_weight``
+Its location manager plans with templates, and uses the one with the least ``cost_weight``. Templates for a
+pair of locations take precedence, then those for the source, then those for the target, then all others
 (``madsci.location_manager.transfer_planner``).
 """
 
@@ -19,8 +19,8 @@ OF_TARGETS = ("target_overrides", "destination_overrides")
 
 
 class TransferTemplates:
-    """Reads the ways; ``modules`` are the nodes by the names that MADSci knows, ``places`` the stations by
-    the names and ids of locations."""
+    """Reads the templates. ``modules`` are the nodes by MADSci's names; ``places`` are the stations by the
+    names and ids of locations."""
 
     def __init__(
         self, reader: Reader, modules: Mapping[str, SourceMapping], places: Mapping[str, str]
@@ -29,7 +29,7 @@ class TransferTemplates:
         self.found = SourceList(reader.source.data.at)
 
     def read(self) -> SourceList:
-        """The ways, in the order of the file."""
+        """The transfers, in the order of the file."""
         data = self.reader.source.data
         for key in KEYS:
             if data.get(key) is None:

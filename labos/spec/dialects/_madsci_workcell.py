@@ -13,7 +13,7 @@ from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, m
 
 INTERFACES = {"http": "madsci_rest_node", "https": "madsci_rest_node", "sila": "madsci_sila_node"}
 LOCATIONS_FILE = "locations.yaml"
-"""Read beside the settings if it is there, as MADSci does."""
+"""Read beside the settings if it exists, as MADSci does."""
 
 KINDS = {
     "slot": "nest",
@@ -41,7 +41,7 @@ def is_workcell(source: Source) -> bool:
 
 
 def rewrite_workcell(source: Source, report: FindingList) -> Source:
-    """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
+    """Rewrite a workcell file. Raises SpecError for an unknown form."""
     return _Workcell(source, report).make_form()
 
 
@@ -208,8 +208,8 @@ class _Workcell:
                 location.warn(f"The location {location.name!r} is taught to {node!r}, which is no node here.")
 
     def _teach(self, node: str, place: str, value: Any, at: Place, *, own: bool) -> None:
-        """What a node is told of a place: joints if it is a list of numbers; anything else goes to
-        its configuration, as ``representations``."""
+        """Add a place to a node: joints if it is a list of numbers; any other value goes to the node's
+        configuration, as ``representations``."""
         joints = SourceList(at)
         if isinstance(value, list) and value and all(is_number(joint) for joint in value):
             for joint in value:
@@ -220,7 +220,7 @@ class _Workcell:
             self.taught.setdefault(node, SourceMapping(at)).put(place, joints, at, at)
 
     def _configure(self, node: str, table: str, place: str, value: Any, at: Place) -> None:
-        """What a node's configuration says of a place."""
+        """Add a place to a table of a node's configuration."""
         config = self.modules[node]["config"]
         if table not in config:
             config.put(table, SourceMapping(at), at, at)
@@ -234,7 +234,7 @@ class _Workcell:
 
 
 class _Location:
-    """One location, with its templates laid under it."""
+    """One location, with its templates as defaults."""
 
     def __init__(self, reader: Reader, written: SourceMapping, path: Path_) -> None:
         self.reader, self.written, self.path = reader, written, path
@@ -278,7 +278,8 @@ class _Location:
         return known.get(str(name))
 
     def _bind(self, template: SourceMapping, ways: dict[str, SourceMapping]) -> None:
-        """Which node sees the location how: the roles' defaults, and over them what is written."""
+        """The representation of the location for each node: the defaults of the roles, overridden by the
+        written values."""
         bound = self._read_table(self.written, "node_bindings")
         over = self._read_table(self.written, "representation_overrides")
         for role, name in self._read_table(template, "representation_templates").items():

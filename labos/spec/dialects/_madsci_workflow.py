@@ -22,7 +22,7 @@ TRANSFERS = {
     TRANSFER_CONTENTS: {"source_location_id": "source", "destination_location_id": "target"},
     TRANSFER_RESOURCE: {},
 }
-"""What MADSci's workcell manager carries by itself, and what it calls LabOS' arguments."""
+"""Actions that MADSci's workcell manager carries out itself, with their arguments by LabOS' names."""
 _FIELD = re.compile(r"[\w\-]+")
 
 
@@ -36,7 +36,7 @@ def is_workflow(source: Source) -> bool:
 
 
 def rewrite_workflow(source: Source, report: FindingList) -> Source:
-    """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
+    """Rewrite a workflow file. Raises SpecError for an unknown form."""
     return _Workflow(source, report).make_form()
 
 
@@ -91,7 +91,7 @@ class _Workflow:
         return done
 
     def _list_references(self) -> list[str]:
-        """How each step is referred to: by its name, and its number among equal ones."""
+        """The reference to each step: its name, and its number among steps of the same name."""
         names = [self._find_name(step, n) for n, step in enumerate(self.steps)]
         return [
             f"{name}#{names[: n + 1].count(name)}" if names.count(name) > 1 else name
@@ -145,7 +145,7 @@ class _Workflow:
     def _find_named(
         self, step: SourceMapping, used: SourceMapping, key: str, path: Path_
     ) -> tuple[str, Any] | None:
-        """The node or action with its places; a parameter that decides it stands in the payload."""
+        """The node or action with its places. If a parameter decides it, it comes from the payload."""
         if used.get(key) is None:
             return None if step.get(key) is None else (str(step[key]), find_places(step, key))
         parameter = used[key]
@@ -206,7 +206,7 @@ class _Workflow:
         return value
 
     def _read_value(self, index: int, parameter: Any, path: Path_) -> str:
-        """What an argument refers to: the payload, or what an earlier step returned."""
+        """The reference of an argument: to the payload, or to the result of an earlier step."""
         if isinstance(parameter, SourceMapping):
             parameter = self.parameters.declare(parameter, path)
         key = str(parameter).removeprefix("$")
@@ -243,13 +243,13 @@ class _Workflow:
         return f"{result}.{label}"
 
     def _has_node(self, index: int) -> bool:
-        """Whether a node does the step: only then does it return anything."""
+        """Whether a node carries out the step: only then does it return a result."""
         step = self.steps[index]
         used = [step[key] for key in USED if isinstance(step.get(key), SourceMapping)]
         return step.get("node") is not None or any("node" in table for table in used)
 
     def _find_labelled(self, index: int, label: Any) -> int | None:
-        """The last step before this one that labels a result so."""
+        """The last step before this one with this label for a result."""
         for number in reversed(range(index)):
             labels = self.steps[number].get("data_labels")
             if isinstance(labels, SourceMapping) and label in labels.values():
@@ -268,7 +268,7 @@ class _Workflow:
     # -- what LabOS does otherwise -----------------------------------------------------------
 
     def _read_transfer(self, action: str, arguments: SourceMapping, path: Path_) -> SourceMapping:
-        """The arguments of a transfer that names no node, as LabOS writes them."""
+        """The arguments of a transfer without a node, in LabOS' form."""
         if action == TRANSFER_RESOURCE:
             target = arguments.get("destination_location_id", "where it goes")
             raise self.source.error(
@@ -297,7 +297,8 @@ class _Workflow:
         return out
 
     def _wait(self, action: str, arguments: SourceMapping, path: Path_, last: int | None) -> None:
-        """A step of the workcell itself: waiting goes to the step after it; others are refused."""
+        """A step of the workcell itself. A wait is added to the step after it; other such steps are
+        refused."""
         if action != "wait":
             raise self.source.error(
                 f"The step names no node, and LabOS has no action {action!r} of its own.",

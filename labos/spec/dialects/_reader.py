@@ -1,4 +1,4 @@
-"""What all dialects have in common: reading tables and lists with places, and saying what is not used."""
+"""The common part of all dialects: it reads tables and lists with places, and reports unused fields."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, n
 
 
 class Reader:
-    """One file on its way into LabOS' form."""
+    """Converts one file to LabOS' form."""
 
     def __init__(self, source: Source, report: FindingList) -> None:
         self.source, self.report = source, report
@@ -25,7 +25,7 @@ class Reader:
         )
 
     def expect_table(self, value: Any, path: Path_, what: str) -> SourceMapping:
-        """The value as a table; nothing written counts as an empty one."""
+        """The value as a table; an empty value counts as an empty table."""
         if isinstance(value, SourceMapping):
             return value
         if value is None:
@@ -48,12 +48,12 @@ class Reader:
         raise self.source.error(f"`{path[-1]}` must be a list.", path, remedy=remedy)
 
     def warn_of_assumption(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
-        """Warn of what the file does not say and LabOS takes for granted."""
+        """Warn of an assumption that LabOS makes because the file has no value."""
         place = self.source.place(path, key=key)
         self.report.add_warning(message, place, field=name_field(path), remedy=remedy)
 
     def take_name(self, out: SourceMapping, metadata: SourceMapping) -> None:
-        """The name stands at the root, in the metadata, or is the file's."""
+        """Set the name from the root, from the metadata, or from the file's name."""
         if isinstance(self.source.data.get("name"), str):
             out.take(self.source.data, "name")
         elif isinstance(metadata.get("name"), str):
@@ -73,7 +73,7 @@ class Reader:
 
 
 def find_places(table: SourceMapping, key: str) -> tuple[Place, Place]:
-    """Where a key and its value stand; where the table does, if it has none."""
+    """The places of a key and of its value; those of the table if the key is missing."""
     return table.keys_at.get(key, table.at), table.values_at.get(key, table.at)
 
 

@@ -1,7 +1,7 @@
-"""Opentrons' labware definitions, schema 2: one labware type a file.
+"""Opentrons' labware definitions, schema 2: one labware type per file.
 
-``dimensions``, ``ordering`` (columns of well names), ``wells[x, y, totalLiquidVolume]`` in mm and
-µL from the front left corner, ``parameters.loadName``, ``metadata.displayName``.
+``dimensions``, ``ordering`` (columns of well names), ``wells[x, y, totalLiquidVolume]`` in mm and µL from the
+front left corner, ``parameters.loadName``, ``metadata.displayName``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def is_labware(source: Source) -> bool:
 
 
 def rewrite_labware(source: Source, report: FindingList) -> Source:
-    """Rewrite a labware definition. Raises SpecError where its shape is not understood."""
+    """Rewrite a labware definition. Raises SpecError for an unknown form."""
     reader = Reader(source, report)
     data, at = source.data, source.data.at
     parameters = reader.expect_table(data.get("parameters"), ("parameters",), "`parameters`")
@@ -70,7 +70,7 @@ def _read_footprint(reader: Reader) -> SourceMapping:
 
 
 def _read_wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | None:
-    """The grid of wells; None, with a warning, where they stand in no grid with one pitch."""
+    """The grid of wells; None, with a warning, if the wells are not in a grid with one pitch."""
     columns = reader.expect_row("ordering", "the columns")
     written = reader.expect_table(reader.source.data["wells"], ("wells",), "`wells`")
     names = [[str(name) for name in column] if isinstance(column, SourceList) else [] for column in columns]
@@ -109,7 +109,7 @@ def _read_wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | Non
 
 
 def _measure_pitch(names: list[list[str]], spots: dict[str, tuple[float, float]], alone: float) -> float:
-    """From one well to the next, in mm; 0 where that differs, ``alone`` for a single well."""
+    """The distance from one well to the next, in mm; 0 if it is not constant, ``alone`` for a single well."""
     rows = len(names[0]) if names else 0
     if not rows or any(len(column) != rows or not spots.keys() >= set(column) for column in names):
         return 0.0

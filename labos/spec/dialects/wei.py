@@ -17,23 +17,24 @@ from labos.spec.source import Path_, Source, SourceList, SourceMapping, name_fie
 WORKCELL_KEYS = {"name", "metadata", "config", "modules", "locations"}
 MODULE_KEYS = {"name", "model", "interface", "config", "active"}
 ADDRESS = ("ip", "port")
-"""The oldest files write these beside ``config``."""
+"""The oldest files have these beside ``config``."""
 
 NOBODYS = "locations_of_others"
-"""In the workcell's ``config``: locations of modules that it does not have, so that they are not lost."""
+"""The key in the workcell's ``config`` for the locations of modules that it does not have, so that they are
+not lost."""
 
 PLACEHOLDER = "foo"
 """Public files give this argument to actions that take none."""
 
 ABOUT = ("author", "version", "info", "description")
-"""What some files write at the root and some under ``metadata``."""
+"""Keys that some files have at the root and some under ``metadata``."""
 
 STEP_KEYS = {"name", "module", "action", "comment"}
 _PARAMETER = re.compile(r"\$(?:([\w\-]+)|\{([\w\-]+)\})")
 
 
 def rewrite_workcell(source: Source, report: FindingList) -> Source:
-    """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
+    """Rewrite a workcell file. Raises SpecError for an unknown form."""
     reader = Reader(source, report)
     data = source.data
     out = SourceMapping(data.at)
@@ -117,7 +118,7 @@ def _rewrite_coordinates(
 
 
 def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> None:
-    """``positions`` name a module's places without saying whose joints they are."""
+    """``positions`` of a module name its places without the manipulators to which the joint values belong."""
     written = reader.expect_table(module["positions"], path, "`positions`")
     owner = locations.get("workcell")
     if owner is None:
@@ -131,9 +132,9 @@ def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locat
 
 
 def _tell_positions(reader: Reader, modules: SourceList, locations: SourceMapping) -> None:
-    """The joints of ``positions`` are those of whatever module a step sends there: its node is told them, as
-    WEI did, and not our name for the place. What the module has of its own goes before them, and nothing but
-    zeros was never taught."""
+    """Add the joint values of ``positions`` to the configuration of every module. As in WEI, the node of the
+    module that a step uses gets these values, and not LabOS' name for the place. A module's own values take
+    precedence. Joint values that are all 0 count as not taught."""
     taught = SourceMapping(modules.at)
     for index, module in enumerate(reader.expect_row("modules", "the modules")):
         written = module.get("positions") if isinstance(module, SourceMapping) else None
@@ -153,8 +154,8 @@ def _tell_positions(reader: Reader, modules: SourceList, locations: SourceMappin
 
 
 def _read_locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapping]]:
-    """Joint values by owner and place; and what is written instead of joint values, which the
-    module itself may understand: it is told as ``representations``."""
+    """The joint values by owner and place. The second table has other values, which the module itself may
+    understand: they are passed to it as ``representations``."""
     source = reader.source
     written = reader.expect_table(source.data.get("locations"), ("locations",), "`locations`")
     out = SourceMapping(written.at)
@@ -175,7 +176,7 @@ def _read_locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapp
 
 
 def rewrite_workflow(source: Source, report: FindingList) -> Source:
-    """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
+    """Rewrite a workflow file. Raises SpecError for an unknown form."""
     reader = Reader(source, report)
     data = source.data
     out = SourceMapping(data.at)
@@ -246,7 +247,7 @@ def _read_parameters(reader: Reader) -> SourceMapping:
 
 
 class _Step:
-    """One step on its way into LabOS' form."""
+    """Converts one step to LabOS' form."""
 
     def __init__(self, reader: Reader, step: SourceMapping, path: Path_, parameters: SourceMapping) -> None:
         self.reader, self.step, self.path, self.parameters = reader, step, path, parameters
@@ -308,7 +309,7 @@ class _Step:
                 self.reader.ignore((*at, key))
 
     def _take_arguments(self, value: Any, at: Path_) -> None:
-        """``args`` and ``files``; nothing written under a name counts as not given."""
+        """``args`` and ``files``; an empty value counts as not given."""
         written = self.reader.expect_table(value, at, f"`{at[-1]}`")
         for name, item in written.items():
             if name == PLACEHOLDER and (len(written) == 1 or item in ("foo", "bar")):
