@@ -13,8 +13,9 @@ def main() -> None:
 
 
 def _load_structlog_plainly() -> None:
-    """structlog takes up rich where it finds it, only to colour tracebacks, and that is a third of
-    the time in which a node's process starts. What asks for rich by itself finds it afterwards."""
+    """structlog imports rich, if it is installed, only to colour tracebacks. That takes a third of the start
+    of a node's process, so rich is hidden during this import. Code that needs rich can import it
+    afterwards."""
     hidden = "rich" not in sys.modules
     if hidden:
         sys.modules["rich"] = None  # type: ignore[assignment]

@@ -36,7 +36,7 @@ class SystemClock:
 
 
 def new_salt() -> bytes:
-    """16 bytes that nobody can guess."""
+    """16 bytes that cannot be guessed."""
     return secrets.token_bytes(16)
 
 

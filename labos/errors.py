@@ -1,40 +1,40 @@
 """Every error LabOS raises, in one tree. Each docstring is the message's first sentence.
 
 LabosError
-├── BadInput                 what a person or program handed in cannot be used
+├── BadInput                 the input of a person or program cannot be used
 │   ├── SpecError            a file: names file, line, column, field and remedy
 │   ├── Refused              a command that the rules forbid here and now
 │   │   ├── KeyReused        an idempotency key that belongs to another request
-│   │   ├── AlreadyDone      a request that was carried out, whose answer is not known any more
+│   │   ├── AlreadyDone      a request that was carried out, but whose answer is not known any more
 │   │   └── Forbidden        the user may not do this
-│   └── NotFound             a name that nobody in this lab bears
-├── NotSignedIn              nobody knows who asks
-├── TooManyTries             somebody has tried to sign in too often
+│   └── NotFound             nothing in this lab has that name
+├── NotSignedIn              the user is not known
+├── TooManyTries             too many attempts to sign in
 ├── StoreError               the event store
 │   ├── StoreUnavailable     cannot be reached or written
 │   ├── LogTooNew            written by a newer LabOS
 │   ├── LogDamaged           a record, its hash or its position is wrong
 │   └── Fenced               another kernel has taken over
-├── KernelAway               the kernel gave no answer (says nothing about whether it was done)
+├── KernelAway               the kernel gave no answer; the request may have been carried out
 ├── BusError                 the message bus
-│   ├── NoAnswer             nobody answered (says nothing about whether it was done)
-│   │   └── Unreadable       what was said cannot be read: as good as no answer
+│   ├── NoAnswer             no process answered; the request may have been carried out
+│   │   └── Unreadable       a message cannot be read: counts like no answer
 │   └── NameTaken            another node already answers to this name
 ├── NodeError                a node or its device
 │   ├── ActionInvalid        unknown action or bad arguments: nothing moved
 │   ├── DeviceError          the device reported a failure
-│   │   └── LinkError        the wire to a device: no answer that can be believed
-│   │       ├── NotConnected nobody is there; nothing was sent
-│   │       ├── WrongDevice  another device than the one expected answers; nothing was asked of it
-│   │       ├── LinkLost     unplugged in mid-exchange
+│   │   └── LinkError        no valid answer on the wire to a device
+│   │       ├── NotConnected there is no device; nothing was sent
+│   │       ├── WrongDevice  a different device answers than the expected one; nothing was requested from it
+│   │       ├── LinkLost     unplugged during an exchange
 │   │       ├── NoReply      nothing came before the deadline
 │   │       ├── HalfReply    a reply began and did not end before the deadline
-│   │       ├── Garbled      what came is no message: noise, wrong checksum, wrong form
-│   │       └── StrayReply   what came answers another question
-│   └── OutcomeUnknown       nobody can say whether the device did it
+│   │       ├── Garbled      the received bytes are not a message: noise, wrong checksum, wrong form
+│   │       └── StrayReply   the received message answers another question
+│   └── OutcomeUnknown       it is not known whether the device carried out the action
 ├── JournalDamaged           a node's journal cannot be trusted
-├── Undelivered              a message to a person was not taken
-├── InternalFault            LabOS itself failed on a command; nothing of it was done
+├── Undelivered              a message to a person was not accepted
+├── InternalFault            LabOS itself failed on a command; no part of it was carried out
 └── InvariantBroken          a batch of events that must never be written
 """
 
@@ -54,11 +54,11 @@ class LabosError(Exception):
 
 
 class BadInput(LabosError):
-    """What was handed in cannot be used."""
+    """The input cannot be used."""
 
 
 class SystemFailed(LabosError):
-    """The computer refused something: a file, a folder, a socket."""
+    """The computer refused an operation: on a file, a folder, a socket."""
 
 
 class SpecError(BadInput):
@@ -92,23 +92,23 @@ class KeyReused(Refused):
 
 
 class AlreadyDone(Refused):
-    """The request with this idempotency key was carried out; what it was answered is not known any more."""
+    """The request with this idempotency key was carried out; its answer is not known any more."""
 
 
 class Forbidden(Refused):
-    """The user may not do this; the remedy says who may."""
+    """The user may not do this; the remedy names the users who may."""
 
 
 class NotFound(BadInput):
-    """Nobody in this lab bears that name."""
+    """Nothing in this lab has that name."""
 
 
 class NotSignedIn(LabosError):
-    """Nobody knows who asks: nothing was shown, or what was shown is not valid."""
+    """The user is not known: the request has no credentials, or they are not valid."""
 
 
 class TooManyTries(LabosError):
-    """Somebody has tried to sign in too often; ``wait_s`` is how long to wait."""
+    """There were too many attempts to sign in; ``wait_s`` is how long to wait."""
 
     def __init__(self, message: str, *, wait_s: float = 60.0, remedy: str = "") -> None:
         super().__init__(message, remedy=remedy or f"Wait {wait_s:.0f} s, then try again.")
@@ -124,11 +124,11 @@ class StoreUnavailable(StoreError):
 
 
 class CommitInDoubt(StoreUnavailable):
-    """What was to be written may be on disk, or not: asking for it once more may do it twice."""
+    """The data may be on disk, or not: a repeated request may be carried out twice."""
 
 
 class KernelAway(LabosError):
-    """The kernel, in another process, gave no answer; whether it was done is not known."""
+    """The kernel, in another process, gave no answer; it is not known whether the request was carried out."""
 
 
 class LogTooNew(StoreError):
@@ -152,11 +152,11 @@ class BusError(LabosError):
 
 
 class NoAnswer(BusError):
-    """Nobody answered; whether it was done is not known."""
+    """No process answered; it is not known whether the request was carried out."""
 
 
 class Unreadable(NoAnswer):
-    """What was said cannot be read."""
+    """A message cannot be read."""
 
 
 class NameTaken(BusError):
@@ -174,7 +174,7 @@ class ActionInvalid(NodeError):
 class DeviceError(NodeError):
     """The device reported a failure.
 
-    ``effects`` says what is known of the motion: ``none``, ``all``, ``partial`` or ``unknown``.
+    ``effects`` says how much of the motion was carried out: ``none``, ``all``, ``partial`` or ``unknown``.
     """
 
     def __init__(self, message: str, *, effects: str = "unknown", remedy: str = "") -> None:
@@ -183,30 +183,30 @@ class DeviceError(NodeError):
 
 
 class Collision(DeviceError):
-    """The device has hit, dropped or jammed something: an operational error. The motion was asked for as it
-    should be, and the bench was not as it should be."""
+    """The device has hit, dropped or jammed something: an operational error. The requested motion was
+    correct, but the bench was not as expected."""
 
 
 class LinkError(DeviceError):
-    """The wire to a device gave no answer that can be believed.
+    """There is no valid answer on the wire to a device.
 
-    What the device did is unknown, unless nothing was sent.
+    It is unknown what the device has done, unless nothing was sent.
     """
 
 
 class NotConnected(LinkError):
-    """Nobody is there; nothing was sent."""
+    """There is no device; nothing was sent."""
 
     def __init__(self, message: str, *, effects: str = "none", remedy: str = "") -> None:
         super().__init__(message, effects=effects, remedy=remedy)
 
 
 class WrongDevice(NotConnected):
-    """Another device than the one expected answers; nothing was asked of it."""
+    """A different device answers than the expected one; nothing was requested from it."""
 
 
 class LinkLost(LinkError):
-    """The wire was unplugged in mid-exchange."""
+    """The wire was unplugged during an exchange."""
 
 
 class NoReply(LinkError):
@@ -218,15 +218,15 @@ class HalfReply(LinkError):
 
 
 class Garbled(LinkError):
-    """What came is no message: noise, a wrong checksum, a wrong form."""
+    """The received bytes are not a message: noise, a wrong checksum, a wrong form."""
 
 
 class StrayReply(LinkError):
-    """What came answers another question."""
+    """The received message answers another question."""
 
 
 class OutcomeUnknown(NodeError):
-    """Nobody can say whether the device carried the action out: neither done nor failed."""
+    """It is not known whether the device carried out the action: it counts neither as done nor as failed."""
 
 
 class JournalDamaged(LabosError):
@@ -234,9 +234,9 @@ class JournalDamaged(LabosError):
 
 
 class Undelivered(LabosError):
-    """A message to a person was not taken.
+    """A message to a person was not accepted.
 
-    ``unreachable``: by nobody's fault but the server's, which would take no other message either.
+    ``unreachable``: the cause is the server, which would accept no other message either.
     """
 
     def __init__(self, message: str, *, unreachable: bool = False, remedy: str = "") -> None:
@@ -245,8 +245,8 @@ class Undelivered(LabosError):
 
 
 class InternalFault(LabosError):
-    """LabOS itself failed on a command; nothing of it was done, and the lab goes on."""
+    """LabOS itself failed on a command; no part of it was carried out, and the lab continues."""
 
 
 class InvariantBroken(LabosError):
-    """A batch of events would break what must always hold; nothing of it was written."""
+    """A batch of events would break an invariant; no event of it was written."""

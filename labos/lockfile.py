@@ -1,4 +1,4 @@
-"""A lock that the operating system takes away when its holder dies."""
+"""A lock that the operating system releases when its holder dies."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 _MARK = 1 << 30
-"""Windows locks bytes and hides them from others, so the locked byte lies far behind the text."""
+"""Windows locks bytes and hides them from other processes, so the locked byte is far behind the text."""
 
 if sys.platform == "win32":  # pragma: no cover
     import msvcrt
@@ -43,13 +43,14 @@ else:
 
 LOOKS = 10
 LOOK_S = 0.02
-"""Whoever asks ``is_taken`` holds the lock for some microseconds, so it is tried a few times."""
+"""A process that calls ``is_taken`` holds the lock for some microseconds, so a lock is tried several
+times."""
 
 
 class FileLock:
     """An exclusive lock on a file, held until ``release`` or until the process ends.
 
-    The file stays behind: removing it would let two holders lock two files of one name.
+    The file is not removed: otherwise two processes could lock two different files with one name.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,7 +62,7 @@ class FileLock:
         return self._file is not None
 
     def acquire(self, note: str) -> bool:
-        """Take the lock and leave ``note`` in the file; False if somebody holds it."""
+        """Take the lock and write ``note`` into the file; False if another process holds the lock."""
         if self.is_held:
             return True
         for look in range(LOOKS):
@@ -78,12 +79,12 @@ class FileLock:
             os.lseek(file, 0, os.SEEK_SET)
             os.write(file, note.encode())
         except OSError:
-            # The note only helps people; on a full disk the lock holds without it.
+            # The note is only information for people; on a full disk the lock is valid without it.
             pass
         return True
 
     def is_taken(self) -> bool:
-        """Whether somebody holds the lock, this object among them. True if there is no telling."""
+        """Whether any process holds the lock, this object included. True if that cannot be found out."""
         if self.is_held:
             return True
         try:
@@ -100,7 +101,7 @@ class FileLock:
             os.close(file)
 
     def note(self) -> str:
-        """What the present holder left in the file."""
+        """The note that the present holder has written into the file."""
         try:
             return self.path.read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
@@ -108,8 +109,8 @@ class FileLock:
 
     def release(self) -> None:
         if self._file is not None:
-            # Closing gives the lock back, unless a forked child still holds a copy; truncate
-            # first, so that the note never names somebody who is gone.
+            # Closing the file releases the lock, unless a forked child still has a copy. The file is
+            # truncated first, so that the note never names a process that has ended.
             file, self._file = self._file, None
             try:
                 os.ftruncate(file, 0)
@@ -119,7 +120,7 @@ class FileLock:
                 os.close(file)
 
     def _open_locked(self) -> int | None:
-        """The file, opened and locked; None if somebody else holds it."""
+        """The file, opened and locked; None if another process holds the lock."""
         while True:
             file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o600)
             try:
@@ -134,8 +135,8 @@ class FileLock:
             os.close(file)
 
     def _is_still_there(self, file: int) -> bool:
-        """Whether the locked file is still the one of that name (somebody may have removed it
-        between opening and locking)."""
+        """Whether the locked file still has its name (another process may have removed it between opening and
+        locking)."""
         try:
             return os.path.samestat(os.fstat(file), os.stat(self.path))
         except FileNotFoundError:

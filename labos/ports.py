@@ -1,4 +1,4 @@
-"""What the kernel and the nodes need from outside, as protocols.
+"""The interfaces of the kernel and the nodes to the outside, as protocols.
 
 Each port has a real implementation and one for the seeded simulation; both pass the same tests.
 """
@@ -16,7 +16,7 @@ from labos.core.words import Kept
 
 
 class Head(msgspec.Struct, frozen=True):
-    """Where the log ends and who may write it."""
+    """The end of the log, and the kernel that may write it."""
 
     lab: LabId
     position: int
@@ -27,7 +27,7 @@ class Head(msgspec.Struct, frozen=True):
 
 class LogQuery(msgspec.Struct, frozen=True):
     """A selection of the log. Empty fields select everything; times are UTC nanoseconds. A record
-    ``mentions`` a text that stands in its payload or its stream, or was written beside it."""
+    ``mentions`` a text that is in its payload, in its stream or in its words."""
 
     after: int = 0
     upto: int | None = None
@@ -44,8 +44,8 @@ class LogQuery(msgspec.Struct, frozen=True):
 class EventLine(msgspec.Struct, frozen=True):
     """A record of the log, as HTTP sends it and clients read it. ``time`` is ``recorded_at`` (UTC
     nanoseconds) for people; ``version`` counts the events of its ``stream``; ``correlation`` is the run or
-    experiment that it is a part of; ``causation`` the id of the event from which it follows, or the mark of
-    the request that asked for it (``request:…``); ``hash`` links it to the event before."""
+    experiment to which it belongs; ``causation`` is the id of the event that caused it, or the mark of the
+    request that caused it (``request:…``); ``hash`` links it to the previous event."""
 
     position: int
     time: str
@@ -80,10 +80,10 @@ class EventStore(Protocol):
         the lab counts as abandoned, and a standby takes over at once."""
 
     def append(self, expected: Head, records: Sequence[Record]) -> Head:
-        """Write records behind ``expected``, all or none, synced to disk on return.
+        """Write records after ``expected``, all or none; they are synced to disk on return.
 
-        Raises Fenced if the head is not the expected one, StoreUnavailable if the outcome of the
-        commit is not known or nothing was written.
+        Raises Fenced if the head is not the expected one, StoreUnavailable if the outcome of the commit is
+        not known or nothing was written.
         """
 
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
@@ -93,14 +93,14 @@ class EventStore(Protocol):
         """Records that a query selects, in order."""
 
     def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
-        """The words that stand beside the log for references, also those that were erased."""
+        """The words beside the log for references, also erased ones."""
 
     def scrub(self) -> str:
-        """Let nothing of words that were erased stand in the database's files any more. Returns why something
-        still may, empty if it does not."""
+        """Remove what remains of erased words from the database's files. Returns why something may still
+        remain, empty if nothing does."""
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
-        """Keep a disposable picture of the state; replaces older ones."""
+        """Store a disposable picture of the state; it replaces older ones."""
 
     def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None:
         """(position, hash, data) of the newest snapshot of this fold, if its hash is still the
@@ -118,7 +118,7 @@ class Person(msgspec.Struct, frozen=True):
 
 
 class Token(msgspec.Struct, frozen=True):
-    """What is known of a token that a program shows. ``scope`` is the most that it is good for: `viewer`,
+    """The record of a token, without its secret. ``scope`` is the highest role that it allows: `viewer`,
     `submitter`, `operator` or `admin`. Times are UTC nanoseconds, 0 for not yet."""
 
     id: str
@@ -132,7 +132,7 @@ class Token(msgspec.Struct, frozen=True):
 
 
 class Session(msgspec.Struct, frozen=True):
-    """A browser that somebody has signed in with; ``how`` is `password` or `oidc`."""
+    """A browser session of a signed-in user; ``how`` is `password` or `oidc`."""
 
     user: str
     how: str
@@ -141,7 +141,7 @@ class Session(msgspec.Struct, frozen=True):
 
 
 class AccountStore(Protocol):
-    """What users sign in with, and who they are: can be changed and erased. Calls block. Each raises
+    """The users' credentials and personal data, which can be changed and erased. Calls block. Each raises
     StoreUnavailable."""
 
     def people(self) -> dict[str, Person]: ...
@@ -185,7 +185,7 @@ class BlobReader(Protocol):
 
 
 class BlobStore(BlobReader, Protocol):
-    """Large payloads, kept; ``put`` returns after the bytes are synced."""
+    """A store for large payloads; ``put`` returns after the bytes are synced."""
 
     def put(self, data: bytes) -> str: ...
 
@@ -196,7 +196,7 @@ AliveListener = Callable[[str, bool], None]
 
 
 class Handle(Protocol):
-    """Something declared on the bus; ``close`` takes it back. Keep a reference to it."""
+    """A declaration on the bus; ``close`` withdraws it. Keep a reference to it."""
 
     def close(self) -> None: ...
 
@@ -219,7 +219,7 @@ class Bus(Protocol):
         """Show this key to watchers for as long as the process lives."""
 
     async def watch_alive(self, keys: str, listener: AliveListener) -> Handle:
-        """Call ``listener(key, True)`` for each living key, now and later, and ``(key, False)``
-        when one is gone."""
+        """Call ``listener(key, True)`` for each key that is alive now or later, and ``(key, False)`` when one
+        is gone."""
 
     async def close(self) -> None: ...

@@ -1,7 +1,7 @@
-"""Files and folders that only their owner may read, whatever the umask says.
+"""Files and folders that only their owner may read, whatever the umask is.
 
-Where the system knows no such rights (Windows), the folder's own rights hold: a user's folder is private
-there.
+On a system without such permissions (Windows), the permissions of the folder apply: a user's folder is
+private there.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from labos.clock import SystemClock
 FILE, FOLDER = 0o600, 0o700
 
 LEFT_S = 3600.0
-"""A file that is half written and so old was left behind."""
+"""A half written file that is older than this was left behind."""
 
 _log = structlog.get_logger(__name__)
 
 
 def create_file(path: Path, *, exclusive: bool = False) -> BinaryIO:
-    """Open a file for writing, emptied or new, and private from the first moment. Raises OSError."""
+    """Open a file for writing. It is empty or new, and private from the first moment. Raises OSError."""
     flags = os.O_WRONLY | os.O_CREAT | (os.O_EXCL if exclusive else os.O_TRUNC) | getattr(os, "O_BINARY", 0)
     handle = os.open(path, flags, FILE)
     try:
         if os.name != "nt":
-            os.fchmod(handle, FILE)  # one that was there keeps its rights otherwise
+            os.fchmod(handle, FILE)  # else an existing file keeps its permissions
         return os.fdopen(handle, "wb")
     except BaseException:
         os.close(handle)
@@ -40,7 +40,7 @@ def create_file(path: Path, *, exclusive: bool = False) -> BinaryIO:
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a private file, whole or not at all, synced on return. Raises OSError."""
+    """Write a private file, completely or not at all; it is synced on return. Raises OSError."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:
         with create_file(beside) as file:
@@ -60,11 +60,11 @@ _making = threading.Lock()
 def make_database_file(path: Path) -> None:
     """Make an empty private file if there is none. Raises OSError.
 
-    A file that is there is not opened, not even for a moment: to close it would drop every lock that SQLite
-    holds on it for this process (POSIX locks belong to the process). The next program to close the database
-    would then believe that it is the last one and remove the write-ahead log of the others.
+    An existing file is not opened, not even for a moment: closing it would release every lock that SQLite
+    holds on it for this process (POSIX locks belong to the process). The next program that closes the
+    database would then assume that it is the last one, and remove the write-ahead log of the others.
     """
-    with _making:  # nor does another thread open what this one is about to close
+    with _making:  # no other thread may open a file that this one closes
         if path.exists():
             return
         with suppress(FileExistsError):
@@ -72,7 +72,7 @@ def make_database_file(path: Path) -> None:
 
 
 def make_folder(path: Path) -> list[Path]:
-    """Make a folder and its parents; those that are new are private. Returns them, the outermost first.
+    """Make a folder and its parents; the new ones are private. Returns the new ones, the outermost first.
     Raises OSError."""
     missing = []
     folder = path
@@ -86,8 +86,8 @@ def make_folder(path: Path) -> list[Path]:
 
 
 def tighten(paths: Iterable[Path], what: str) -> None:
-    """Take away what others than the owner may do with files and folders that are there. One line in the
-    journal of the program says so. What belongs to somebody else stays as it is."""
+    """Remove the permissions of other users from existing files and folders, and report that in one line of
+    the program's log. Files of another owner are not changed."""
     if os.name == "nt":
         return
     changed = [path for path in paths if _tighten(path)]
@@ -108,7 +108,8 @@ def _tighten(path: Path) -> bool:
 
 
 def _is_common(path: Path, mode: int) -> bool:
-    """Whether a folder is for more than one thing: it was named as a lab's, but is not the lab's alone."""
+    """Whether a folder also has other purposes: it was named as a lab's folder, but contains more than the
+    lab."""
     return bool(mode & stat.S_ISVTX) or path == path.parent or path == Path.home()
 
 
@@ -124,8 +125,8 @@ def sync_folder(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path, pattern: str) -> None:
-    """Remove files that whoever died while writing them left behind; one line in the journal of the program
-    says so. Those of the last hour may still be at work."""
+    """Remove files that a process left behind when it died while writing them, and report that in one line of
+    the program's log. Files of the last hour are not removed, as their writers may still be at work."""
     now = SystemClock().now_ns() / 1e9
     removed = 0
     for path in folder.glob(pattern):

@@ -1,4 +1,4 @@
-"""Where a lab keeps its things, and how a running lab is found."""
+"""The places of a lab's files, and how a running lab is found."""
 
 from __future__ import annotations
 
@@ -37,35 +37,34 @@ ORDER = "LABOS_ORDER"
 DEFAULT_HOME = "lab"
 HOME_KEY = "home.key"
 PATIENCE_S = 30.0
-"""How long a kernel waits for its database unless it is told otherwise."""
+"""How long a kernel waits for its database by default."""
 SILENCE_S = 10.0
-"""How long a database may say nothing before it counts as lost, unless it is said otherwise."""
+"""How long a database may give no answer before it counts as lost, by default."""
 PATIENCE = "5/600"
-"""How often a module may fail in how many seconds, unless it is said otherwise."""
+"""How often a module may fail within how many seconds, by default."""
 FAILURES_KNOWN = 50
-"""Of each module so many failures are remembered."""
+"""The number of remembered failures of each module."""
 
 
 class Settings(msgspec.Struct, frozen=True):
     """One lab's folder, database and addresses.
 
-    Ports that are None are the ones the lab had last time, else free ones. ``speed`` is how
-    much faster than real time simulated instruments run, ``simulate`` whether the bench is a
-    simulated one; None for both: as this lab has been so far. ``wire``: simulated instruments are
-    reached over simulated wires, where their drivers have them; ``trace_wires``: every byte on wires is
-    written down; ``node_metrics``: each node shows metrics, on a free port. ``on_database_loss`` says what
-    the kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
-    ``database_silence`` is how many seconds a database may take to answer before it counts as lost.
-    ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
-    ``quarantine`` says after how many failures in how many lab seconds a module is taken out of
-    service, as ``5/600``, or ``never``. ``open_to_network``: a bus that asks nobody for a certificate may
+    Ports that are None are the ones the lab had last time, else free ones. ``speed`` is the speed-up factor
+    of simulated instruments, ``simulate`` says whether the bench is simulated; None for both: as this lab has
+    been so far. ``wire``: simulated instruments are reached over simulated wires, if their drivers have them;
+    ``trace_wires``: every byte on wires is recorded; ``node_metrics``: each node serves metrics, on a free
+    port. ``on_database_loss`` is the reaction of the kernel if it cannot write its log: ``stop``, ``wait`` or
+    a number of seconds to wait. ``database_silence`` is how many seconds a database may take to answer before
+    it counts as lost. ``bus`` are the endpoints of a bus in a separate process (``labos bus``); empty: the
+    kernel runs one. ``quarantine`` says after how many failures within how many lab seconds a module is taken
+    out of service, as ``5/600``, or ``never``. ``open_to_network``: a bus that requires no certificates may
     listen on a ``host`` that other computers reach. ``tls_certificate`` and ``tls_key`` are PEM files, for
-    HTTP over TLS; ``behind_proxy``: another program does that; ``names`` are those under which browsers reach
-    the lab. ``first_user`` is added to a lab that has none, with the password in the file ``first_password``.
-    ``secure`` says whether the bus is one of TLS and certificates (None: as it was last), ``certificate`` is
-    the folder of the kernel's own if the authority is elsewhere, ``addresses`` are further names by which
-    other computers reach the bus that the kernel runs. ``otlp`` is the receiver that traces of runs are sent
-    to, as ``http://127.0.0.1:4318``.
+    HTTP over TLS; ``behind_proxy``: a proxy encrypts the connections; ``names`` are the host names under
+    which browsers reach the lab. ``first_user`` is added to a lab that has none, with the password in the
+    file ``first_password``. ``secure`` says whether the bus uses TLS and certificates (None: as at the last
+    start), ``certificate`` is the folder of the kernel's own certificate if the authority is elsewhere,
+    ``addresses`` are further names under which other computers reach the bus that the kernel runs. ``otlp``
+    is the address of the receiver of traces, such as ``http://127.0.0.1:4318``.
     """
 
     home: Path
@@ -99,16 +98,15 @@ class Settings(msgspec.Struct, frozen=True):
 
     @classmethod
     def make(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
-        """Settings from options; what is not given comes from LABOS_HOME and
-        LABOS_DATABASE_URL, else it is ``./lab`` and the database used there before, else a
-        SQLite file in that folder."""
+        """Settings from options. For a missing option: LABOS_HOME, else ``./lab``; LABOS_DATABASE_URL, else
+        the database that was used there before, else a SQLite file in that folder."""
         folder = Path(home or os.environ.get(HOME) or DEFAULT_HOME).absolute()
         url = database or os.environ.get(DATABASE) or _database_of(folder)
         return cls(folder, url, **more)  # type: ignore[arg-type]
 
     @property
     def reopen_s(self) -> float:
-        """How long the kernel waits for a database that is gone. Raises BadInput."""
+        """How long the kernel waits for a database that cannot be reached. Raises BadInput."""
         said = self.on_database_loss or os.environ.get(ON_DATABASE_LOSS) or ""
         if said in ("stop", "wait"):
             return 0.0 if said == "stop" else math.inf
@@ -125,12 +123,12 @@ class Settings(msgspec.Struct, frozen=True):
 
     @property
     def trace_receiver(self) -> str:
-        """Where traces of runs are sent; empty for nowhere."""
+        """The address of the receiver of traces; empty for none."""
         return self.otlp or os.environ.get(OTLP) or ""
 
     @property
     def silence_s(self) -> float:
-        """How long a database may say nothing before it counts as lost. Raises BadInput."""
+        """How long a database may give no answer before it counts as lost. Raises BadInput."""
         said = self.database_silence or os.environ.get(DATABASE_SILENCE) or SILENCE_S
         try:
             seconds = float(said)
@@ -145,7 +143,7 @@ class Settings(msgspec.Struct, frozen=True):
 
     @property
     def failures_borne(self) -> tuple[int, float]:
-        """How many failures of a module are too many, and within how many lab seconds; 0 for never.
+        """How many failures of a module lead to its quarantine, and within how many lab seconds; 0 for never.
         Raises BadInput."""
         said = self.quarantine or os.environ.get(QUARANTINE) or PATIENCE
         if said == "never":
@@ -165,7 +163,7 @@ class Settings(msgspec.Struct, frozen=True):
 
     @property
     def searches_order(self) -> bool:
-        """Whether the lab looks for an order of all waiting runs. Raises BadInput."""
+        """Whether the lab searches for an order of all waiting runs. Raises BadInput."""
         said = os.environ.get(ORDER) or "age"
         if said in ("age", "search"):
             return said == "search"
@@ -173,7 +171,8 @@ class Settings(msgspec.Struct, frozen=True):
 
     @property
     def is_secure(self) -> bool:
-        """Whether the bus speaks TLS: as it was said, else as its address says, else as it was last."""
+        """Whether the bus uses TLS: as configured, else according to its address, else as at the last
+        start."""
         if self.secure is not None:
             return self.secure
         if self.bus:
@@ -183,42 +182,43 @@ class Settings(msgspec.Struct, frozen=True):
 
     @property
     def pki(self) -> Path:
-        """The lab's own certificate authority: as said, else LABOS_PKI, else ``pki`` in the home."""
+        """The lab's own certificate authority: the configured folder, else LABOS_PKI, else ``pki`` in the
+        home."""
         named = self.authority or os.environ.get(PKI)
         return Path(named).absolute() if named else self.home / "pki"
 
     @property
     def contacts(self) -> Path:
-        """Who is told of what: LABOS_CONTACTS, else ``contacts.yaml`` in the home."""
+        """The contacts file: LABOS_CONTACTS, else ``contacts.yaml`` in the home."""
         named = os.environ.get(CONTACTS)
         return Path(named).absolute() if named else self.home / "contacts.yaml"
 
     @property
     def notifications(self) -> Path:
-        """What people were told and are still to be told."""
+        """The outbox of notifications, with those that were sent."""
         return self.home / "notifications.db"
 
     @property
     def node_settings(self) -> Path:
-        """What nodes on this computer are told besides the workcell: LABOS_NODE_SETTINGS, else ``nodes.yaml``
+        """Settings of nodes on this computer besides the workcell: LABOS_NODE_SETTINGS, else ``nodes.yaml``
         in the home."""
         named = os.environ.get(NODE_SETTINGS)
         return Path(named).absolute() if named else self.home / NODE_SETTINGS_FILE
 
     @property
     def home_key(self) -> Path:
-        """By what is in it, the owner of the lab's folder is known to the running lab."""
+        """A key file: with its content, the owner of the lab's folder authenticates to the running lab."""
         return self.home / HOME_KEY
 
     @property
     def api_key(self) -> Path:
-        """By what is in it, API processes on this computer are known to the kernel, where the bus asks for no
-        certificates."""
+        """A key file: with its content, API processes on this computer authenticate to the kernel, if the bus
+        requires no certificates."""
         return self.home / "api.key"
 
     @property
     def providers(self) -> Path:
-        """Which identity provider people may sign in with: LABOS_OIDC, else ``oidc.yaml`` in the home."""
+        """The file with the identity provider for signing in: LABOS_OIDC, else ``oidc.yaml`` in the home."""
         named = os.environ.get(OIDC)
         return Path(named).absolute() if named else self.home / "oidc.yaml"
 
@@ -232,13 +232,13 @@ class Settings(msgspec.Struct, frozen=True):
 
     @property
     def nodes(self) -> Path:
-        """Notes on node processes, by which the next kernel finds them."""
+        """Notes on node processes, with which the next kernel finds them."""
         return self.home / "nodes"
 
     @property
     def blobs(self) -> Path | str:
-        """Where large payloads are kept: LABOS_BLOBS (a folder, or a URL such as ``s3://bucket/lab``), else
-        where this lab has kept them, else ``blobs`` in the home."""
+        """Where large payloads are stored: LABOS_BLOBS (a folder, or a URL such as ``s3://bucket/lab``), else
+        where this lab has stored them, else ``blobs`` in the home."""
         said = os.environ.get(BLOBS)
         if not said:
             known = _read(self.home / "kernel.json", KernelInfo)
@@ -247,7 +247,7 @@ class Settings(msgspec.Struct, frozen=True):
 
     @property
     def arriving(self) -> Path:
-        """Files of nodes that are not yet whole."""
+        """Incomplete files of nodes."""
         return self.home / "arriving"
 
     @property
@@ -255,7 +255,7 @@ class Settings(msgspec.Struct, frozen=True):
         return self.home / "world"
 
     def files(self, module: str) -> Path:
-        """What the node of ``workcell/module`` has fetched."""
+        """The files that the node of ``workcell/module`` has fetched."""
         return self.home / "files" / module.replace("/", ".")
 
     def journal(self, module: str) -> Path:
@@ -263,11 +263,11 @@ class Settings(msgspec.Struct, frozen=True):
         return self.journals / f"{module.replace('/', '.')}.journal"
 
     def unit(self, module: str) -> Path:
-        """Which unit the device of ``workcell/module`` is, beside its node's journal."""
+        """The serial number of the device of ``workcell/module``, beside its node's journal."""
         return self.journal(module).with_suffix(".unit")
 
     def trace(self, module: str) -> Path:
-        """Every byte on the wires of the device of ``workcell/module``, if somebody wants to see them."""
+        """Every byte on the wires of the device of ``workcell/module``, if they are recorded."""
         return self.home / "traces" / f"{module.replace('/', '.')}.txt"
 
     def world(self, workcell: str) -> Path:
@@ -276,8 +276,8 @@ class Settings(msgspec.Struct, frozen=True):
 
 
 class KernelInfo(msgspec.Struct, frozen=True):
-    """How to reach a running lab: what ``<home>/kernel.json`` holds. ``pid`` is 0 when its kernel
-    has ended in order; a note of one that was killed is stale."""
+    """How to reach a running lab: the content of ``<home>/kernel.json``. ``pid`` is 0 if its kernel has shut
+    down properly; the file of a kernel that was killed is out of date."""
 
     pid: int
     url: str
@@ -291,24 +291,24 @@ class KernelInfo(msgspec.Struct, frozen=True):
 
 
 class Ports(msgspec.Struct, frozen=True):
-    """The ports a lab had last: nodes that outlive a kernel look for the next one there."""
+    """The last ports of a lab: nodes that outlive a kernel look for the next one there."""
 
     http: int = 0
     bus: int = 0
 
 
 def keep_private() -> None:
-    """From now on, what this process and those that it starts make can be read by their owner only."""
+    """From now on, files that this process and its children make can be read by their owner only."""
     os.umask(0o077)
 
 
 def announce(home: Path, info: KernelInfo) -> None:
-    """Say where the kernel of this lab is to be found."""
+    """Write down where the kernel of this lab can be reached."""
     _write(home / "kernel.json", info)
 
 
 def withdraw(home: Path) -> None:
-    """Say that the kernel has ended, unless another one has said something since."""
+    """Write down that the kernel has ended, unless another one has written its own note since."""
     found = _read(home / "kernel.json", KernelInfo)
     if found is not None and found.pid == os.getpid():
         with contextlib.suppress(OSError):
@@ -316,13 +316,12 @@ def withdraw(home: Path) -> None:
 
 
 def lab_url() -> str:
-    """The address of a lab on another computer, as LABOS_URL says; empty if it says none. Raises
-    BadInput."""
+    """The address of a lab on another computer, from LABOS_URL; empty if it is not set. Raises BadInput."""
     return check_url(os.environ.get(URL, ""), URL)
 
 
 def check_url(url: str, what: str) -> str:
-    """An address of a lab without its last slash; empty if nothing is said. Raises BadInput, which calls it
+    """An address of a lab without its last slash; empty if there is none. Raises BadInput, which names it
     ``what``."""
     url = url.strip().rstrip("/")
     if url and not url.startswith(("http://", "https://")):
@@ -344,12 +343,12 @@ def find_kernel(home: Path) -> KernelInfo | None:
 
 
 def last_kernel(home: Path) -> KernelInfo | None:
-    """What the present or last kernel of this lab said of itself, alive or not."""
+    """The note of the present or last kernel of this lab, whether it runs or not."""
     return _read(home / "kernel.json", KernelInfo)
 
 
 def was_simulated(settings: Settings) -> bool | None:
-    """Whether this lab's bench is a simulated one; None for a lab that has never run."""
+    """Whether this lab's bench is simulated; None for a lab that has never run."""
     info = _read(settings.home / "kernel.json", KernelInfo)
     if info is not None:
         return info.simulated
@@ -365,7 +364,7 @@ def last_ports(home: Path) -> Ports:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process of that id exists and is no zombie."""
+    """Whether a process with that id exists and is not a zombie."""
     if pid <= 0:
         return False
     if sys.platform == "win32":
@@ -377,7 +376,7 @@ def is_alive(pid: int) -> bool:
     except PermissionError:
         return True
     try:
-        # On Linux a dead child that nobody has waited for still takes signals.
+        # On Linux a dead child whose exit code nobody has read still accepts signals.
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
         return True
@@ -385,17 +384,17 @@ def is_alive(pid: int) -> bool:
 
 
 def free_port(host: str = "127.0.0.1") -> int:
-    """A port that nobody listens on now."""
+    """A port that is free now."""
     with socket.socket() as probe:
         probe.bind((host, 0))
         return int(probe.getsockname()[1])
 
 
 def is_free(port: int, host: str = "127.0.0.1") -> bool:
-    """Whether a port could be listened on now."""
+    """Whether a server could listen on a port now."""
     with socket.socket() as probe:
         if os.name == "posix":
-            # As servers do it: connections of a predecessor that linger are no hindrance.
+            # As servers do it: remaining connections of an earlier server do not prevent it.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
@@ -405,7 +404,7 @@ def is_free(port: int, host: str = "127.0.0.1") -> bool:
 
 
 def _is_alive_on_windows(pid: int) -> bool:
-    # Signal 0 is Ctrl-C there, so the system is asked for a handle instead.
+    # On Windows signal 0 is Ctrl-C, so a handle is requested instead.
     import ctypes
 
     kernel32 = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]

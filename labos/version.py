@@ -1,4 +1,4 @@
-"""Which LabOS this is."""
+"""The version of this LabOS."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from importlib.metadata import PackageNotFoundError, version
 
 try:
     VERSION = version("labos-sdl")
-except PackageNotFoundError:  # run from its sources, without having been installed
+except PackageNotFoundError:  # run from its sources, without an installation
     VERSION = "unknown"

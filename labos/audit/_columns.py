@@ -25,7 +25,7 @@ class Column(msgspec.Struct, frozen=True):
 
     @property
     def empty(self) -> str | bool | None:
-        """What stands in it where nothing is known."""
+        """The value of the column if nothing is known."""
         return "" if self.kind == "text" else False if self.kind == "flag" else None
 
 

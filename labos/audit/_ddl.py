@@ -100,7 +100,8 @@ def drop_all(dialect: Dialect) -> Iterator[str]:
 def _table(table: Table, dialect: Dialect) -> str:
     columns = [f'"{column.stored}" {_TYPES[dialect][column.kind]}' for column in table.columns]
     key = ", ".join(f'"{name}"' for name in table.key)
-    # Rows of a table with a key of several parts stand in the order of the key: no index beside it.
+    # Rows of a table with a key of several parts are stored in the order of the key: it needs no further
+    # index.
     compact = " WITHOUT ROWID" if dialect == "sqlite" and len(table.key) > 1 else ""
     made = f"CREATE TABLE {table_name(table.name, dialect)} ({', '.join(columns)}, PRIMARY KEY ({key}))"
     return f"{made}{compact}"

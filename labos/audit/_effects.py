@@ -48,7 +48,7 @@ def find_well_effects(asker: ReadConnection, entity: Entity, since: int, upto: i
     ):
         yield ProvenanceLink(Entity("result", action), "is of", entity, position), position
     for action, position in asker.fetch(
-        # Results without wells, such as a picture, are of all of the plate.
+        # Results without wells, such as an image, are results of the whole plate.
         "SELECT a.action, a.ended_position FROM labware_touches t JOIN events e ON e.position = t.position "
         "JOIN actions a ON a.action = e.action WHERE t.labware = ? AND t.position BETWEEN ? AND ? "
         "AND e.type IN ('action.succeeded', 'action.reconciled') AND a.plate = t.labware "

@@ -108,7 +108,7 @@ def _entry_of(rows: RowChanges, row: Row | None, position: str) -> Row | None:
     return rows.change(ENTRIES, row[position] * PLACES) if row is not None else None
 
 
-# -- what steps return -------------------------------------------------------------------------
+# -- results of steps --------------------------------------------------------------------------
 
 
 def on_result(

@@ -30,7 +30,7 @@ def connect(url: URL) -> psycopg.Connection[Any]:
     connection = psycopg.connect(
         plain, autocommit=True, connect_timeout=CONNECT_TIMEOUT_S, application_name="labos-audit"
     )
-    # JSON stays the text that it is.
+    # JSON stays text, unchanged.
     for kind in ("json", "jsonb"):
         connection.adapters.register_loader(kind, psycopg.types.string.TextLoader)
     return connection
@@ -71,14 +71,14 @@ class PostgresAudit(AuditDatabase):
             self._connection.execute(
                 sql.SQL("GRANT SELECT ON ALL TABLES IN SCHEMA {} TO {}").format(views, name)
             )
-            # Views that a later version adds, or makes anew.
+            # For views that a later version adds, or creates again.
             self._connection.execute(
                 sql.SQL("ALTER DEFAULT PRIVILEGES IN SCHEMA {} GRANT SELECT ON TABLES TO {}").format(
                     views, name
                 )
             )
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     @contextmanager
     def _write_transaction(self) -> Iterator[None]:

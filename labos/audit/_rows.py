@@ -51,8 +51,8 @@ class RowChanges:
         self._added[table.name].append(values)
 
     def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
-        """Add a new row, or replace one. A column of which ``row`` says nothing has what the ``event`` says
-        under its name; it is empty if that says nothing, either."""
+        """Add a new row, or replace one. A column that is not in ``row`` gets the field of the ``event`` with
+        its name; it is empty if there is no such field."""
         said = {
             name: getattr(event, name)
             for name in _list_said(table.name, event.TYPE if event is not None else "")

@@ -63,9 +63,9 @@ class SqliteAudit(AuditDatabase):
             )
             try:
                 self._connection.execute("PRAGMA journal_mode = WAL")
-                # What a power cut takes away is projected again: position and rows go together.
+                # Rows that a power cut removes are projected again: position and rows are written together.
                 self._connection.execute("PRAGMA synchronous = NORMAL")
-                # A row that takes the place of another one leaves the index of words with it.
+                # A row that is replaced is also removed from the word index.
                 self._connection.execute("PRAGMA recursive_triggers = ON")
                 self._connection.execute(f"PRAGMA cache_size = -{CACHE_KB}")
                 self._connection.execute(f"PRAGMA wal_autocheckpoint = {PAGES_LOGGED}")
@@ -81,7 +81,7 @@ class SqliteAudit(AuditDatabase):
     def close(self) -> None:
         self._connection.close()
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     @contextmanager
     def _write_transaction(self) -> Iterator[None]:
@@ -99,8 +99,8 @@ class SqliteAudit(AuditDatabase):
         return self._connection.execute(statement)
 
     def _scrub(self) -> str:
-        # The file is written anew, which leaves nothing of its free pages; then the write-ahead log is moved
-        # into it and cut to nothing.
+        # The file is written anew without its free pages; then the write-ahead log is moved into it and
+        # truncated to zero.
         self._connection.execute("VACUUM")
         busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
         return f"another program reads {self.path}" if busy else ""
@@ -126,5 +126,5 @@ class SqliteAudit(AuditDatabase):
         self._connection.executemany(_INSERT[table.name], rows)
 
     def _replace(self, table: Table, rows: list[Sequence[Any]]) -> None:
-        # The index of words is written in the order of the rows' numbers, or piece by piece.
+        # The word index is written in the order of the rows' numbers, or in parts.
         self._insert(table, sorted(rows, key=itemgetter(0)) if table.searched else rows)

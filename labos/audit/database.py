@@ -95,7 +95,7 @@ class AuditDatabase(ABC):
     @abstractmethod
     def close(self) -> None: ...
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     def _make_anew(self) -> None:
         for statement in (*drop_all(self.dialect), *make_all(self.dialect)):

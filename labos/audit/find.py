@@ -217,7 +217,7 @@ def _count_facets(asker: ReadConnection, where: str, values: list[Any]) -> dict[
     return found
 
 
-# -- between the kernel's process and the one that answers (labos.audit.find_process) ------------
+# -- messages between the kernel's process and the process that answers (labos.audit.find_process)
 
 
 class LogPlace(msgspec.Struct, frozen=True):

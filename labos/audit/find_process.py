@@ -48,7 +48,7 @@ class Index:
             if position < head and clock.monotonic() - began > ENOUGH_S:
                 raise _Enough
 
-        # A replica of PostgreSQL cannot be written: its index is as new as that of its primary.
+        # A replica of PostgreSQL cannot be written: its index is as recent as that of its primary.
         with suppress(_Enough, StoreUnavailable):
             self._projector.catch_up(enough)
         with open_asker(self._url) as asker:

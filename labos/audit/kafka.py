@@ -37,8 +37,8 @@ WAIT_S = 1.0
 OURS = {
     "acks": "all",
     "enable.idempotence": True,
-    "enable.gapless.guarantee": True,  # rather a failure than a message left out
-    "message.timeout.ms": 0,  # a broker that is away is waited for, as long as we want
+    "enable.gapless.guarantee": True,  # an error is better than a message that is left out
+    "message.timeout.ms": 0,  # no limit of the library: how long we wait is set here
 }
 """Settings for order and completeness, which a file of settings cannot change."""
 
@@ -172,7 +172,7 @@ class KafkaSink:
         self._drop_producer()
         self._lock.release()
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     def _send(self, producer: Any, record: Record) -> None:
         while True:
@@ -187,7 +187,7 @@ class KafkaSink:
                 )
                 producer.poll(0)
                 return
-            except BufferError:  # so much is under way already
+            except BufferError:  # the queue is full
                 self._wait(lambda: bool(producer.poll(WAIT_S)))
 
     def _begin_anew(self, why: str) -> None:
@@ -256,7 +256,7 @@ class KafkaSink:
             remedy="See to the broker, then start this again: it goes on where the topic ends.",
         )
 
-    # -- where to go on ----------------------------------------------------------------------
+    # -- where to continue -------------------------------------------------------------------
 
     def _find_position(self) -> int:
         """The position of the last event of this lab in the topic; the stored position if the topic has none

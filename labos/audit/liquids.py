@@ -122,7 +122,7 @@ def _take(
     elif source:
         _pour(wells[source], held, source, volume or 0.0, certain=certain)
     else:
-        # How much came of each of several lots is not recorded: equal parts.
+        # The amount from each of several lots is not recorded: equal parts.
         named = msgspec.json.decode(lots or "[]", type=list[str]) or ["not known"]
         for lot in named:
             part = None if volume is None else volume / len(named)

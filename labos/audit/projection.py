@@ -63,7 +63,7 @@ class Projection:
         named: list[Any] = list(_UNNAMED)
         for place, name in _KNOWN[kind]:
             named[place] = getattr(event, name)
-        if type(named[4]) is tuple:  # of several pieces of labware none is named
+        if type(named[4]) is tuple:  # for several pieces of labware, none is named
             named[4] = ""
         rows.add(EVENTS, *about, *named, head.id)
         for handler in _HANDLERS[kind]:

@@ -51,7 +51,7 @@ class Projector:
         if not self._is_of(mark, head):
             self._database.reset()
             mark = self._database.mark()
-        if mark != self._remembered:  # another projector has been here
+        if mark != self._remembered:  # another projector has written meanwhile
             self._rows.forget()
         begun = mark.position
         with _pause_cycle_search():
@@ -60,7 +60,7 @@ class Projector:
                     mark = self._carry(mark, min(mark.position + BATCH, head.position), begun)
                 except _WordsErased:
                     mark = self._forget_erased()
-                    begun = 0  # what is read from now on is without them
+                    begun = 0  # records that are read from now on do not contain them
                 if tell is not None:
                     tell(mark.position, head.position)
         return mark.position

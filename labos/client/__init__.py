@@ -1,4 +1,4 @@
-"""What applications import: a lab to talk to, and an experiment as a block of code.
+"""The package that applications import: a client of a lab, and an experiment as a block of code.
 
 ::
 
@@ -8,7 +8,7 @@
         result = experiment.run("cp_mixcolor", payload)
         experiment.note("decision", "next colors", colors=[1, 2, 3])
 
-Nothing of the kernel is imported here: an application runs wherever the lab can be reached.
+No part of the kernel is imported here: an application runs on any computer that can reach the lab.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -52,7 +52,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """The asynchronous client is imported with what it needs by those who use it."""
+    """The asynchronous client, with its own imports, is only imported when it is used."""
     if name in ("AsyncExperiment", "AsyncLabClient"):
         from labos.client import _twin
 

@@ -1,4 +1,4 @@
-"""What a lab answers: data, or the error that it tells of."""
+"""A lab's answers: data, or the error that it reports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from labos import errors
 from labos.errors import BadInput, LabosError
 
 AS_BAD_INPUT = ("spec_errors", "spec_error", "too_large", "too_slow", "uri_too_long")
-"""Codes of what comes back as ``BadInput``."""
+"""Codes of problems that are raised as ``BadInput``."""
 
 
 class LabUnreachable(LabosError):
@@ -18,7 +18,7 @@ class LabUnreachable(LabosError):
 
 
 class ProblemDocument(msgspec.Struct):
-    """A problem document, as far as it is read here."""
+    """The fields of a problem document that are read here."""
 
     code: str = ""
     detail: str = ""
@@ -26,7 +26,7 @@ class ProblemDocument(msgspec.Struct):
 
 
 def answer_of(status: int, content: bytes) -> dict[str, Any]:
-    """What the lab said. Raises the error it told of."""
+    """The data of an answer. Raises the error that the lab reports."""
     try:
         data = msgspec.json.decode(content)
     except msgspec.MsgspecError:
@@ -42,14 +42,14 @@ def answer_of(status: int, content: bytes) -> dict[str, Any]:
 
 
 def make_cannot_write_error(content: bytes) -> LabUnreachable:
-    """What is told of a lab that is there and cannot write, with the lab's own reason and remedy."""
+    """The error for a lab that answers and cannot write, with the lab's own reason and remedy."""
     problem = decode_problem(content)
     reason = f": {problem.detail}" if problem.detail else "."
     return LabUnreachable(f"The lab cannot write its log at the moment{reason}", remedy=problem.remedy)
 
 
 def decode_problem(content: bytes) -> ProblemDocument:
-    """The problem that the lab told of; its fields are empty if it told of none."""
+    """The problem that the lab reports; its fields are empty if it reports none."""
     try:
         return msgspec.json.decode(content, type=ProblemDocument)
     except msgspec.MsgspecError:
@@ -57,7 +57,7 @@ def decode_problem(content: bytes) -> ProblemDocument:
 
 
 def _list_errors() -> dict[str, type[LabosError]]:
-    """Error classes by their code; those with fields of their own come back as their parents."""
+    """Error classes by their code; a class with fields of its own is replaced by its parent."""
     found: dict[str, type[LabosError]] = dict.fromkeys(AS_BAD_INPUT, BadInput)
     for name, kind in vars(errors).items():
         if isinstance(kind, type) and issubclass(kind, LabosError) and kind.__init__ is LabosError.__init__:

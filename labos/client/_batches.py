@@ -1,4 +1,4 @@
-"""Runs of one workflow that are submitted together, as many in one request as it takes."""
+"""Runs of one workflow that are submitted together, as many in each request as possible."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from typing import Any, NamedTuple
 from labos.client._files import workflow_text
 
 MOST_RUNS = 50
-"""Runs of one request; a test compares it with that of the core."""
+"""The largest number of runs in one request; a test compares it with that of the core."""
 
 MOST_FILES = 200
-"""Files of one request; a test compares it with that of the API."""
+"""The largest number of files in one request; a test compares it with that of the API."""
 
 MOST_CHARACTERS = 64 * 1024 * 1024
-"""Characters of all files of one request, in base64, from which on further runs go into the next one."""
+"""Characters of all files of one request, in base64, after which further runs are put into the next
+request."""
 
 
 class BatchRun(NamedTuple):
-    """A run that is asked for: the number of its payload, the key of the request for it, its workflow as
-    ``workflow_text`` gives it, and its payload."""
+    """A requested run: the number of its payload, the key of its request, its workflow as ``workflow_text``
+    returns it, and its payload."""
 
     number: int
     key: str
@@ -31,8 +32,8 @@ class BatchRun(NamedTuple):
 def workflow_texts(
     workflow: str | Path | Mapping[str, Any], payloads: Sequence[Mapping[str, Any]]
 ) -> list[dict[str, Any]]:
-    """The workflow for each payload, with the files that this one names. It is read again only for a payload
-    that has other texts than the ones before. Raises as ``workflow_text``."""
+    """The workflow for each payload, with the files that this payload names. It is read again only if a
+    payload contains other texts than the earlier ones. Raises as ``workflow_text``."""
     from labos.spec.references import iterate_texts
 
     known: dict[frozenset[str], dict[str, Any]] = {}
@@ -46,7 +47,8 @@ def workflow_texts(
 
 
 def cut_into_batches(runs: Sequence[BatchRun]) -> Iterator[list[BatchRun]]:
-    """The runs as they go into requests: neighbours, with the same text, and no more than a request takes."""
+    """The runs, divided into requests: consecutive runs with the same text, within the limits of a
+    request."""
     batch: list[BatchRun] = []
     files: dict[str, str] = {}
     for run in runs:
@@ -75,8 +77,8 @@ def _goes_along(
 
 
 def merge_files(batch: Sequence[BatchRun]) -> tuple[dict[str, str], list[list[str]]]:
-    """The files of all runs of a request, and the names of those that each run has; no names where each has
-    all of them."""
+    """The files of all runs of a request, and the names of each run's files; no names if each run has all
+    files."""
     files: dict[str, str] = {}
     for run in batch:
         files |= run.workflow.get("files", {})

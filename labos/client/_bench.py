@@ -1,4 +1,4 @@
-"""Calls of a client about the bench that do more than ask."""
+"""Calls of a client about the bench that are more than one request."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class BenchCalls(GeneratedCalls):
         return self._change_workcell(text, by, name=file, dry_run=dry_run, labware=labware, files=files)
 
     def leave(self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = "") -> None:
-        """Say that everybody is out, and what stands at which station now: ``empty``, labware by its
-        id, or a type of labware."""
+        """Report that no person is in the workcell any more, and the present content of changed stations:
+        ``empty``, labware by its id, or a labware type."""
         told = [{"station": station, "what": what} for station, what in changed]
         self._end_workcell_access(workcell, by, note=note, changed=told)
 
@@ -43,15 +43,15 @@ class BenchCalls(GeneratedCalls):
         station: str = "",
         replace: bool = False,
     ) -> dict[str, int]:
-        """Say which samples are in the wells of plates, by a CSV file; ``labware`` or ``station``
-        names the plate where the sheet does not. Returns how many samples each plate has."""
+        """Register the samples in the wells of plates, from a CSV file; ``labware`` or ``station`` names the
+        plate if the sheet does not. Returns the number of samples in each plate."""
         path = Path(sheet)
         where = {"labware": labware, "station": station}
         return self._register_sheet(_text_of(path), by, name=str(path), replace=replace, **where)
 
 
 def _text_of(path: Path) -> str:
-    """A file that a person wrote. Raises BadInput."""
+    """The text of a file. Raises BadInput."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:

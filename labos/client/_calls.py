@@ -1,4 +1,4 @@
-"""What the calls of a client are made with."""
+"""The base of the calls of a client."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from labos.errors import BadInput
 LONG_POLL_S = 20.0
 
 GIVEN_UP: ContextVar[threading.Event | None] = ContextVar("given_up", default=None)
-"""Set in the threads of the asynchronous client: once the event is set, nobody waits for the call."""
+"""Set in the threads of the asynchronous client: after the event is set, no caller waits for the call."""
 
 
 class CallAbandoned(Exception):
-    """Nobody waits for this call any more."""
+    """No caller waits for this call any more."""
 
 
 def check_given_up() -> None:
@@ -32,8 +32,8 @@ def check_given_up() -> None:
 
 
 def in_path(name: str, parts: int = 1) -> str:
-    """A name as it stands in a path, as one part of it. Only a name of several ``parts`` may have slashes:
-    that of a module is ``sealer`` or ``rpl/sealer``. Raises BadInput for what would lead elsewhere."""
+    """A name as one part of a path. Only a name of several ``parts`` may contain slashes: a module is
+    ``sealer`` or ``rpl/sealer``. Raises BadInput for a name that would lead to another path."""
     found = name.split("/")
     if len(found) > parts or any(part in ("", ".", "..") for part in found) or _NO_NAME.search(name):
         raise BadInput(f"{name[:80]!r} names nothing in the lab.", remedy="Say which one is meant.")
@@ -44,7 +44,7 @@ _NO_NAME = re.compile(r"[\x00-\x1f\x7f\\\ud800-\udfff]")
 
 
 def make_plain(value: Any) -> Any:
-    """What is no list, table or text itself, but used as one; numbers and arrays of numpy. Raises
+    """Convert objects that behave like a list, table or text, and numbers and arrays of numpy. Raises
     BadInput."""
     if isinstance(value, Mapping):
         return dict(value)
@@ -66,7 +66,7 @@ class Calls(ABC):
 
     @abstractmethod
     def _get(self, path: str, **params: Any) -> dict[str, Any]:
-        """Ask. Raises LabosError as the lab did, LabUnreachable."""
+        """Send a GET request. Raises the LabosError that the lab reports, LabUnreachable."""
 
     @abstractmethod
     def _post(
@@ -79,9 +79,9 @@ class Calls(ABC):
         repeat: bool = False,
         timeout_s: float | None = None,
     ) -> dict[str, Any]:
-        """Send ``body`` as JSON. With a ``request`` key it is done once, however often it is sent; ``repeat``
-        is for what may be done twice. Raises as ``_get``."""
+        """Send ``body`` as JSON. With a ``request`` key the request is carried out once, however often it is
+        sent; ``repeat`` marks a request that may be carried out twice. Raises as ``_get``."""
 
     @abstractmethod
     def _fetch(self, path: str, **params: Any) -> bytes:
-        """The answer as it is. Raises as ``_get``."""
+        """The content of the answer. Raises as ``_get``."""

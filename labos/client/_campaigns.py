@@ -1,4 +1,4 @@
-"""Calls of a client about campaigns and approvals that do more than ask."""
+"""Calls of a client about campaigns and approvals that are more than one request."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PAGE = 500
 
 
 class CampaignCalls(GeneratedCalls):
-    """Campaigns from files, and what waits for an approval."""
+    """Campaigns from files, and submissions that wait for an approval."""
 
     def submit_campaign(
         self,
@@ -48,12 +48,13 @@ class CampaignCalls(GeneratedCalls):
         return dict(found["terms"])
 
     def clone_campaign(self, campaign: str, by: str, *, request: str = "", **changes: Any) -> dict[str, Any]:
-        """Submit a campaign once more, also one that has ended; returns as ``submit_campaign``. Changes:
+        """Submit a copy of a campaign, also of one that has ended; returns as ``submit_campaign``. Changes:
         ``name``, ``visibility``, ``dry_run``, ``propose``, and those of ``amend_campaign``."""
         return self._clone_a_campaign(campaign, by, request=request, **changes)
 
     def approvals(self) -> list[dict[str, Any]]:
-        """What waits for an approval, the oldest first: ``subject``, ``digest``, ``why`` and the like."""
+        """The submissions that wait for an approval, the oldest first: ``subject``, ``digest``, ``why`` and
+        further fields."""
         found: list[dict[str, Any]] = []
         more = True
         while more:

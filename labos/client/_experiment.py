@@ -36,9 +36,9 @@ LONGEST_WHY = 500
 
 
 class Experiment(LoggedEvents):
-    """An application's run of runs. Leaving the block ends it; its closing workflow clears away labware that
-    it left parked (only at the stations in ``parking``, if given). ``RunFailed`` is raised for a run that
-    does not complete, unless ``run(..., check=False)``.
+    """One execution of an application, with its runs. Leaving the block ends it; its closing workflow clears
+    away labware that it left parked (only at the stations in ``parking``, if given). ``RunFailed`` is raised
+    for a run that does not complete, unless ``run(..., check=False)``.
 
     A killed program continues where it was if it is restarted with ``resume``, the id of its experiment:
     repeated calls are answered from the log. Calls are identified by their order, or by a ``key`` at any
@@ -106,12 +106,12 @@ class Experiment(LoggedEvents):
         )
 
     def _start_part(self, name: str, start: Callable[[str], str]) -> str:
-        """The id of an experiment that is part of this one, which is started if the log has none."""
+        """The id of an experiment that is part of this one; it is started if the log has none."""
         key = self._record.take("experiment", name)
         return str(self._record.decide(key, name, lambda: start(self._record.request_of(key))))
 
     def _go_on(self, experiment: str) -> None:
-        """What has ended is only read again. Raises NotFound, Refused."""
+        """Continue an experiment; if it has ended, it is only read. Raises NotFound, Refused."""
         past = self._record.begin(experiment)
         is_resumed = bool(self._resume) or bool(self._part_of and self._part_of._is_resumed)
         if is_resumed and (past.status in ("open", "cancelled") or past.name != self.name):
@@ -139,19 +139,21 @@ class Experiment(LoggedEvents):
             if error is None:
                 raise
         finally:
-            # After an interruption no heartbeats come: the lab notices that, and a person is asked.
+            # After an interruption there are no heartbeats: the lab notices that, and asks a person.
             self._over.set()
 
     @property
     def random(self) -> Random:
-        """Chance that is the same again when the program is: it is seeded from the log."""
+        """A generator of random numbers that gives the same numbers in a restarted program: its seed comes
+        from the log."""
         if self._random is None:
             raise BadInput("The experiment has not begun.", remedy="Use it within its block.")
         return self._random
 
     @property
     def numpy_random(self) -> Generator:
-        """The same for numpy, seeded by the next numbers of ``random``: keep what is returned."""
+        """The same for numpy, seeded with the next numbers of ``random``: call it once and keep the
+        generator."""
         try:
             from numpy.random import default_rng
         except ImportError:
@@ -214,13 +216,13 @@ class Experiment(LoggedEvents):
             known = {run.number: record.find_run(taken, run.key, run.workflow, run.payload) for run in asked}
             new = [run for run in asked if not known[run.number]]
             if len(new) < len(asked):
-                options.pop("place", None)  # it was recorded with the first of them
+                options.pop("place", None)  # it was recorded with the first run
             with record.same_each(taken, new):
                 found = self.lab._submit_batches(new, **{**self._make_options(), **options})
         return [known[run.number] or found.pop(0) for run in asked]
 
     def as_completed(self, runs: Iterable[str], *, check: bool = True) -> Iterator[RunResult]:
-        """Runs in the order in which they end. Raises RunFailed at one that does not complete."""
+        """Runs in the order in which they end. Raises RunFailed for a run that does not complete."""
         for result in self.lab.as_completed(runs):
             if check and not result.succeeded:
                 raise RunFailed(result)
@@ -247,7 +249,7 @@ class Experiment(LoggedEvents):
     ) -> None:
         """Publish a result of the experiment, as one event: `labos find` finds it by its title, subject,
         keywords, creators and the names of its files, which the lab stores. Files are paths, or contents by
-        name. Creators are ids of users, or their ORCID iDs: what is published stays in the log for ever, so
+        name. Creators are ids of users, or their ORCID iDs: a publication stays in the log permanently, so
         name no persons. With an ``index`` of Globus Search it can be found there, too. Raises BadInput for a
         file that cannot be read, GlobusError."""
         from labos.services.compute import PlaceUnavailable
@@ -267,9 +269,9 @@ class Experiment(LoggedEvents):
 
     def decide(self, name: str, function: Callable[[], Any], *, key: str = "") -> Any:
         """Call a function, log its result as a decision, and return it as read from JSON (a tuple is a list).
-        In a restarted program the function is not called: the logged result is returned. Use it for
-        everything that may differ the next time: a clock, a file, a person's answer. Raises BadInput for a
-        result that is not JSON."""
+        In a restarted program the function is not called: the logged result is returned. Use it for every
+        value that may differ the next time: a clock, a file, a person's answer. Raises BadInput for a result
+        that is not JSON."""
         if not callable(function):
             raise BadInput(f"{name!r} is decided by no function.", remedy="Give one: lambda: solver.ask().")
         return self._record.decide(self._take("decide", name, key), name, function)
@@ -313,7 +315,7 @@ class Experiment(LoggedEvents):
         """Carry out the steps of a flow, one after the other, with ``given`` as the ``input`` of its state;
         its start, its end, each step and each further attempt are in the log. A restarted program continues
         at the same step. A flow that is defined in Globus Flows is started there once, and its end awaited.
-        Raises FlowFailed if a step fails for good, unless ``check`` is false; ReplayMismatch, GlobusError."""
+        Raises FlowFailed if a step fails finally, unless ``check`` is false; ReplayMismatch, GlobusError."""
         from labos.services.compute import PlaceUnavailable
 
         taken = self._take("run_flow", flow, key)
@@ -328,10 +330,10 @@ class Experiment(LoggedEvents):
 
     def transfer(self, source: Place, target: str | Path, *, sha256: str = "", key: str = "") -> Transferred:
         """Copy a file to another place, with an event that has its SHA-256. A place is a path, a URL that
-        fsspec knows (extra ``transfer``), or as the source a file of the lab: ``result.files()[0]``. What
-        was transferred before the program was started again is not transferred twice. Between
-        ``globus://<collection>/<path>`` Globus carries it (extra ``globus``), and compares the SHA-256 that
-        is given. Raises TransferFailed, ReplayMismatch, GlobusError."""
+        fsspec knows (extra ``transfer``), or as the source a file of the lab: ``result.files()[0]``. A
+        restarted program does not repeat a finished transfer. Between two places
+        ``globus://<collection>/<path>``, Globus copies the file (extra ``globus``), and compares the given
+        SHA-256. Raises TransferFailed, ReplayMismatch, GlobusError."""
         from labos.services.compute import PlaceUnavailable
 
         taken = self._take("transfer", target, key)
@@ -341,18 +343,18 @@ class Experiment(LoggedEvents):
             return _transfers.transfer(self._record, taken, source, target)
 
     def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
-        """How often a computation is tried, and what the places need: ``pool=4`` processes,
+        """Set how often a computation is tried, and the settings of the places: ``pool=4`` processes,
         ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``,
         ``globus=labos.services.globus.GlobusEndpoint(…)``."""
         self._computations.configure(places, attempts)
 
     def configure_transfer(self, *, globus: GlobusCarrier) -> None:
-        """How the program is let in where it transfers files: ``globus`` is a
+        """Set how the program authenticates for transfers: ``globus`` is a
         `labos.services.globus.GlobusCarrier`."""
         self._carrier = globus
 
     def keep_file(self, content: bytes) -> str:
-        """Keep a file in the lab; returns its SHA-256, by which ``lab.file`` gives it back."""
+        """Store a file in the lab; returns its SHA-256, with which ``lab.file`` returns the content."""
         return self._record.keep_file(content)
 
     def _take(self, method: str, what: Any, key: str) -> Key:
@@ -399,7 +401,7 @@ def _read_contents(files: Iterable[str | Path] | Mapping[str, bytes]) -> Iterato
 
 
 def _on_one_line(why: str) -> str:
-    """As much of an error's text as the lab takes for a reason."""
+    """The part of an error's text that the lab accepts as a reason."""
     return "".join(char if char.isprintable() else " " for char in why)[:LONGEST_WHY]
 
 

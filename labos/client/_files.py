@@ -1,4 +1,4 @@
-"""Workflows as text, with the files they name: what a lab needs that cannot see this disk."""
+"""Workflows as text, with the files that they name, for a lab that cannot read this disk."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from labos.errors import BadInput, LabosError, NotFound
 LARGEST_FILE = 64 * 1024 * 1024
 
 MOST_USED = 100
-"""Files that a workflow uses, one by way of the other, which are looked through for more."""
+"""The largest number of files used by a workflow, directly or through others, that are searched for further
+files."""
 
 
 def workflow_text(
@@ -47,8 +48,8 @@ def workflow_text(
 
 
 def campaign_text(campaign: str | Path) -> dict[str, Any]:
-    """A campaign file with the workflow and the table that it names: both stand beside it, or the workflow is
-    a packaged one. Raises BadInput, NotFound, SpecError."""
+    """A campaign file with the workflow and the table that it names: both are beside it, or the workflow is a
+    packaged one. Raises BadInput, NotFound, SpecError."""
     from labos.spec.campaign import find_beside, find_table_of_campaign, find_workflow_of_campaign
 
     path = Path(campaign)
@@ -68,7 +69,7 @@ def campaign_text(campaign: str | Path) -> dict[str, Any]:
     }
     table = find_table_of_campaign(text)
     if table:
-        with contextlib.suppress(OSError):  # the lab says that it is missing, and where it is named
+        with contextlib.suppress(OSError):  # the lab reports that it is missing, and where it is named
             told["files"] = _encode([(table, find_beside(path, table).read_bytes())])
     return told
 
@@ -104,7 +105,7 @@ def _read_files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Ite
     try:
         data = parse(text, last_wins=True).data
     except LabosError:
-        return  # the lab says what is wrong with it, and where
+        return  # the lab reports the error and its place
     folder = path.resolve().parent
     texts = {*iterate_texts(data), *iterate_texts(payload)}
     unread, seen = list(_find_used_files(data)), set[str]()
@@ -137,7 +138,7 @@ def _read_files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]
 
 
 def _find_used_files(data: Mapping[str, Any]) -> Iterator[str]:
-    """The files whose steps a workflow uses."""
+    """The files with steps that a workflow uses."""
     steps = data.get("steps")
     for step in steps if isinstance(steps, list) else ():
         if isinstance(step, Mapping) and isinstance(step.get("use"), str):

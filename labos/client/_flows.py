@@ -1,4 +1,4 @@
-"""Flows of an experiment: steps one after the other, each tried again when it fails, each in the log."""
+"""Flows of an experiment: steps one after the other; a failed step is tried again; each is logged."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ LONGEST_ERROR = 500
 
 
 class FlowStep(msgspec.Struct, frozen=True):
-    """A step of a flow: a function that is given the flow's ``state`` as a table and returns its result. It
-    is tried ``attempts`` times, after ``wait_s`` seconds, twice as many each time, 60 at most. ``where`` is
-    as for ``Experiment.compute``."""
+    """A step of a flow: a function with the flow's ``state`` (a table) as its argument; it returns the result
+    of the step. It is tried ``attempts`` times, with a pause of ``wait_s`` seconds, twice as long each time,
+    at most 60 s. ``where`` is as for ``Experiment.compute``."""
 
     name: str
     function: Callable[[dict[str, Any]], Any]
@@ -30,8 +30,8 @@ class FlowStep(msgspec.Struct, frozen=True):
 
 
 class Flow:
-    """Steps in their order, such as to analyse, to plot and to publish what a run gave. Raises BadInput for
-    two steps of one name."""
+    """Steps in their order, for example to analyse, plot and publish the result of a run. Raises BadInput for
+    two steps with one name."""
 
     def __init__(self, name: str, steps: Sequence[FlowStep]) -> None:
         self.name, self.steps = name, tuple(steps)
@@ -52,8 +52,8 @@ class Flow:
 
 
 class FlowResult(msgspec.Struct, frozen=True):
-    """How a flow ended. ``status``: succeeded or failed; ``state`` has its ``input`` and what each step
-    returned, by its name; ``step`` is the one that failed, and ``why``."""
+    """How a flow ended. ``status``: succeeded or failed; ``state`` has its ``input`` and the result of each
+    step, by the step's name; ``step`` is the one that failed, and ``why`` the reason."""
 
     flow: str
     status: str
@@ -63,7 +63,7 @@ class FlowResult(msgspec.Struct, frozen=True):
 
 
 class FlowFailed(LabosError):
-    """A step of a flow failed as often as it was tried."""
+    """A step of a flow failed in all its attempts."""
 
     def __init__(self, result: FlowResult) -> None:
         super().__init__(f"Step {result.step!r} of the flow {result.flow!r} failed: {result.why}.")
@@ -77,7 +77,8 @@ def run(
     flow: Flow,
     given: Mapping[str, Any],
 ) -> FlowResult:
-    """Carry a flow out, from where the log says that it is. Raises ReplayMismatch for one of other steps."""
+    """Carry out a flow; continue after the last step in the log. Raises ReplayMismatch for a flow with other
+    steps."""
     state: dict[str, Any] = {"input": as_json(given)}
     names = [step.name for step in flow.steps]
     begun = {"state": "started", "flow_id": str(key), "steps": names}
@@ -103,7 +104,7 @@ def _carry_out(
     step: FlowStep,
     state: dict[str, Any],
 ) -> BaseException | None:
-    """The error of the last attempt; None if one succeeded. The result is in ``state`` then."""
+    """The error of the last attempt; None if an attempt succeeded. The result is in ``state`` then."""
     from labos.services.compute import ComputeFailed
 
     pause = step.wait_s

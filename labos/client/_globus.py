@@ -1,4 +1,4 @@
-"""What an experiment has Globus do, each with its events: flows, transfers, entries of a search index."""
+"""Globus services for an experiment, each with its events: flows, transfers, entries of a search index."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SCHEME = "globus://"
 
 
 def run_flow(record: ExperimentRecord, key: Key, flow: GlobusFlow, given: Mapping[str, Any]) -> FlowResult:
-    """Have Globus carry out a flow. Raises GlobusError, ReplayMismatch for another flow or another input."""
+    """Let Globus carry out a flow. Raises GlobusError, ReplayMismatch for another flow or another input."""
     from labos.services.globus import run_once
 
     now = {"globus_flow": flow.flow, "input": as_json(given)}
@@ -67,7 +67,7 @@ def transfer(
     carrier: GlobusCarrier | None,
     sha256: str,
 ) -> Transferred:
-    """Have Globus copy a file from one collection to another. Raises TransferFailed, GlobusError,
+    """Let Globus copy a file from one collection to another. Raises TransferFailed, GlobusError,
     ReplayMismatch."""
     from labos.services.globus import GlobusFailed, GlobusPlace, transfer_once
 
@@ -120,8 +120,8 @@ def ingest(record: ExperimentRecord, key: Key, index: GlobusIndex, content: Mapp
 
 
 def attempts_of(record: ExperimentRecord, key: Key, service: str, once: Callable[[ServiceRecord], T]) -> T:
-    """What comes of the first attempt that has not failed; if it fails, that is written down, and the next
-    call is another attempt. Raises GlobusError."""
+    """The result of the first attempt that has not failed. A failure is recorded, and the next call is
+    another attempt. Raises GlobusError."""
     from labos.services.globus import GlobusFailed
 
     attempt = 1

@@ -32,32 +32,33 @@ _SHA256 = re.compile("[0-9a-f]{64}")
 class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
-    Requests are repeated while the lab is silent, for ``patience_s`` in all, as when its kernel is
-    restarted; submissions carry an idempotency key, so that nothing is done twice.
-    Every call raises LabosError as the lab did, LabUnreachable when nobody answers.
+    Requests are repeated while the lab does not answer, for ``patience_s`` in all, for example during a
+    restart of its kernel. Submissions have an idempotency key, so that nothing is done twice. Every call
+    raises the LabosError that the lab reports, and LabUnreachable if no lab answers.
 
-    In a lab with users it shows a ``token``: the one given, else that of LABOS_TOKEN or of the file that
-    LABOS_TOKEN_FILE names, else what `labos login` has kept. A service account may act on ``behalf`` of a
-    person.
+    In a lab with users it sends a ``token``: the given one, else that of LABOS_TOKEN or of the file that
+    LABOS_TOKEN_FILE names, else the one that `labos login` has stored. A service account may act on
+    ``behalf`` of a person.
     """
 
-    # -- questions ---------------------------------------------------------------------------
+    # -- queries -----------------------------------------------------------------------------
 
     def ask_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, str]]:
-        """What the nodes of these modules, or of all, answer at this moment: ``name``, ``answer`` (IDLE,
-        BUSY, ERROR, silent, frozen, refused, out, absent) and ``why``."""
+        """The present answers of the nodes of these modules, or of all: ``name``, ``answer`` (IDLE, BUSY,
+        ERROR, silent, frozen, refused, out, absent) and ``why``."""
         return self._list_nodes(module=modules)
 
     def check_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, Any]]:
         """As ``ask_nodes``; each that answers also has ``checked``: its ``driver`` with ``version``, its
-        ``labos`` and ``protocol``, whether it is ``simulated``, the ``unit`` (serial number) it is pinned to,
-        and what its device ``sees``, or ``sees_nothing``: why not. Nothing moves."""
+        ``labos`` and ``protocol``, whether it is ``simulated``, the ``unit`` (serial number) to which it is
+        pinned, and its device's observations (``sees``), or the reason why there are none (``sees_nothing``).
+        Nothing moves."""
         return self._list_nodes(module=modules, check=True)
 
     def file(self, file: str | Mapping[str, Any], *, first: int = 0, last: int | None = None) -> bytes:
-        """The content of a file that a step has returned: ``result["picture"]``, say, or its SHA-256. With
-        ``first`` and ``last``, the bytes from the one to the other, both counted from 0 and included. Raises
-        NotFound, BadInput, LogDamaged if the whole content does not have the SHA-256 that it should have."""
+        """The content of a file that a step has returned: for example ``result["picture"]``, or its SHA-256.
+        With ``first`` and ``last``, the bytes from ``first`` to ``last``, both counted from 0 and included.
+        Raises NotFound, BadInput, LogDamaged if the whole content does not have its SHA-256."""
         name = str(file.get("sha256", "") if isinstance(file, Mapping) else file)
         if not _SHA256.fullmatch(name):
             raise BadInput(
@@ -76,8 +77,8 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         return bytes(response.content)
 
     def image(self, file: str | Mapping[str, Any]) -> Image:
-        """A picture that a step has returned (``result.result("Take picture")``), as Pillow has it. Raises as
-        ``file``, and BadInput for a file that is no picture."""
+        """An image that a step has returned (``result.result("Take picture")``), as an image of Pillow.
+        Raises as ``file``, and BadInput for a file that is not an image."""
         from PIL import Image, UnidentifiedImageError
 
         content = self.file(file)
@@ -89,9 +90,9 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         return image
 
     def table(self, file: str | Mapping[str, Any]) -> list[dict[str, Any]]:
-        """The rows of a table that a step has returned (CSV, by comma, semicolon or tab, with its columns'
-        names in the first line); numbers are converted. Raises as ``file``, and BadInput for a file that is
-        not such a table."""
+        """The rows of a table that a step has returned (CSV, separated by comma, semicolon or tab, with the
+        names of the columns in the first line); numbers are converted. Raises as ``file``, and BadInput for a
+        file that is not such a table."""
         try:
             return rows_of(self.file(file).decode("utf-8-sig"))
         except (UnicodeDecodeError, ValueError) as error:
@@ -100,9 +101,9 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
     def events(
         self, after: int = 0, *, follow: bool = False, wait_s: float | None = None, **filters: Any
     ) -> Iterator[dict[str, Any]]:
-        """Committed events in order; with ``follow``, for ever. ``wait_s`` is how long each request waits for
-        one: not at all, and ``LONG_POLL_S`` with ``follow``, if it is not given. Filters: type, stream,
-        correlation, actor, mentions."""
+        """Committed events in order; with ``follow``, without end. ``wait_s`` is how long each request waits
+        for an event (default: 0, with ``follow`` ``LONG_POLL_S``). Filters: type, stream, correlation, actor,
+        mentions."""
         for page in self._iterate_pages_of_events(after, follow=follow, wait_s=wait_s, **filters):
             yield from page
 
@@ -118,15 +119,15 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
             after = max(page["position"], after)
 
     def readings(self, run: str) -> Readings:
-        """What a run measured, well by well, each value with the sample that was in its well; as a table by
-        ``to_frame()`` (pandas) and ``to_csv()``. Raises NotFound."""
+        """The values that a run measured, well by well, each with the sample that was in its well; as a table
+        by ``to_frame()`` (pandas) and ``to_csv()``. Raises NotFound."""
         from labos.client._log import LabFiles, LabLog
         from labos.services.results import read_readings
 
         return read_readings(LabLog(self), LabFiles(self), run)
 
     def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
-        """A page of events as the lab sends it, with the position from which to go on."""
+        """A page of events as the lab sends it, with the position at which the next page begins."""
         response = self._request("GET", "/events", repeat=True, params=dict(asked))
         if response.status_code >= 400:
             answer_of(response.status_code, response.content)
@@ -149,8 +150,8 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         propose: bool = False,
         request: str = "",
     ) -> str:
-        """Prefer ``Experiment``. An experiment that is not heard of for 30 s is asked about. The same
-        ``request`` twice is one experiment."""
+        """Prefer ``Experiment``. After 30 s without a heartbeat, LabOS asks a person about the experiment.
+        The same ``request`` twice is one experiment."""
         answer = self._start_experiment(
             name,
             user,

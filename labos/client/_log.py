@@ -1,4 +1,4 @@
-"""The log of a lab, read over HTTP: what questions need of a log that they cannot open themselves."""
+"""The log of a lab, read over HTTP, for queries on a computer that cannot open the log itself."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from labos.client._lab import LabClient
 
 MOST_LAST = 1000
-"""So many last events are asked for; of more, the log is read."""
+"""At most so many last events are requested; for more, the log is read from its beginning."""
 
 
 class _Page(msgspec.Struct, frozen=True):
@@ -27,7 +27,7 @@ class _Page(msgspec.Struct, frozen=True):
 
 
 _OF_ENVELOPE = tuple(name for name in EventLine.__struct_fields__ if name in Envelope.__struct_fields__)
-_encode = msgspec.json.Encoder(order="sorted").encode  # as the log keeps it
+_encode = msgspec.json.Encoder(order="sorted").encode  # the form in which the log stores it
 _page = msgspec.json.Decoder(_Page)
 
 
@@ -37,8 +37,7 @@ class _Records(msgspec.Struct, frozen=True):
 
 
 class LabLog:
-    """Reads a page at a time: as people read it, or as it is ``stored``, with references to the words that
-    stand beside it."""
+    """Reads a page at a time: with words in place of references, or as it is ``stored``."""
 
     def __init__(self, client: LabClient, *, stored: bool = False) -> None:
         self._client = client
@@ -73,7 +72,7 @@ class LabLog:
         return None
 
     def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
-        """The lab has put them in already."""
+        """Nothing: the lab has replaced the references already."""
         return {}
 
     def select(self, query: LogQuery) -> Iterator[Record]:

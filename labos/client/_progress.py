@@ -1,4 +1,4 @@
-"""How far a run is, shown while a program waits for it."""
+"""Shows the progress of a run while a program waits for it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 Progress = bool | Literal["auto"]
 
 SHOWN_S = 1.0
-"""How often it is asked how far a run is."""
+"""The pause between two queries for the progress of a run."""
 
 ENDED = ("done", "failed", "skipped")
 
 
 def can_show(progress: Progress) -> bool:
-    """Whether there is a terminal, or a notebook, for what is to be shown."""
+    """Whether there is a terminal, or a notebook, in which the progress can be shown."""
     if not progress:
         return False
     console = _console()
@@ -37,8 +37,8 @@ def _console() -> Console:
 def show_progress(
     progress: Progress, planned_s: Mapping[str, float]
 ) -> Iterator[Callable[[RunResult], None] | None]:
-    """What shows how far a run is, each time that it is called; None if nothing is to be shown. ``planned_s``
-    are the nominal durations of steps by key, by which they are weighed."""
+    """A function that shows the progress of a run each time it is called; None if nothing can be shown.
+    ``planned_s`` are the nominal durations of steps by key, with which they are weighted."""
     if not can_show(progress):
         yield None
         return

@@ -1,4 +1,5 @@
-"""What an experiment asks the lab for and tells it, each thing once, however often its program is started."""
+"""The requests and facts that an experiment sends to the lab, each only once, however often its program is
+started."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from labos.client._lab import LabClient
 
 LARGEST_IN_EVENT = 16 * 1024
-"""Bytes of a result that stand in its event; more of them are a file of the lab."""
+"""The largest number of bytes of a result in its event; a larger one is stored as a file of the lab."""
 
 KINDS = {
     "submit": "run",
@@ -39,11 +40,11 @@ KINDS = {
     "run_flow": "flow",
     "publish": "publication",
 }
-"""The kind of call that stands in a key, if it is not called as the method."""
+"""The kind of call in a key, where it differs from the name of the method."""
 
 
 class RecordedExperiment(Protocol):
-    """What is needed of an experiment."""
+    """The part of an experiment that is needed here."""
 
     lab: LabClient
     user: str
@@ -51,7 +52,7 @@ class RecordedExperiment(Protocol):
 
 
 class ExperimentRecord:
-    """Of one experiment."""
+    """The record of one experiment."""
 
     def __init__(self, experiment: RecordedExperiment) -> None:
         self._of = experiment
@@ -81,8 +82,8 @@ class ExperimentRecord:
 
     @contextmanager
     def keep_key_on_failure(self, key: Key, *failures: type[LabosError]) -> Iterator[None]:
-        """A call that was not answered, or failed in a way that leaves no trace, may be made again under the
-        same key."""
+        """If a call was not answered, or failed without a trace in the log, it may be repeated under the same
+        key."""
         without_trace: tuple[type[LabosError], ...] = (LabUnreachable, *failures)
         try:
             yield
@@ -97,7 +98,7 @@ class ExperimentRecord:
         return request_of(self.experiment, key)
 
     def find_run(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> str:
-        """The run that the log has for a request; empty if it has none. Raises ReplayMismatch."""
+        """The run in the log for a request; empty if there is none. Raises ReplayMismatch."""
         recorded = self.past.runs.get(request)
         if recorded is None:
             return ""
@@ -106,7 +107,8 @@ class ExperimentRecord:
 
     @contextmanager
     def expect_same(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> Iterator[None]:
-        """If the lab knows a request as another one, ReplayMismatch says what differs."""
+        """If the lab knows the key of a request with different content, raise ReplayMismatch with the
+        difference."""
         try:
             yield
         except KeyReused:
@@ -128,13 +130,13 @@ class ExperimentRecord:
     # -- notes -------------------------------------------------------------------------------
 
     def note(self, kind: str, name: str, facts: Mapping[str, Any]) -> None:
-        """Log something once. Raises ReplayMismatch if the program went another way before."""
+        """Log a fact once. Raises ReplayMismatch if the program has taken a different path than before."""
         key = self._keys.take(kind, name)
         with self.keep_key_on_failure(key):
             check_note(self.experiment, self.keep(key, kind, name, facts), facts)
 
     def find_note(self, key: str) -> dict[str, Any] | None:
-        """What the log has under the key of a note, as far as it has been read."""
+        """The facts in the log under the key of a note, as far as the log has been read."""
         return self.past.notes.get(key)
 
     def keep(self, key: str, kind: str, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -144,16 +146,16 @@ class ExperimentRecord:
             try:
                 lab.note(self.experiment, kind, name, facts, user, key=str(key))
             except (LabUnreachable, CommitInDoubt):
-                self._read_past_again()  # a lab that broke off is asked whether it has heard
+                self._read_past_again()  # the lab may have received it: read the log
             except Refused:
                 if self._read_past_again().notes.get(key) is None:
-                    raise  # else it was told by the program that was killed
+                    raise  # else the killed program has logged it
             else:
                 return {"kind": kind, "name": name, "facts": as_sent(facts), "key": key}
         return known
 
     def decide(self, key: Key, name: str, function: Callable[[], Any]) -> Any:
-        """What a function returns, or has returned."""
+        """The result of a function, now or in the earlier program."""
         with self.keep_key_on_failure(key):
             known = self.find_note(key)
             if known is None:
@@ -161,31 +163,31 @@ class ExperimentRecord:
             return self.json_of(known["facts"])
 
     def find_sent(self, key: str, service: str) -> ServiceRecord:
-        """What the log has of something that is sent to a service elsewhere."""
+        """The log's record of a request to an external service."""
         return ServiceRecord(self, key, service)
 
     def give_back(self, key: str) -> None:
-        """The call has left no result: who makes it again means the same one."""
+        """The call has no result: a repetition has the same key."""
         self._keys.give_back(key)
 
     # -- values ------------------------------------------------------------------------------
 
     def json_as_facts(self, value: Any) -> dict[str, Any]:
-        """A value that is JSON as facts of a note: itself, or the file of the lab that holds it."""
+        """A JSON value as facts of a note: itself, or the file of the lab that holds it."""
         content = encode_canonical(value)
         if len(content) <= LARGEST_IN_EVENT:
             return {"value": value}
         return {"value_file": self.keep_file(content)}
 
     def json_of(self, facts: Mapping[str, Any]) -> Any:
-        """What ``json_as_facts`` has written."""
+        """The value that ``json_as_facts`` has stored."""
         return (
             msgspec.json.decode(self.file(facts["value_file"])) if "value_file" in facts else facts["value"]
         )
 
     def keep_file(self, content: bytes) -> str:
-        """Keep a file in the lab; returns its SHA-256. An experiment that has ended takes no more of them:
-        what it has kept is there already."""
+        """Store a file in the lab; returns its SHA-256. An experiment that has ended accepts no more files:
+        those of its earlier calls are stored already."""
         if self.past.status in ("closing", "ended"):
             with suppress(NotFound):
                 self.file(digest(content))
@@ -202,8 +204,8 @@ class ExperimentRecord:
 
 
 class ServiceRecord:
-    """What the log has of something that was sent to a service elsewhere, under the key of its call: a note
-    of kind ``flow`` before it is sent, another one when it has arrived."""
+    """The log's record of a request to an external service, under the key of its call: a note of kind
+    ``flow`` before it is sent, and another one after it has arrived."""
 
     def __init__(self, record: ExperimentRecord, key: str, service: str) -> None:
         self._record, self._key, self._service = record, key, service
@@ -241,7 +243,7 @@ class ServiceRecord:
 
 
 def function_name(function: Callable[..., Any]) -> str:
-    """What a computation is called in keys and notes."""
+    """The name of a computation in keys and notes."""
     from labos.services.compute._work import make_name as name_of_function
 
     return name_of_function(function)

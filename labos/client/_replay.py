@@ -1,8 +1,9 @@
-"""What the log has of an experiment, by the calls of its application: how one that is started again goes on.
+"""The log's record of an experiment, by the calls of its application: it lets a restarted application
+continue.
 
-Each call that asks the lab for something has a key: one that the program gives, else the kind of call, what
-it is about, and how often the program has called so before (``run cp_mixcolor#3``). A run bears its key as
-the key of its request, a note as a field.
+Each call that sends a request to the lab has a key: one that the program gives; else the kind of call, its
+subject, and how often the program has made such a call before (``run cp_mixcolor#3``). The key of a run is
+the key of its request; a note has its key as a field.
 """
 
 from __future__ import annotations
@@ -21,22 +22,24 @@ from labos.core.canonical import digest, encode_canonical
 from labos.errors import BadInput, LabosError
 
 LONGEST_KEY = 150
-"""Characters of a key; of what is longer the rest is a digest."""
+"""The largest number of characters of a key; the rest of a longer one is replaced by a digest."""
 
 SHOWN = 300
-"""Characters that an error shows of what was asked for, and of what is in the log."""
+"""The number of characters of the request, and of the record, that an error shows."""
 
 TYPES = ("experiment", "run.submitted")
 
 STEERING = ("decision", "condition_checked")
-"""Notes that say which way the program went: they must be the same again. Others may hold a time."""
+"""Notes that determine the path of the program: they must be the same in a restarted program. Others may
+contain a time."""
 
 
 class ReplayMismatch(LabosError):
-    """A program that was started again asks for something else than it did before, under the same key.
+    """A restarted program makes a different request than before, under the same key.
 
-    ``key`` names the call; ``recorded`` is what the log has, ``now`` what the program asks for. The
-    experiment stays open."""
+    ``key`` names the call; ``recorded`` is the request in the log, ``now`` the program's request. The
+    experiment stays open.
+    """
 
     def __init__(self, experiment: str, key: str, recorded: Any, now: Any) -> None:
         super().__init__(
@@ -49,7 +52,7 @@ class ReplayMismatch(LabosError):
 
 
 class Key(str):
-    """The key of a call, as it has been taken."""
+    """The key of a call."""
 
 
 class CallKeys:
@@ -60,7 +63,7 @@ class CallKeys:
         self._lock = threading.Lock()
 
     def take(self, kind: str, what: str, given: str = "") -> Key:
-        """The key of the next call of a kind about something, or the one that was ``given`` for it."""
+        """The key of the next call of a kind with this subject, or the ``given`` key."""
         if isinstance(given, Key):
             return given
         if given:
@@ -71,7 +74,7 @@ class CallKeys:
             return Key(f"{name}#{self._taken[name]}")
 
     def give_back(self, key: str) -> None:
-        """The call was not answered: who makes it again means the same one."""
+        """The call was not answered: a repetition has the same key."""
         name, _, number = key.rpartition("#")
         with self._lock:
             if number == str(self._taken.get(name)):
@@ -85,13 +88,13 @@ def request_of(experiment: str, key: str) -> str:
 
 
 class EventSource(Protocol):
-    """What is needed of a lab."""
+    """The part of a lab that is needed here."""
 
     def events(self, after: int = 0, **filters: Any) -> Any: ...
 
 
 class ExperimentPast:
-    """What the log has of an experiment. ``status``: open, cancelled, closing or ended."""
+    """The log's record of an experiment. ``status``: open, cancelled, closing or ended."""
 
     def __init__(self, lab: EventSource, experiment: str) -> None:
         self.lab, self._experiment = lab, experiment
@@ -100,14 +103,14 @@ class ExperimentPast:
         self.status = ""
         self.name, self.user, self.seed = "", "", ""
         self.runs: dict[str, dict[str, Any]] = {}
-        """What was submitted, by the key of the request."""
+        """The submitted runs, by the key of the request."""
         self.notes: dict[str, dict[str, Any]] = {}
-        """What was noted, by its key."""
+        """The notes, by their key."""
         self.strays: list[str] = []
-        """Runs that bear no key of the program's."""
+        """Runs without a key of the program."""
 
     def read(self) -> ExperimentPast:
-        """Read on to the present end of the log. Raises LabUnreachable."""
+        """Read up to the present end of the log. Raises LabUnreachable."""
         with self._reading:
             filters = {"type": list(TYPES), "correlation": self._experiment}
             for event in self.lab.events(self._position, **filters):
@@ -133,7 +136,7 @@ class ExperimentPast:
 
 
 def name_of(workflow: Any) -> str:
-    """What a workflow is called in keys: its file, wherever that lies."""
+    """The name of a workflow in keys: the name of its file, without its folder."""
     if isinstance(workflow, Mapping):
         workflow = workflow.get("name", "") or "workflow"
     path = Path(str(workflow))
@@ -141,8 +144,8 @@ def name_of(workflow: Any) -> str:
 
 
 def as_json(value: Any) -> Any:
-    """A value as it comes back from the log: a tuple as a list, an array as lists. Raises BadInput for one
-    that JSON does not hold."""
+    """A value in the form in which the log returns it: a tuple as a list, an array as lists. Raises BadInput
+    for a value that JSON cannot hold."""
     try:
         return msgspec.json.decode(encode_canonical(msgspec.to_builtins(value, enc_hook=make_plain)))
     except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
@@ -154,7 +157,7 @@ def as_json(value: Any) -> Any:
 
 def plain_digest(value: Any) -> str:
     """A digest that is the same for equal values, also in another process: of their JSON, with arrays as
-    digests. Empty for what has none."""
+    digests. Empty for a value that has none."""
     try:
         return digest(encode_canonical(msgspec.to_builtins(value, enc_hook=_array_or_plain)))
     except (LabosError, ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError):
@@ -182,7 +185,7 @@ def check_run(experiment: str, key: str, recorded: Mapping[str, Any], text: str,
 
 
 def check_note(experiment: str, recorded: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
-    """Raises ReplayMismatch if the program goes another way than it went."""
+    """Raises ReplayMismatch if the program takes a different path than before."""
     if recorded["kind"] in STEERING:
         now = as_sent(facts)
         if recorded.get("facts", {}) != now:
@@ -190,7 +193,7 @@ def check_note(experiment: str, recorded: Mapping[str, Any], facts: Mapping[str,
 
 
 def as_sent(value: Any) -> Any:
-    """A value as the lab has it when it was sent."""
+    """A value in the form in which it was sent to the lab."""
     return msgspec.json.decode(msgspec.json.encode(value, enc_hook=make_plain))
 
 

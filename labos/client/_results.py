@@ -32,7 +32,7 @@ class StepResult(msgspec.Struct, frozen=True):
 
 class RunResult(msgspec.Struct, frozen=True, dict=True):
     """A run from the log. ``status``: queued, active, paused, cancelling, leaving, completed, failed or
-    cancelled. It should have ended at ``due_at``."""
+    cancelled. ``due_at`` is its due date."""
 
     id: str
     workflow: str
@@ -55,19 +55,19 @@ class RunResult(msgspec.Struct, frozen=True, dict=True):
         return self.status == "completed"
 
     def result(self, step: str) -> Any:
-        """What the step of that name gave back. Raises NotFound."""
+        """The result of the step with that name. Raises NotFound."""
         for found in self.steps:
             if found.key == step:
                 return found.result
         raise NotFound(f"Run {self.id} has no step {step!r}.")
 
     def files(self) -> list[dict[str, Any]]:
-        """The files that steps gave back, each with ``step``, ``file`` (its name), ``sha256`` and the like:
-        ``LabClient.file``, ``image`` and ``table`` read them."""
+        """The files that steps returned, each with ``step``, ``file`` (its name), ``sha256`` and further
+        fields: ``LabClient.file``, ``image`` and ``table`` read them."""
         return [{"step": step.key, **file} for step in self.steps for file in _iterate_files(step.result)]
 
     def readings(self) -> Readings:
-        """What it measured, well by well, each value with the sample that was in its well."""
+        """The values that it measured, well by well, each with the sample that was in its well."""
         lab: LabClient | None = vars(self).get("_lab")
         if lab is None:
             raise BadInput("This run was not read from a lab.", remedy="Use LabClient.readings(run).")
@@ -83,7 +83,7 @@ class RunResult(msgspec.Struct, frozen=True, dict=True):
 
 
 def _iterate_files(result: Any) -> Iterator[dict[str, Any]]:
-    """What names a file in a result, however deep."""
+    """The entries that name a file in a result, at any depth."""
     if isinstance(result, dict):
         if isinstance(result.get("sha256"), str):
             yield result

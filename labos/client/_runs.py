@@ -1,4 +1,4 @@
-"""The calls of a client about runs: submitting, waiting, reading what they gave."""
+"""The calls of a client about runs: submitting, waiting, reading results."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ RUN_ENDS = ("run.completed", "run.failed", "run.cancelled")
 """The types of the events with which a run ends; a test compares them with those of the core."""
 
 MOST_STREAMS = 40
-"""So many runs may be named in a question about events; of more, the ends of all runs are read."""
+"""At most so many runs can be named in a query for events; for more, the ends of all runs are read."""
 
 
 Put = tuple[str, str] | tuple[str, str, Mapping[str, bool]]
-"""A station, the type of labware that is put there, and what it is: ``{"sealed": True}``."""
+"""A station, the type of labware that is placed there, and its variables: ``{"sealed": True}``."""
 
 
 class RunCalls(GeneratedCalls):
-    """One run, and many."""
+    """Calls about one run, and about many."""
 
     warnings: list[str]
 
@@ -77,7 +77,7 @@ class RunCalls(GeneratedCalls):
         return str(answer["run"])
 
     def check(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
-        """What a run of a workflow would be: its ``steps``, its ``demand``, why it would wait for an
+        """A description of a run of a workflow: its ``steps``, its ``demand``, and why it would wait for an
         ``approval`` or be refused (``refusal``). Nothing is submitted. Options are those of ``submit``, and
         ``payload``. Raises as ``submit``."""
         payload = options.pop("payload", None) or {}
@@ -123,7 +123,7 @@ class RunCalls(GeneratedCalls):
         return self._submit_batches(asked, user=user, **options)
 
     def _submit_batches(self, asked: Sequence[BatchRun], *, user: str, **options: Any) -> list[str]:
-        """Queue runs, as many in one request as it takes; returns their ids. What was put on the bench for
+        """Queue runs, as many in each request as possible; returns their ids. The labware that was placed for
         them is recorded with the first request."""
         place = puts_of(options.pop("place", ()))
         warnings: list[str] = []
@@ -152,8 +152,8 @@ class RunCalls(GeneratedCalls):
         return found
 
     def as_completed(self, runs: Iterable[str], *, timeout_s: float | None = None) -> Iterator[RunResult]:
-        """Runs in the order in which they end; those that have ended come first. One question waits for all
-        of them. Raises NotFound, and TimeoutError if some have not ended in time."""
+        """Runs in the order in which they end; those that have already ended come first. One request waits
+        for all of them. Raises NotFound, and TimeoutError if some have not ended in time."""
         waiting = set(runs)
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         after, is_known = 0, False
@@ -170,7 +170,7 @@ class RunCalls(GeneratedCalls):
             )
             ended = [event["stream"] for event in page["events"] if event["stream"] in waiting]
             if not page["events"] and not is_known:
-                is_known = True  # what has ended was found: all others are alive, or were never there
+                is_known = True  # the ended ones were found: all others have not ended, or do not exist
                 ended = [run for run in sorted(waiting - self._list_alive()) if self.status(run).over]
             after = max(page["position"], after)
             waiting -= set(ended)
@@ -187,9 +187,9 @@ class RunCalls(GeneratedCalls):
         return found
 
     def wait(self, run: str, *, timeout_s: float | None = None, progress: Progress = False) -> RunResult:
-        """The run at its end, or as it is when the time is over. With ``progress``, a bar on standard error
-        or in the notebook shows how far it is, and how long it may take; nothing is shown where that is
-        neither a terminal nor a notebook. ``"auto"`` takes the bar away at the end."""
+        """The run at its end, or its present state when the time is over. With ``progress``, a bar on
+        standard error or in the notebook shows its progress and its expected end; nothing is shown if there
+        is neither a terminal nor a notebook. ``"auto"`` removes the bar at the end."""
         return self._wait(run, timeout_s, progress, {})
 
     def _wait(
@@ -232,12 +232,12 @@ class RunCalls(GeneratedCalls):
         return verbs[verb](target, by, why=why, stay=stay)
 
     def reset(self, module: str, by: str = "somebody") -> RunResult:
-        """Bring a module out of its error, and wait for it."""
+        """Reset a module that is in error, and wait for the end of the reset."""
         return self.wait(self.do(module, "reset", user=by))
 
 
 def puts_of(place: Sequence[Put | Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What is put where, as the lab reads it."""
+    """The placed labware, in the form of a request."""
     names = ("station", "labware", "variables")
     return [dict(p) if isinstance(p, Mapping) else dict(zip(names, p, strict=False)) for p in place]
 

@@ -1,4 +1,4 @@
-"""Computations of an experiment, each with an event that says what was computed, where, and from what."""
+"""Computations of an experiment, each with an event that names the function, the place and the arguments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LONGEST_SHOWN = 200
 
 
 class Computations:
-    """Of one experiment. Nothing is opened or imported before the first of them."""
+    """The computations of one experiment. Nothing is opened or imported before the first of them."""
 
     def __init__(self, record: ExperimentRecord) -> None:
         self._record = record
@@ -81,7 +81,7 @@ class Computations:
         named: Mapping[str, Any],
         what: str,
     ) -> Future[Any]:
-        """What was computed before, or how it failed. Raises ReplayMismatch for other arguments."""
+        """The earlier result of a computation, or its failure. Raises ReplayMismatch for other arguments."""
         from concurrent.futures import Future
 
         facts = known["facts"]
@@ -104,7 +104,7 @@ class Computations:
         if "result" in facts:
             return facts["result"]
         content = self._record.file(facts["result_file"])
-        # The lab keeps what this experiment has sent, and gives nothing else under its digest.
+        # The lab stores only files that this experiment has sent, and returns no other content for a digest.
         return msgspec.json.decode(content) if facts["result_form"] == "json" else pickle.loads(content)
 
     def close(self, *, drop: bool, wait: bool) -> None:
@@ -113,7 +113,7 @@ class Computations:
             self._computing = None
 
     def _tell(self, key: str, kind: str, computed: Computed, what: str) -> Any:
-        """The event is in the log before the application has the result."""
+        """Log the computation: the event is in the log before the application has the result."""
         from labos.services.compute._work import encode
 
         measured = computed.measured
@@ -138,7 +138,7 @@ class Computations:
         kept = self._record.keep(key, kind, computed.function, facts)["facts"]
         if kept["result_sha256"] == facts["result_sha256"]:
             return measured.value
-        return self._read_value(kept)  # the program that was killed had told it in the meantime
+        return self._read_value(kept)  # the killed program had logged it in the meantime
 
     def _tell_failure(self, key: str, kind: str, failed: ComputeFailed, what: str) -> None:
         facts = {
@@ -153,13 +153,13 @@ class Computations:
 
 
 def _as_json(what: str, arguments: str) -> dict[str, str]:
-    """The digest by which arguments are compared that were sent in another form than JSON, which differs from
-    process to process."""
+    """The digest with which arguments are compared that were not sent as JSON, because their bytes differ
+    between processes."""
     return {"arguments_as_json": what} if what not in ("", arguments) else {}
 
 
 def _make_failure(name: str, facts: Mapping[str, Any]) -> ComputeFailed:
-    """The error that a computation ended with before the program was started again."""
+    """The error with which a computation ended in the earlier program."""
     from labos.services.compute import ComputeFailed
 
     kind, _, text = str(facts["error"]).partition(": ")

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def rows_of(text: str) -> list[dict[str, Any]]:
-    """The rows of a CSV file by the names in its first line; what is a number is one. Raises ValueError for a
+    """The rows of a CSV file by the names in its first line; numbers are converted. Raises ValueError for a
     text without such a line, and for a row that has more values than it names."""
     first = next((line for line in text.splitlines() if line.strip()), "")
     comma = max(",;\t", key=first.count)
@@ -27,7 +27,7 @@ def rows_of(text: str) -> list[dict[str, Any]]:
 
 
 def _value(text: str, comma: str) -> Any:
-    """Where a comma does not part columns it may part decimals."""
+    """A comma that does not separate columns may be a decimal separator."""
     for convert in (int, float) if "_" not in text else ():
         try:
             return convert(text.replace(",", ".") if comma != "," else text)

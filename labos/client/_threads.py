@@ -21,42 +21,42 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 MOST_CALLS, MOST_WAITS = 16, 256
-"""So many calls at once that are answered soon, and so many that may wait for a long time; others queue."""
+"""The largest number of calls with a quick answer, and of calls that may wait for long, at the same time;
+others queue."""
 
 
 class Threads:
-    """Runs calls, each in a thread of its own, as many at once as there is room for: one that waits keeps no
-    other from its turn. A call that is cancelled is given up at once; its thread ends after the question that
-    it is asking, and asks no other."""
+    """Runs calls, each in a thread of its own, up to a limit: a call that waits does not delay the others. A
+    cancelled call is abandoned at once; its thread ends after its present request, and sends no other."""
 
     def __init__(self) -> None:
         self._calls, self._waits = asyncio.Semaphore(MOST_CALLS), asyncio.Semaphore(MOST_WAITS)
         self._running: dict[asyncio.Future[Any], threading.Event] = {}
 
     def give_up(self) -> None:
-        """Nobody waits any more for the calls that are under way: who does is told."""
+        """No caller waits any more for the calls in progress: each of them is abandoned."""
         for done, given_up in self._running.items():
             given_up.set()
             if not done.done():
                 done.set_exception(LabUnreachable("The client was closed while it waited for the lab."))
 
     async def call(self, function: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> T:
-        """What a call returns that is answered soon."""
+        """The result of a call with a quick answer."""
         async with self._calls:
             return await self._in_thread(lambda: function(*args, **options))
 
     async def wait(self, function: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> T:
-        """What a call returns that may wait."""
+        """The result of a call that may wait."""
         async with self._waits:
             return await self._in_thread(lambda: function(*args, **options))
 
     async def iterate(self, iterator: Iterator[T]) -> AsyncIterator[T]:
-        """Each item as it comes."""
+        """The items, as they come."""
         while page := await self.wait(_take_next, iterator):
             yield page[0]
 
     async def iterate_pages(self, pages: Iterator[list[T]]) -> AsyncIterator[T]:
-        """Each item of pages as they come."""
+        """The items of pages, as they come."""
         async for page in self.iterate(pages):
             for item in page:
                 yield item
@@ -65,7 +65,7 @@ class Threads:
     async def block_of(
         self, manager: AbstractContextManager[T], twin: Callable[[T, Threads], U]
     ) -> AsyncIterator[U]:
-        """A block whose beginning and end are calls, with the twin of what it yields."""
+        """A block whose beginning and end are calls; it yields the twin of the synchronous block's value."""
         found = await self.wait(manager.__enter__)
         try:
             yield twin(found, self)
@@ -96,7 +96,7 @@ class Threads:
                 value = context.run(work)
             except BaseException as error:  # the waiting caller raises it
                 raised = error
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits
+            with contextlib.suppress(RuntimeError):  # the loop is closed: no caller waits
                 loop.call_soon_threadsafe(settle, value, raised)
 
         threading.Thread(target=carry_out, name="lab-call", daemon=True).start()
@@ -115,7 +115,7 @@ def _take_next(iterator: Iterator[T]) -> list[T]:
 
 
 class Twin:
-    """What asks ``sync``, whose calls wait, in threads."""
+    """Calls ``sync``, whose calls wait, in threads."""
 
     sync: Any
 
@@ -128,7 +128,7 @@ AsyncMethod = Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]
 
 
 def ask(method: Method[P, T]) -> AsyncMethod[P, T]:
-    """The method of a twin that asks this one, which answers soon."""
+    """The asynchronous twin of a method with a quick answer."""
 
     @wraps(method)
     async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
@@ -138,7 +138,7 @@ def ask(method: Method[P, T]) -> AsyncMethod[P, T]:
 
 
 def ask_and_wait(method: Method[P, T]) -> AsyncMethod[P, T]:
-    """The method of a twin that asks this one, which may wait."""
+    """The asynchronous twin of a method that may wait."""
 
     @wraps(method)
     async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
@@ -148,8 +148,8 @@ def ask_and_wait(method: Method[P, T]) -> AsyncMethod[P, T]:
 
 
 def ask_in_turn(method: Method[P, T]) -> AsyncMethod[P, T]:
-    """The same of an experiment's method with a key: the order of calls is that in which they are made, not
-    in which threads begin."""
+    """The same for an experiment's method with a key: the order of the keys is the order of the calls, not
+    the order in which threads begin."""
     signature = inspect.signature(method)
 
     @wraps(method)
@@ -162,7 +162,7 @@ def ask_in_turn(method: Method[P, T]) -> AsyncMethod[P, T]:
 
 
 def ask_one_by_one(method: Method[P, Iterator[T]]) -> Callable[Concatenate[Any, P], AsyncIterator[T]]:
-    """The method of a twin that gives what this one does, each item as it comes."""
+    """The asynchronous twin of an iterator; it yields each item as it comes."""
 
     @wraps(method)
     def work(twin: Twin, *args: P.args, **options: P.kwargs) -> AsyncIterator[T]:

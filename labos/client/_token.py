@@ -1,4 +1,5 @@
-"""What a program shows to the lab, where it is kept, and whose certificate is believed."""
+"""The credentials that a program sends to the lab, where they are stored, and which certificates are
+trusted."""
 
 from __future__ import annotations
 
@@ -15,15 +16,15 @@ from labos.settings import CA, HOME_KEY, TOKEN, TOKEN_FILE, last_kernel
 
 
 def tokens_file() -> Path:
-    """Where `labos login` keeps tokens: one for each lab."""
+    """The file in which `labos login` stores tokens: one for each lab."""
     folder = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     return Path(folder) / "labos" / "tokens.json"
 
 
 def find_token(url: str, home: Path | None = None) -> str:
-    """What to show to the lab at an address: LABOS_TOKEN, else what is in the file that LABOS_TOKEN_FILE
-    names, else what `labos login` has kept for it, else the key in the lab's folder. Empty if there is
-    nothing. Raises BadInput for a file that others can read."""
+    """The token for the lab at an address: LABOS_TOKEN, else the content of the file that LABOS_TOKEN_FILE
+    names, else the token that `labos login` has stored for it, else the key in the lab's folder. Empty if
+    there is none. Raises BadInput for a file that others can read."""
     if token := os.environ.get(TOKEN, "").strip():
         return token
     if named := os.environ.get(TOKEN_FILE, ""):
@@ -36,18 +37,18 @@ def find_token(url: str, home: Path | None = None) -> str:
 
 
 def place_of(url: str, home: Path | None) -> str:
-    """How a lab is called in the file of tokens: by its folder, whose lab may change its port, else by its
+    """The name of a lab in the file of tokens: its folder, because such a lab may change its port, else its
     address."""
     return str(home) if home is not None else url
 
 
 def find_kept_token(place: str) -> str:
-    """What `labos login` has kept for a lab; empty if nothing."""
+    """The token that `labos login` has stored for a lab; empty if there is none."""
     return _read_kept().get(place, "")
 
 
 def keep_token(place: str, token: str) -> None:
-    """Keep a token for a lab; an empty one forgets it."""
+    """Store a token for a lab; an empty one deletes the stored token."""
     kept = {**_read_kept(), place: token}
     if not token:
         kept.pop(place, None)
@@ -73,7 +74,7 @@ def _read_kept() -> dict[str, str]:
 
 
 def _private_text(file: Path) -> str:
-    """A file that only its owner can read. Raises BadInput."""
+    """The text of a file that only its owner can read. Raises BadInput."""
     try:
         with file.open(encoding="utf-8") as opened:
             mode = os.fstat(opened.fileno()).st_mode
@@ -88,8 +89,8 @@ def _private_text(file: Path) -> str:
 
 
 def find_trusted(home: Path | None) -> ssl.SSLContext | None:
-    """Which certificates are believed: those of the authority whose file LABOS_CA names; of a lab in a folder
-    of this computer, the one that it shows by its own note. None for those that everybody believes."""
+    """The trusted certificates: those of the authority whose file LABOS_CA names; for a lab in a folder of
+    this computer, the certificate that its own note names. None for the default authorities of the system."""
     if named := os.environ.get(CA, ""):
         try:
             return ssl.create_default_context(cafile=named)
@@ -101,7 +102,8 @@ def find_trusted(home: Path | None) -> ssl.SSLContext | None:
     if known is None or not known.certificate:
         return None
     context = ssl.create_default_context(cafile=known.certificate)
-    # Exactly this certificate, by whatever name the lab is asked: it stands in the lab's own folder.
+    # Exactly this certificate, whatever the lab's host name in the address: it comes from the lab's own
+    # folder.
     context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
     context.check_hostname = False
     return context

@@ -1,4 +1,4 @@
-"""Files that an experiment brings from one place to another, each with an event that has its digest."""
+"""Files that an experiment copies from one place to another, each with an event that has its digest."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from labos.client._replay import Key, ReplayMismatch
 from labos.errors import BadInput, LabosError
 
 PIECE = 1024 * 1024
-"""Bytes that are copied at once."""
+"""Bytes that are copied in one step."""
 
 Place = str | Path | Mapping[str, Any]
-"""A file: its path, a URL that fsspec knows (``s3://…``, ``sftp://…``, ``https://…``), or a file of the lab
-as it stands in a result."""
+"""A file: its path, a URL that fsspec knows (``s3://…``, ``sftp://…``, ``https://…``), or a file of the lab,
+as a result names it."""
 
 
 FOLDERS = {"file", "memory", "sftp", "ssh", "ftp", "smb"}
-"""Where folders have to be made; elsewhere they are a part of a file's name."""
+"""Kinds of places where folders have to be made; elsewhere they are a part of a file's name."""
 
 
 class Transferred(msgspec.Struct, frozen=True):
-    """A file that was transferred: ``bytes`` of it, and its SHA-256, the same at both places."""
+    """A file that was transferred: its number of ``bytes`` and its SHA-256, which are the same at both
+    places."""
 
     source: str
     target: str
@@ -37,12 +38,12 @@ class Transferred(msgspec.Struct, frozen=True):
 
 
 class TransferFailed(LabosError):
-    """A file could not be transferred. Nothing is said of it in the log."""
+    """A file could not be transferred. Nothing about it is recorded in the log."""
 
 
 def transfer(record: ExperimentRecord, key: Key, source: Place, target: str | Path) -> Transferred:
-    """Copy a file, read it again where it is now, and log both; or what the log has. Raises TransferFailed,
-    ReplayMismatch."""
+    """Copy a file, read the copy again, and log the transfer; or return the earlier transfer from the log.
+    Raises TransferFailed, ReplayMismatch."""
     said = {"source": show_place(source), "target": show_place(target)}
     known = record.find_note(key)
     if known is None:
@@ -56,7 +57,7 @@ def transfer(record: ExperimentRecord, key: Key, source: Place, target: str | Pa
 def read_transfer(
     record: ExperimentRecord, key: Key, facts: Mapping[str, Any], said: Mapping[str, str]
 ) -> Transferred:
-    """A transfer as the log has it. Raises ReplayMismatch if that was another one than is ``said`` now."""
+    """A transfer from the log. Raises ReplayMismatch if it differs from ``said``, the present request."""
     recorded = {name: facts[name] for name in said}
     if recorded != said:
         raise ReplayMismatch(record.experiment, key, recorded, said)
@@ -64,11 +65,11 @@ def read_transfer(
 
 
 def show_place(place: Place) -> str:
-    """A place as it stands in the log: without passwords, and without what signs a URL."""
+    """A place in the form for the log: without passwords, and without signatures in a URL."""
     if isinstance(place, Mapping):
         return f"lab:{place.get('sha256', '')}"
     parts = urlsplit(str(place))
-    if len(parts.scheme) < 2:  # a path; of Windows, perhaps
+    if len(parts.scheme) < 2:  # a path; on Windows, perhaps with a drive
         return str(Path(place).resolve())
     host = parts.netloc.rpartition("@")[2]
     return urlunsplit((parts.scheme, host, parts.path, "", ""))
@@ -114,7 +115,7 @@ def _copy(record: ExperimentRecord, source: Place, target: str) -> tuple[str, in
 
 
 def _pour(out_of: IO[bytes], into: IO[bytes] | None) -> tuple[str, int]:
-    """SHA-256 and size of what was read, and written if there is where to."""
+    """SHA-256 and size of the content that was read, and written if there is a target."""
     sha256, size = hashlib.sha256(), 0
     while piece := out_of.read(PIECE):
         sha256.update(piece)

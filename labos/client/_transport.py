@@ -1,4 +1,4 @@
-"""How a client asks: over HTTP, until somebody answers."""
+"""Sends a client's requests over HTTP, and repeats them until there is an answer."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 API = "/api/v1"
 
 IN_DOUBT = ("commit_in_doubt", "kernel_away")
-"""What was asked may have been done: only what may be done twice is repeated."""
+"""Codes of requests that may have been carried out: only a request that may be carried out twice is
+repeated."""
 
 NEVER_S = 3.0
-"""How long to wait for a lab in a folder in which none has ever run."""
+"""How long to wait for a lab in a folder in which no lab has ever run."""
 
 
 class Transport(Calls):
-    """Where a lab is, what is shown to it, and how often it is asked."""
+    """The address of a lab, the credentials for it, and the limits of repetitions."""
 
     def __init__(
         self,
@@ -45,7 +46,7 @@ class Transport(Calls):
         self._http = self._open_http()
         self._ids = Uuid7Ids()
         self.warnings: list[str] = []
-        """What the lab remarked on the last submission, one sentence each, with its place."""
+        """The warnings about the last submission, one sentence each, with its place."""
         self.approval = ""
         """Why the last submission waits for an approval; empty if it does not."""
 
@@ -58,7 +59,7 @@ class Transport(Calls):
 
     @property
     def token_place(self) -> str:
-        """How this lab is called in the file of tokens: its folder, or its address."""
+        """The name of this lab in the file of tokens: its folder, or its address."""
         return place_of(self._url, self._home)
 
     def close(self) -> None:
@@ -104,13 +105,13 @@ class Transport(Calls):
         )
 
     def _ask(self, method: str, path: str, *, repeat: bool, **options: Any) -> dict[str, Any]:
-        """As ``_request``, what the lab said. Raises the error that it told of."""
+        """As ``_request``, the data of the answer. Raises the error that the lab reports."""
         response = self._request(method, path, repeat=repeat, **options)
         return answer_of(response.status_code, response.content)
 
     def _request(self, method: str, path: str, *, repeat: bool, **options: Any) -> httpx.Response:
-        """Ask until somebody answers. What may not be done twice is repeated only if it
-        cannot have arrived."""
+        """Send a request until there is an answer. A request that may not be carried out twice is repeated
+        only if it cannot have arrived."""
         import httpx
 
         deadline = time.monotonic() + self._find_patience()
@@ -133,7 +134,7 @@ class Transport(Calls):
                         remedy="Look with `labos log`.",
                     ) from error
                 why = error
-                # It was there until now, as in a long question: only its silence tries the patience.
+                # The lab answered until now, as in a long request: the time without an answer begins here.
                 deadline += time.monotonic() - asked
             except LabUnreachable as error:
                 why = error
@@ -153,18 +154,19 @@ class Transport(Calls):
             pause = min(pause * 2, 1.0)
 
     def _make_headers(self, base: str) -> dict[str, str]:
-        """The headers that say who asks. Raises BadInput for a file of tokens that others can read."""
+        """The headers with the user's credentials. Raises BadInput for a file of tokens that others can
+        read."""
         token = self._token or find_token(base, self._home)
         shown = {"authorization": f"Bearer {token}"} if token else {}
         return shown | ({"labos-on-behalf-of": self._behalf} if self._behalf else {})
 
     def _find_patience(self) -> float:
-        """How long to ask a lab that does not answer: not for long where there never was one."""
+        """How long to try a lab that does not answer: only briefly if no lab has ever run there."""
         never = self._home is not None and not (self._home / "kernel.json").exists()
         return min(self._patience_s, NEVER_S) if never else self._patience_s
 
     def _find_base(self) -> str:
-        """Where the lab is now: a restarted one may have another address."""
+        """The present address of the lab: a restarted lab may have another one."""
         if self._home is not None:
             found = find_kernel(self._home)
             if found is None:

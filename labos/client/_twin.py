@@ -1,4 +1,5 @@
-"""The client for programs that work with asyncio: each method asks the one of the same name behind it."""
+"""The client for programs that use asyncio: each method calls the method with the same name of the
+synchronous client."""
 
 from __future__ import annotations
 
@@ -22,9 +23,9 @@ if TYPE_CHECKING:
 
 
 class AsyncLabClient(AsyncCalls):
-    """As ``LabClient``, which stands behind it as ``sync``, with methods to be awaited. A call that is
-    cancelled may have been done. What a ``RunResult`` asks the lab for, it asks without waiting for others:
-    use ``readings``, ``file`` and the like of this class in its place."""
+    """As ``LabClient``, which is its attribute ``sync``, with methods that are awaited. A cancelled call may
+    have been carried out. The methods of a ``RunResult`` send requests that block the event loop: use
+    ``readings``, ``file`` and the other methods of this class in their place."""
 
     sync: LabClient
 
@@ -100,7 +101,7 @@ class AsyncLabClient(AsyncCalls):
 
 
 class AsyncExperiment(Twin):
-    """As ``Experiment``, which stands behind it as ``sync``, with methods to be awaited::
+    """As ``Experiment``, which is its attribute ``sync``, with methods that are awaited::
 
     async with AsyncLabClient(home="lab") as lab, AsyncExperiment(lab, "mix", "ada") as experiment:
         result = await experiment.run("mix.yaml")
@@ -143,7 +144,7 @@ class AsyncExperiment(Twin):
         try:
             await self.threads.wait(self.sync.__enter__)
         except BaseException:
-            self.sync._over.set()  # nobody is in the block: no heartbeat says so
+            self.sync._over.set()  # the block has ended: no more heartbeats
             raise
         return self
 
@@ -206,7 +207,7 @@ class AsyncExperiment(Twin):
 
 
 class AsyncLoop(Twin):
-    """As ``Loop``, with methods to be awaited."""
+    """As ``Loop``, with methods that are awaited."""
 
     sync: Loop
 

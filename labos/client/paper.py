@@ -1,4 +1,4 @@
-"""The client in the words of the paper, for programs that were written for it (Vescovi et al., "Towards a
+"""The client with the names of the paper, for programs that were written for it (Vescovi et al., "Towards a
 Modular Architecture for Science Factories", Supplementary Information A.4)::
 
     exp = Experiment("127.0.0.1", "8000", "Color_Picker")
@@ -7,7 +7,7 @@ Modular Architecture for Science Factories", Supplementary Information A.4)::
     exp.events.log_loop_start("Main Loop")
     exp.events.end_experiment()
 
-What is behind it is ``labos.client``: new programs use that.
+It uses ``labos.client``, which new programs should use directly.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Experiment:
         return self._folder / f"{self.experiment_name}_{self.experiment_id}"
 
     def register_exp(self) -> dict[str, Any]:
-        """Begin it, or go on with the one to be resumed. Raises as ``labos.client.Experiment``."""
+        """Begin it, or continue the one of ``resume``. Raises as ``labos.client.Experiment``."""
         if not self._is_open:
             self.experiment.__enter__()
             self._is_open = True
@@ -75,12 +75,12 @@ class Experiment:
         ``action_response`` and ``action_msg``; a file is its path below ``run_dir``. Raises RunFailed."""
         self.register_exp()
         told = workflow_text(workflow, payload)
-        # In the paper's programs one payload goes from workflow to workflow; each takes its part.
+        # In the paper's programs one payload is used for several workflows; each takes its part.
         taken = {name: value for name, value in (payload or {}).items() if name in told["text"]}
         return self._info(self.experiment.run(workflow, taken))
 
     def end(self) -> None:
-        """Its closing workflow, if it has one, clears away what it left parked."""
+        """Its closing workflow, if it has one, clears away labware that it left parked."""
         if self._is_open:
             self._is_open = False
             self.experiment.__exit__(None, None, None)
@@ -117,8 +117,8 @@ class Experiment:
 
 
 class Events:
-    """What an application logs. The start and end of the experiment and of each workflow are logged by
-    themselves: their calls begin and end the experiment, and ask for nothing else."""
+    """What an application logs. The start and end of the experiment and of each workflow are logged
+    automatically: the calls for them begin and end the experiment, and log nothing more."""
 
     def __init__(self, of: Experiment) -> None:
         self._of = of

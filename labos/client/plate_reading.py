@@ -1,6 +1,6 @@
-"""The colours of wells from a picture of a plate, by OpenCV.
+"""The colours of wells in an image of a plate, measured with OpenCV.
 
-Four ArUco markers around the nest show where the plate should be in the picture; its wells must be there. The
+Four ArUco markers around the nest show where the plate should be in the image; its wells must be there. The
 white plastic between the wells shows the local brightness, so that colours do not depend on the light.
 """
 
@@ -22,23 +22,25 @@ PLATE_MM, A1_MM, PITCH_MM, WELL_MM = (127.76, 85.48), (14.38, 11.24), 9.0, 3.43
 
 MARKERS = "DICT_5X5_50"
 MARKERS_MM = {0: (-8.0, 8.0), 1: (135.6, 8.0), 2: (135.6, 78.0), 3: (-8.0, 78.0)}
-"""Where their centres are, from the plate's upper left corner; to be measured once for each nest."""
+"""The positions of the markers' centres, from the plate's upper left corner; to be measured once for each
+nest."""
 MARKER_MM = 9.8
 FEWEST_MARKERS = 3
 
 WHITE = 239.0
-"""What the plastic of the plate is where there is enough light."""
+"""The value of the plate's plastic where there is enough light."""
 
 SATURATED, TOO_MANY = 250, 0.05
-"""A pixel this bright tells nothing; no more than this part of the plastic may be."""
+"""The first value is the brightness of a pixel that cannot be measured; the second is the largest part of the
+plastic that may be so bright."""
 
 FEWEST_WELLS = 64
 OFF_MM = 1.2
-"""A plate whose wells are farther away than this does not lie in its nest."""
+"""A plate whose wells are farther than this from their places does not lie in its nest."""
 
 
 class BadPicture(LabosError):
-    """A picture that cannot be used: an experiment error. ``kind`` is the reason in a few words."""
+    """An image that cannot be used: an experiment error. ``kind`` is the reason in a few words."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
@@ -53,7 +55,7 @@ class Reading(NamedTuple):
 
 
 def read_plate(content: bytes, wells: Sequence[str]) -> Reading:
-    """The colours of wells in a picture, which is a file's content. Raises BadPicture."""
+    """The colours of wells in an image, given as the content of its file. Raises BadPicture."""
     cv = _import_opencv()
     try:
         picture = cv.imdecode(np.frombuffer(content, np.uint8), cv.IMREAD_COLOR)
@@ -73,7 +75,7 @@ def read_plate(content: bytes, wells: Sequence[str]) -> Reading:
 
 
 def straighten_picture(picture: Any) -> Any:
-    """The plate as it would be seen from straight above, with ``PX_PER_MM``. Raises BadPicture."""
+    """The plate as seen from straight above, with ``PX_PER_MM``. Raises BadPicture."""
     cv = _import_opencv()
     detector = cv.aruco.ArucoDetector(cv.aruco.getPredefinedDictionary(getattr(cv.aruco, MARKERS)))
     corners, ids, _ = detector.detectMarkers(picture)
@@ -138,7 +140,7 @@ def _fit_light(plate: np.ndarray, off: np.ndarray) -> np.ndarray:
 
 
 def _make_terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Light changes slowly: a surface of the third order."""
+    """Light varies smoothly: a surface of the third order."""
     x, y = x / (PLATE_MM[0] * PX_PER_MM) - 0.5, y / (PLATE_MM[1] * PX_PER_MM) - 0.5
     one = np.ones_like(x)
     return np.column_stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
@@ -152,8 +154,9 @@ def _list_points_between() -> np.ndarray:
 
 
 def _read_color(plate: np.ndarray, light: np.ndarray, well: str, off: np.ndarray) -> Color:
-    """Of the middle of a well, as in even, white light: one in which the plastic is ``WHITE``. The median
-    leaves the lamp out that the liquid's surface mirrors; the liquid's dark edge is not looked at."""
+    """The colour in the middle of a well, corrected to even, white light, in which the plastic is ``WHITE``.
+    The median removes the reflection of the lamp on the liquid's surface; the liquid's dark edge is not
+    measured."""
     at = np.array([int(well[1:]) - 1, "ABCDEFGH".index(well[0])]) * PITCH_MM + A1_MM + off
     x, y = at * PX_PER_MM
     reach = int(0.6 * WELL_MM * PX_PER_MM)

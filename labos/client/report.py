@@ -1,5 +1,5 @@
-"""The end of an application: plots, a table and one page in a folder, and a line with the place of the data.
-And its start from a shell.
+"""The start of an application from a shell, and its report at the end: plots, a table and one page in a
+folder, and a line with the place of the data.
 
 ::
 
@@ -39,7 +39,7 @@ STYLE = (
 
 
 class Drawing(Protocol):
-    """What can be saved as a picture: a figure of Matplotlib, for example."""
+    """A figure that can be saved as an image, for example of Matplotlib."""
 
     def savefig(self, file: Any, **options: Any) -> Any: ...
 
@@ -61,7 +61,7 @@ def write_report(
     table: Sequence[Mapping[str, Any]] = (),
     files: str = "its files",
 ) -> ReportPage:
-    """Write the pictures (by file name: what they show, and a figure or a file's content), the table as
+    """Write the images (by file name: a caption, and a figure or a file's content), the table as
     ``data.csv``, and ``index.html``, which contains all of it and needs no other file. The report is logged
     as a publication with the names of the files. ``files`` is the text for the files in the log."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,8 +97,8 @@ def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentPar
 
 
 def read_payload(path: Path, kind: type, needs: Mapping[str, str] = {}) -> dict[str, Any]:
-    """What a payload file (YAML) gives for the fields of a dataclass. ``needs`` are fields that must be
-    there, each with what to write. Raises BadInput."""
+    """The values in a payload file (YAML) for the fields of a dataclass. ``needs`` are required fields, each
+    with a text that says what to write. Raises BadInput."""
     try:
         given = yaml.safe_load(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -120,9 +120,9 @@ def run_program(
     parser: argparse.ArgumentParser,
     prepare: Callable[[argparse.Namespace], Callable[[LabClient], Sequence[str]]],
 ) -> int:
-    """Start an application; returns its exit code. ``prepare`` reads what it is given, before a lab is asked;
-    what it returns does the work and says what came of it, line by line. An error is one line, and another
-    one if the program can go on with ``--resume``."""
+    """Start an application; returns its exit code. ``prepare`` reads the arguments before the first request
+    to a lab. It returns a function that does the work and returns the report, line by line. An error is one
+    line, and a second one if the program can continue with ``--resume``."""
     given = parser.parse_args()
     try:
         work = prepare(given)

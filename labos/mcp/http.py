@@ -38,7 +38,7 @@ _log = structlog.get_logger(__name__)
 def make_app(url: str, home: str | None, listening: Listening) -> ASGIApp:
     """The application over the lab at an address or in a folder."""
     names = {*OWN, *listening.names, *(() if listening.host == "0.0.0.0" else (listening.host,))}
-    # Browsers are no agents: no page may ask, wherever it comes from.
+    # Browsers are not agents: no web page may send requests, wherever it comes from.
     rules = TransportSecuritySettings(
         allowed_hosts=[*names, *(f"{name}:*" for name in names)], allowed_origins=[]
     )
@@ -97,7 +97,7 @@ class _Callers:
             await self._app(scope, receive, send)
             return
         request = Request(scope)
-        if request.method != "POST":  # without sessions nothing is told unasked, and nothing ends
+        if request.method != "POST":  # without sessions, no other method is used
             await Response("Send requests by POST.", 405, {"allow": "POST"})(scope, receive, send)
             return
         refusal = await self._door.validate_request(request, is_post=True)
@@ -138,7 +138,7 @@ def _read_token(request: Request) -> str:
 
 
 def _refusal(error: LabosError) -> Response:
-    if isinstance(error, BadInput):  # somebody is known, and is no service account
+    if isinstance(error, BadInput):  # the user is known, and is not a service account
         error = Forbidden(error.message, remedy=error.remedy)
     found = send_problem(make_problem_of_error(error))
     if found.status_code == 401:

@@ -1,4 +1,4 @@
-"""Tools that look."""
+"""Tools that read."""
 
 from __future__ import annotations
 

@@ -57,7 +57,8 @@ def sign_in(url: str, home: str | None, *, behalf: str = "", token: str = "") ->
 
 
 def make_server(lab: LabClient | Callable[[], LabClient]) -> MCPServer[Any]:
-    """The server of a lab; ``lab`` may be asked anew for each call, as whose it is."""
+    """The server of a lab; ``lab`` is called for each request and returns a client for the requesting
+    user."""
     from mcp.server.mcpserver import MCPServer
     from mcp.types import ToolAnnotations
 

@@ -1,1 +1,2 @@
-"""The planner: looks for a good order of what is under way and what waits, and suggests it to the lab."""
+"""The planner: searches for a good order of the runs in progress and the waiting runs, and suggests it to the
+lab."""

@@ -1,4 +1,4 @@
-"""How long a step takes at a quantile of what it has taken."""
+"""How long a step takes, at a quantile of its past durations."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
 
 SPREAD = 0.1
-"""What is assumed of a step that was not carried out often enough: its duration differs from what was planned
-by up to this part, each with the same likelihood."""
+"""The assumption for a step that was not carried out often enough: its duration differs from the nominal one
+by at most this part, and all such durations are equally likely."""
 
 
 def estimate_at_level(lengths: Lengths, step: PlanStep, pace: float, level: float) -> int:
@@ -24,7 +24,7 @@ def estimate_at_level(lengths: Lengths, step: PlanStep, pace: float, level: floa
 
 
 def find_quantile(ordered: Sequence[float], level: float) -> float:
-    """The value at a level between 0 and 1 of values in order, between two of them in proportion."""
+    """The value at a level between 0 and 1 of sorted values, interpolated linearly."""
     place = level * (len(ordered) - 1)
     below = min(int(place), len(ordered) - 1)
     above = min(below + 1, len(ordered) - 1)
@@ -32,5 +32,5 @@ def find_quantile(ordered: Sequence[float], level: float) -> float:
 
 
 def draw(what: str) -> float:
-    """A number between 0 and 1: for the same words the same."""
+    """A number between 0 and 1; the same words always give the same number."""
     return int.from_bytes(hashlib.blake2b(what.encode(), digest_size=8).digest()) / 2**64

@@ -1,9 +1,9 @@
-"""How good it is what came of a rehearsal, by what the lab itself puts first.
+"""Measures how good the result of a rehearsal is, in the lab's own order of importance.
 
-The less, the better, in this order: runs that do not come to their ends; windows that are missed; how late
-the runs of campaigns with a deadline end; when those end that go before others, class by class: urgent
-campaigns, then each higher priority; how late a user's runs end after their due dates only because others of
-the same user went before; and then the end of all together with the ends of runs on average.
+Smaller is better, in this order: runs that do not reach their ends; windows that are missed; how late the
+runs of campaigns with a deadline end; the ends of the classes of runs that go before others (urgent
+campaigns, then each higher priority); how late a user's runs end after their due dates only because other
+runs of the same user went before; and then the end of all runs together with the mean of their ends.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from labos.planning.urgency import is_urgent
 from labos.planning.virtual import Play
 
 GOES_ON = 1
-"""An experiment's end of a run counts so many times the end of all that is known: more runs follow, which
-nobody knows yet. With more than that, experiments go before what takes longer by itself."""
+"""The weight of a run's end in an experiment, compared with the end of all known runs: more runs will follow
+it, which are not known yet. With a greater weight, experiments would go before runs that take longer by
+themselves."""
 
 
 class Score(msgspec.Struct, frozen=True, order=True):
-    """How good a play was, the less the better. All but the first two in seconds of wall time: ``overdue_s``
-    of all runs, ``first_s`` the ends of each class that goes before others, the highest first;
-    ``avoidable_s`` by how much less late runs would be after their due dates if each user's runs ended at the
-    same times, but in the order of these dates; ``cost_s`` the end of all, with that of each run of an
-    experiment, and the mean of all ends."""
+    """How good a play was; smaller is better. All fields but the first two are in seconds of wall time.
+    ``overdue_s`` is for all runs. ``first_s`` are the ends of each class that goes before others, the highest
+    first. ``avoidable_s`` is how much less late the runs would be if each user's runs ended at the same
+    times, but in the order of their due dates. ``cost_s`` is the end of all runs, plus the end of each run of
+    an experiment, and the mean of all ends."""
 
     stays: int
     missed: int
@@ -39,8 +40,8 @@ class Score(msgspec.Struct, frozen=True, order=True):
 
 
 class Rated(msgspec.Struct, frozen=True):
-    """What is known of a run before anything is played. ``rank``: 0 for those of the lowest class.
-    ``deadline`` is that of its campaign, ``due`` its own due date (UTC ns; 0: none)."""
+    """The facts about a run before any play. ``rank``: 0 for runs of the lowest class. ``deadline`` is that
+    of its campaign, ``due`` its own due date (UTC ns; 0: none)."""
 
     rank: int
     deadline: int
@@ -50,7 +51,7 @@ class Rated(msgspec.Struct, frozen=True):
 
 
 def rate_runs(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId, Rated]:
-    """The classes of runs among one another."""
+    """The class of each run, compared with the others."""
     found = {run.id: (run, (is_urgent(state, run, now), run.priority)) for run in runs}
     ranks = {known: rank for rank, known in enumerate(sorted({known for _, known in found.values()}))}
     return {
@@ -60,8 +61,8 @@ def rate_runs(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId
 
 
 def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
-    """Of plays of the same runs with other durations: what stays and is missed counts in all of them, times
-    on average. ``now`` is when they began (UTC ns)."""
+    """The score of plays of the same runs with different durations: runs without an end and missed windows of
+    all plays are added, times are averaged. ``now`` is the start of the plays (UTC ns)."""
     scores = [_judge_one(play, rated, now) for play in plays]
     return Score(
         sum(score.stays for score in scores),
@@ -87,8 +88,9 @@ def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int) -> Score:
 
 
 def _find_avoidable(ends: Mapping[RunId, float], rated: Mapping[RunId, Rated], now: int) -> float:
-    """Due dates order the runs of one user and rank. So what counts is not how late these are, but how much
-    less late they would be in the order of their dates: nobody has more of the lab by early dates."""
+    """Due dates order the runs of one user and rank. So the score is not how late these runs are, but how
+    much less late they would be in the order of their dates: no user gets more of the lab through early
+    dates."""
     groups: dict[tuple[str, int], list[tuple[float, float]]] = {}
     for run, end in ends.items():
         known = rated[run]

@@ -1,7 +1,7 @@
-"""Suggests an order for one workcell after the other.
+"""Suggests an order for each workcell in turn.
 
-An order is suggested only if a rehearsal of the lab comes out better with it than without any, and better
-than with what was suggested before.
+An order is suggested only if a rehearsal of the lab ends better with it than without any order, and better
+than with the previous suggestion.
 """
 
 from __future__ import annotations
@@ -21,13 +21,12 @@ from labos.planner.solve import Schedule, solve
 Solver = Callable[[SchedulingProblem, float, dict[int, float]], Schedule | None]
 
 STAYS_GOOD_S = 3600.0
-"""A suggestion counts at most so long after its last start (lab seconds)."""
+"""A suggestion is valid for at most so long after its last start (lab seconds)."""
 
 
 class Planner:
-    """``seconds`` is how long it may look for an order each time, ``level`` the quantile of durations with
-    which it plans, between 0 and 1. ``exact``: durations are known not to stray, so it does not rehearse with
-    drawn ones."""
+    """``seconds`` is how long each search for an order may take, ``level`` the quantile of durations for
+    planning, between 0 and 1. ``exact``: durations are known exactly, so no rehearsal draws other ones."""
 
     def __init__(
         self,
@@ -44,9 +43,9 @@ class Planner:
     def suggest(
         self, state: LabState, cell: str, waiting: Iterable[RunState], now: int
     ) -> SuggestOrder | None:
-        """The order that it suggests for a workcell; None if there is nothing to put in order, or what counts
-        now is as good. An order without steps takes back what was suggested before. ``waiting`` are the runs
-        that wait, in the order in which they would go."""
+        """The suggested order for a workcell; None if there is nothing to order, or if the present order is
+        as good. An order without steps withdraws the previous suggestion. ``waiting`` are the waiting runs,
+        in the order in which they would start."""
         runs = choose_runs(state, cell, waiting)
         problem = problem_of(state, cell, runs, now, self.level)
         if _is_one_line(problem):
@@ -71,7 +70,8 @@ class Planner:
         now: int,
         known: dict[tuple[RunId, int], int],
     ) -> SuggestOrder | None:
-        """The order that is found, from how it would go otherwise (``known`` starts, UTC ns)."""
+        """The order that is found. The search begins with the order without a suggestion (``known`` starts,
+        UTC ns)."""
         pace = state.lab.pace
         hint = {
             number: max(0.0, (known[task.run, task.step] - now) / 1e9 * pace)
@@ -98,7 +98,7 @@ class Planner:
 
 
 def _is_one_line(problem: SchedulingProblem) -> bool:
-    """Whether there is nothing to put in order: one run, whose steps follow one another."""
+    """Whether there is nothing to order: one run, whose steps follow one another."""
     if len({task.run for task in problem.tasks}) > 1:
         return False
     return all(number - 1 in task.after for number, task in enumerate(problem.tasks) if number)

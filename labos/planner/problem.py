@@ -1,9 +1,9 @@
-"""What is still to be done in a workcell, as a problem of tasks and rooms, read from the lab's state.
+"""The remaining work in a workcell, as a problem of tasks and rooms, read from the lab's state.
 
-A task is a step that has not ended. It takes its module (if it is exclusive) and its zones, the modules into
-whose places its hand reaches, and the place where it changes its grip. Labware takes room at a place from the
-start of the task that brings it to the end of the task that carries it away, and so it takes the deck
-(``claim``) to which the place belongs.
+A task is a step that has not ended. It uses its module (if it is exclusive) and its zones, the modules into
+whose places its hand reaches, and the place where it changes its grip. Labware uses room at a place from the
+start of the task that brings it to the end of the task that carries it away; during that time it also uses
+the deck (``claim``) to which the place belongs.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from labos.planning.forecast import find_setup_under_way
 from labos.planning.taken import list_taken
 
 MOST_WAITING = 30
-"""So many runs that wait are looked at, those that go first."""
+"""Only so many waiting runs are planned: those that would start first."""
 
 DECK = "deck:"
 
 MOST_WINDOWED = 20
-"""Where windows have to be kept, so many runs are looked at in all, and those inside: the others are planned
-as these come to their ends. Rehearsals of more take long."""
+"""If there are windows, only so many runs are planned in all, and always those in progress; further runs are
+added when these end. Rehearsals of more runs take long."""
 
 AHEAD_NS = 24 * 3600 * 10**9
-"""So far ahead bookings are looked at (wall time)."""
+"""Bookings within this time from now are planned (wall time)."""
 
 LEAST_S = 1.0
-"""What takes longer than it should is expected to take so much longer still (lab seconds)."""
+"""The least remaining time of a step that takes longer than planned (lab seconds)."""
 
 
 class TimeLag(msgspec.Struct, frozen=True):
-    """A task starts at least and at most so long (lab seconds) after another has ended. The other is a task
-    (``anchor``), or ended so long ago (``ago_s``)."""
+    """A task starts at least and at most so long (lab seconds) after the end of another one. The other one is
+    a task (``anchor``), or has ended so long ago (``ago_s``)."""
 
     anchor: int | None
     ago_s: float
@@ -57,9 +57,9 @@ class TimeLag(msgspec.Struct, frozen=True):
 
 
 class Task(msgspec.Struct, frozen=True):
-    """A step that has not ended: how long it still takes (lab seconds), the keys of what one task at a time
-    may have, and the numbers of the tasks that end before. ``runs``: it is under way, and started. In the
-    times of ``shut`` (lab seconds from now) its module is booked for others."""
+    """A step that has not ended: its remaining time (lab seconds), the keys of the resources that one task at
+    a time may use, and the numbers of the tasks that end before. ``runs``: it has started and is in progress.
+    In the times of ``shut`` (lab seconds from now) its module is booked for others."""
 
     run: RunId
     step: int
@@ -72,8 +72,8 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class RoomUse(msgspec.Struct, frozen=True):
-    """Labware takes room at ``place`` from the start of task ``first`` (None: now) to the end of
-    task ``last`` (None: for good)."""
+    """Labware uses room at ``place`` from the start of task ``first`` (None: now) to the end of task ``last``
+    (None: without end)."""
 
     place: str
     first: int | None
@@ -81,9 +81,9 @@ class RoomUse(msgspec.Struct, frozen=True):
 
 
 class SetupCosts(msgspec.Struct, frozen=True):
-    """Tasks on a module that is set up for each of them. Each is done after one of the others, or as the
-    first: by so many lab seconds longer it takes (``first_s``, and ``change_s`` with a row for each task
-    before)."""
+    """Tasks on a module that is set up for each of them. A task is carried out after another one, or as the
+    first; the set-up makes it longer by so many lab seconds (``first_s``, and ``change_s`` with a row for
+    each task before)."""
 
     tasks: tuple[int, ...]
     first_s: tuple[float, ...]
@@ -91,12 +91,12 @@ class SetupCosts(msgspec.Struct, frozen=True):
 
 
 class SchedulingProblem(msgspec.Struct, frozen=True):
-    """All tasks, those of a run together, and how many have room where. ``like`` are pairs of runs' first
-    tasks that are alike: the first goes first. Of each run ``ends`` are the tasks that no other follows, and
-    ``more`` says whether further runs follow that nobody knows yet: it is part of an experiment; ``ranks``
-    by how many classes it goes before others, and ``due_s`` is the deadline of its campaign, if it has one
-    (lab seconds from now). ``line`` are the first tasks of the runs that wait to be let in, the one that
-    should go first by its rank and age first."""
+    """All tasks, those of a run together, and the room at each place. ``like`` are pairs of equal first tasks
+    of two runs: the first of a pair goes first. For each run, ``ends`` are the tasks without a later task,
+    and ``more`` says whether it belongs to an experiment, so that further unknown runs follow; ``ranks`` is
+    the number of classes before which it goes, and ``due_s`` the deadline of its campaign, if it has one (lab
+    seconds from now). ``line`` are the first tasks of the runs that wait for their start, in the order of
+    rank and age."""
 
     tasks: tuple[Task, ...]
     stays: tuple[RoomUse, ...]
@@ -112,7 +112,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
-    """The runs that are looked at together: those inside, and the first of those that wait."""
+    """The runs that are planned together: those in progress, and the first of the waiting ones."""
     inside = [run for run in state.runs.list_inside(cell) if _goes_on(run)]
     outside = [run for run in islice(waiting, MOST_WAITING) if not find_holds(run)]
     found: list[RunState] = []
@@ -129,7 +129,7 @@ def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list
 def problem_of(
     state: LabState, cell: str, runs: Sequence[RunState], now: int, level: float = 0.5
 ) -> SchedulingProblem:
-    """What is to be done in a workcell by these runs. ``level`` is the quantile of durations, between 0 and
+    """The remaining work of these runs in a workcell. ``level`` is the quantile of durations, between 0 and
     1."""
     reader = _Reader(state, now, level)
     for run in runs:
@@ -154,7 +154,7 @@ def _find_time_to(state: LabState, at: int, now: int) -> float | None:
 
 
 def _list_setups(state: LabState, tasks: Sequence[Task]) -> Iterator[SetupCosts]:
-    """What changes cost between tasks that have not started, for each module that is set up for them."""
+    """The durations of set-ups between tasks that have not started, for each module with set-ups."""
     by_module: dict[ModuleName, dict[int, Mapping[str, Any]]] = {}
     for number, task in enumerate(tasks):
         run = state.runs.get(task.run)
@@ -280,15 +280,15 @@ class _Reader:
                         self._add_stay(place, None, number)
                 for place in self._list_counted_keys(what.filled):
                     standing.setdefault(place, []).append(number)
-        # What a run leaves behind stands there for good. Not in an experiment: its next run will fetch
-        # it, and nobody knows when.
+        # Labware that a run leaves behind stays there without end. Not in an experiment: its next run will
+        # fetch it, at an unknown time.
         last = max(numbers.values(), default=None) if run.experiment else None
         for place, pieces in standing.items():
             for first in pieces[:1] if place.startswith(DECK) else pieces:
                 self._add_stay(place, first, last)
 
     def _is_standing(self, place: str) -> bool:
-        """Whether labware stands at a place and no run was found that fetches it."""
+        """Whether labware stands at a place and none of these runs fetches it."""
         name = StationName(place.partition(":")[2])
         return not place.startswith(DECK) and self._count_strangers(name) > self._taken.get(place, 0)
 
@@ -325,7 +325,7 @@ class _Reader:
         )
 
     def _count_strangers(self, place: StationName) -> int:
-        """How many pieces stand at a place that none of these runs, and no experiment, will carry away."""
+        """The number of pieces at a place that neither these runs nor an experiment will carry away."""
         mine = {run_owner(run) for run in self.read_runs}
         mine.update(map(experiment_owner, self.state.experiments.open))
         labware = self.state.bench.labware

@@ -1,7 +1,7 @@
-"""What would come of a suggestion: a copy of the lab carried on with it, by the lab's own rules and planning.
+"""The effects of a suggestion: a copy of the lab continues with it, under the lab's own rules and planning.
 
-So a planner is never worse than none, as far as its durations are right: what it suggests is held against
-what the lab would do without, and is sent only if it is better.
+So a planner is never worse than none, as far as its durations are right: its suggestion is compared with the
+course of the lab without it, and is sent only if it is better.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from labos.planner.measure import Score, judge, rate_runs
 from labos.planning.virtual import Lasts, Play, VirtualLab
 
 DRAWN = 3
-"""So many plays with durations that were drawn are added where windows have to be kept."""
+"""The number of additional plays with drawn durations, if there are windows."""
 
 Order = SuggestOrder | OrderSuggested
 
 
 class Way(msgspec.Struct):
-    """One way to go on: with an order, or none. ``plays`` are those made so far; the first takes the
-    durations that are planned with."""
+    """One way to continue: with an order, or without. ``plays`` are the plays so far; the first one has the
+    durations of the plan."""
 
     order: Order | None
     plays: list[Play]
 
 
 class OrderRehearsal:
-    """Carries copies of a workcell on with these runs; others that wait are left out. ``level`` is the
-    quantile of durations with which it is planned. So many plays have ``drawn`` durations, where windows have
-    to be kept."""
+    """Continues copies of a workcell with these runs; other waiting runs are left out. ``level`` is the
+    quantile of durations for planning. ``drawn`` is the number of plays with drawn durations, if there are
+    windows."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class OrderRehearsal:
     ) -> None:
         self.cell, self.now, self.level = cell, now, level
         copy = from_picture(encode_picture(state))
-        copy.lab.paused.clear()  # what is paused goes on some time, and in the same order
+        copy.lab.paused.clear()  # paused work will continue at some time, and in the same order
         known = {run.id for run in runs}
         for name in [name for name in copy.runs.queued if name not in known]:
             evolve(copy, RunCancelled(name), copy.position + 1, copy.recorded_at)
@@ -67,7 +67,7 @@ class OrderRehearsal:
         self._base = encode_picture(copy)
 
     def go(self, order: Order | None) -> Way:
-        """A way with this order, played once; with none if there is none."""
+        """A way with this order (or with none), played once."""
         way = Way(order, [])
         self._play(way)
         return way
@@ -77,9 +77,9 @@ class OrderRehearsal:
         return way.plays[0].begun
 
     def is_better(self, one: Way, other: Way) -> bool:
-        """Whether one way is better than another: with the durations that are planned with, and where windows
-        have to be kept with drawn ones added, one play after the other. The first plays that show that it is
-        not are the last."""
+        """Whether one way is better than another: with the durations of the plan, and if there are windows
+        also with drawn ones, one play after the other. The comparison ends with the first play that shows the
+        contrary."""
         for plays in range(1, self._most + 1):
             for way in (one, other):
                 if len(way.plays) < plays:
@@ -103,7 +103,7 @@ class OrderRehearsal:
 
 
 def _make_lasts(lengths: Lengths, pace: float, level: float, number: int) -> Lasts:
-    """Number 0 takes the durations that are planned with; others draw them."""
+    """Number 0 has the durations of the plan; the others have drawn ones."""
 
     def lasts(action: Action, step: PlanStep) -> int:
         drawn = draw(f"{number}/{action.run}/{action.step}/{action.attempt}") if number else level

@@ -1,4 +1,4 @@
-"""Looks for a good schedule with OR-tools' CP-SAT (the extra ``plan``)."""
+"""Searches for a good schedule with OR-tools' CP-SAT (the extra ``plan``)."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ if TYPE_CHECKING:
     from ortools.sat.python import cp_model
 
 TIDY = 0.3
-"""This part of the time is for ending each run sooner, from what was found for the whole."""
+"""The part of the time in which each run is moved to an earlier end, after a schedule for the whole was
+found."""
 
 FIRST = 8
-"""The end of a run counts so many times for each class that it goes before, and so does each second after its
-campaign's deadline."""
+"""The weight of a run's end for each class before which the run goes, and of each second after its campaign's
+deadline."""
 
 BOOKED_UNIT_S = 10.0
 
 
 class Schedule(msgspec.Struct, frozen=True):
-    """When each task starts (lab seconds from now), and how long all of it takes. ``bound_s``: none is
+    """The start of each task (lab seconds from now), and the length of the whole. ``bound_s``: no schedule is
     shorter; ``proven``: this one is the best."""
 
     starts_s: tuple[float, ...]
@@ -54,13 +55,13 @@ def solve(
     counted: bool = False,
 ) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
-    starts (lab seconds) of a schedule that is known, by task; it is begun with. Windows are kept where that
-    is possible. ``counted``: the seconds are those of a computer that does nothing else, counted by the work
-    that is done; then the same problem gives the same schedule."""
+    the starts (lab seconds) in a known schedule, by task; the search begins there. Windows are kept if that
+    is possible. ``counted``: the seconds are measured by the work done, as on a computer that does nothing
+    else; then the same problem gives the same schedule."""
     from ortools.sat.python import cp_model
 
     tasks = problem.tasks
-    # A booking begins when it likes: then time goes on in smaller steps.
+    # The beginning of a booking may be at any time: then the clock has smaller steps.
     booked = [BOOKED_UNIT_S] if any(task.shut for task in tasks) else []
     set_up = [
         cost for each in problem.setups for row in (each.first_s, *each.change_s) for cost in row if cost
@@ -129,7 +130,7 @@ def solve(
         over.append(model.new_int_var(0, 2 * horizon, f"end{number}"))
         for last in last_tasks:
             model.add(over[-1] >= end[last])
-    # Of an experiment more runs follow, which nobody knows yet: the sooner it goes on, the better.
+    # Further unknown runs of an experiment follow: an early end of the present one is better.
     goes_on = sum(last for last, more in zip(over, problem.more, strict=True) if more)
     first = sum(rank * last for last, rank in zip(over, problem.ranks, strict=False) if rank)
     overdue = _add_overdue(model, over, problem.due_s, unit, horizon)
@@ -151,7 +152,7 @@ def solve(
         return None
     proven, bound = status == cp_model.OPTIMAL, solver.best_objective_bound
     starts, makespan = [solver.value(start) for start in begin], max(map(solver.value, end), default=0)
-    # From there on, each run's end counts too: on average as much as the end of all.
+    # From here on, each run's end counts too: their mean as much as the end of all.
     model.minimize(len(over) * cost + sum(over))
     model.clear_hints()
     for start, value in zip(begin, starts, strict=True):
@@ -170,10 +171,10 @@ def _add_setups(
     unit: float,
     hint: Mapping[int, float],
 ) -> dict[int, cp_model.IntVar]:
-    """By how much longer each of these tasks takes, as its module is set up first: they are done one after
-    the other, and what a change costs depends on the one before."""
+    """The additional time of each of these tasks for the set-up of its module: the tasks are carried out one
+    after the other, and the time of a set-up depends on the task before."""
     found: dict[int, cp_model.IntVar] = {}
-    # Node 0 stands for what was before, and for what comes after; the tasks follow it.
+    # Node 0 stands for the state before the first task and after the last one; the tasks follow it.
     arcs: list[tuple[int, int, cp_model.IntVar]] = []
     known = sorted((hint[number], number) for number in costs.tasks if number in hint)
     follows = dict(
@@ -205,7 +206,7 @@ def _add_overdue(
     unit: float,
     horizon: int,
 ) -> list[cp_model.IntVar]:
-    """How long after it is due each run ends, of those that are."""
+    """How long after its due time each run ends, for runs with a due time."""
     found: list[cp_model.IntVar] = []
     for last, due in zip(over, due_s, strict=False):
         if due is not None:
@@ -215,8 +216,8 @@ def _add_overdue(
 
 
 def _let_nobody_wait_long(model: cp_model.CpModel, line: Sequence[cp_model.IntVar]) -> None:
-    """Nobody is let in when more of those behind it went before than the lab allows: it would keep them
-    out."""
+    """No run may start late if more later ones went before it than the lab allows: the lab would refuse the
+    order."""
     for number, elder in enumerate(line[: max(0, len(line) - PATIENCE)]):
         before: list[cp_model.IntVar] = []
         for younger in line[number + 1 :]:
@@ -226,7 +227,7 @@ def _let_nobody_wait_long(model: cp_model.CpModel, line: Sequence[cp_model.IntVa
 
 
 def _is_late(hint: Mapping[int, float], number: int, lag: TimeLag, tasks: Sequence[Task]) -> bool:
-    """Whether a task starts too late after the end of another in a schedule that is known."""
+    """Whether, in a known schedule, a task starts too late after the end of another one."""
     if lag.within_s is None or (lag.anchor is not None and lag.anchor not in hint):
         return False
     anchor_s = -lag.ago_s if lag.anchor is None else hint[lag.anchor] + tasks[lag.anchor].duration_s
@@ -236,7 +237,7 @@ def _is_late(hint: Mapping[int, float], number: int, lag: TimeLag, tasks: Sequen
 def _merge_closed(
     model: cp_model.CpModel, times: Sequence[tuple[float, float]], unit: float
 ) -> list[cp_model.IntervalVar]:
-    """Times in which something cannot be, those that overlap as one."""
+    """Closed times of a resource; overlapping ones are merged."""
     found: list[list[int]] = []
     for begins, ends in sorted((math.floor(b / unit), math.ceil(e / unit)) for b, e in times):
         if found and begins <= found[-1][1]:
@@ -254,8 +255,7 @@ def _set_limit(solver: cp_model.CpSolver, seconds: float, *, counted: bool) -> N
 
 
 def _unit_of(durations: list[float]) -> float:
-    """The time that one step of the clock stands for: the largest that all durations are multiples of, or one
-    second."""
+    """The time of one step of the clock: the largest of which all durations are multiples, or one second."""
     whole = [round(seconds) for seconds in durations if seconds >= 1]
     exact = all(abs(seconds - round(seconds)) < 1e-6 for seconds in durations)
     return float(math.gcd(*whole)) if exact and whole else 1.0

@@ -1,4 +1,5 @@
-"""When a workcell is worth a new look: after something that changes what is to be done, and not too often."""
+"""Decides when a new search for a workcell is worthwhile: after changes of the remaining work, and not too
+often."""
 
 from __future__ import annotations
 
@@ -17,15 +18,16 @@ from labos.planning.forecast import is_pending
 from labos.planning.suggested import GRACE_S
 
 DRIFT_S = GRACE_S / 2
-"""A step that has not started so long (lab seconds) after its time: things go otherwise than was planned."""
+"""If a step has not started so long (lab seconds) after its planned time, the lab differs from the plan."""
 
 MOST_DOUBLINGS = 7
-"""While the same runs are there, each further look waits twice as long as the one before, up to about an
-hour: what stands still over night (a module that is down, a question) is not suggested again and again."""
+"""While the runs stay the same, the pause before each further search is twice as long, up to about an hour:
+if the lab stands still over night (a module is down, a question is open), no suggestion is repeated again and
+again."""
 
 
 MOST_UNSEEN = 10
-"""So many runs that waited too far behind to be looked at may move up before an order is looked for anew."""
+"""So many runs that were too far behind to be planned may move up before a new search."""
 
 
 class _Seen(msgspec.Struct):
@@ -39,14 +41,14 @@ class _Seen(msgspec.Struct):
 
 
 class CellWatch:
-    """What each workcell looked like when an order was looked for last."""
+    """The state of each workcell at its last search."""
 
     def __init__(self) -> None:
         self._seen: dict[str, _Seen] = {}
 
     def is_due(self, state: LabState, cell: str, waiting: Iterable[RunState], now: int) -> bool:
-        """Whether runs have come since, or gone before their time, are not where they should be, or nothing
-        was found so far. What goes as it was planned is not looked at again."""
+        """Whether there are new runs, runs have ended early or are not where the plan expected them, or
+        nothing was found so far. While the lab follows the plan, there is no new search."""
         seen = self._seen.get(cell)
         if seen is None or _has_changed(state, seen, _list_runs(state, cell, waiting)):
             return True
@@ -64,7 +66,7 @@ class CellWatch:
     def note(
         self, state: LabState, cell: str, waiting: Iterable[RunState], order: SuggestOrder | None, now: int
     ) -> None:
-        """An order was looked for; None: what was suggested before still counts."""
+        """Note a search; None: the previous suggestion is still valid."""
         before, runs = self._seen.get(cell), _list_runs(state, cell, waiting)
         repeated = in_vain = 0
         if before is not None and before.runs == runs:
@@ -76,19 +78,19 @@ class CellWatch:
 
 
 def list_waiting(state: LabState, cell: str) -> list[RunState]:
-    """The runs that wait to be let into a workcell, in about the order in which they will be."""
+    """The runs that wait to start in a workcell, in about the order in which they will start."""
     found = [run for run in state.runs.queued.values() if state.runs.plan_of(run).workcell == cell]
     return sorted(found, key=lambda run: (-run.priority, run.position))
 
 
 def _list_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> dict[RunId, bool]:
-    """The runs that are looked at, and whether something keeps each of them from being started."""
+    """The runs that are planned, and whether each of them is prevented from starting."""
     runs = [*state.runs.list_inside(cell), *islice(waiting, MOST_WAITING)]
     return {run.id: bool(find_holds(run)) for run in runs}
 
 
 def _has_changed(state: LabState, seen: _Seen, runs: dict[RunId, bool]) -> bool:
-    """Whether runs have been submitted since, are held back or no longer, or many have moved up."""
+    """Whether runs were submitted since, have been blocked or unblocked, or many have moved up."""
     unseen = 0
     for name, is_held in runs.items():
         if name in seen.runs:

@@ -1,4 +1,5 @@
-"""Committed events on the bus, for dashboards and other listeners: never the record itself."""
+"""Publishes committed events on the bus, for dashboards and other listeners; the bus is never the record
+itself."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 
 LONGEST_BACKLOG = 10_000
-"""Events that wait for a slow bus; beyond that the oldest are left out (they are in the log)."""
+"""The number of events that may wait for a slow bus; beyond that the oldest are not published (they are in
+the log)."""
 
 _log = structlog.get_logger(__name__)
 
@@ -47,7 +49,7 @@ class Announcer:
             self._backlog.put_nowait(entry)
 
     def on_reopened(self) -> None:
-        """What was not written was never announced."""
+        """Events that were not written were never published."""
 
     async def _announce(self) -> None:
         while True:

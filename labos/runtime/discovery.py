@@ -1,4 +1,5 @@
-"""What nodes have done that the log does not know: their journals are asked, and the log is looked into."""
+"""Finds actions that nodes have carried out and the log does not have: it compares their journals with the
+log."""
 
 from __future__ import annotations
 
@@ -18,14 +19,14 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.tasks import Tasks
 
 MOST_LOOKED_FOR = 5000
-"""Entries of one journal that are looked for in the log."""
+"""At most so many entries of one journal are searched for in the log."""
 
 _log = structlog.get_logger(__name__)
 
 
 class Discovery:
-    """Compares heartbeats and journals with one kernel's log. ``ask_about`` asks a node who it is, and what
-    is in its journal; it raises BusError."""
+    """Compares heartbeats and journals with one kernel's log. ``ask_about`` asks a node for its description,
+    which includes its journal's entries; it raises BusError."""
 
     def __init__(self, kernel: Kernel, ask_about: Callable[[ModuleName], Awaitable[AboutReport]]) -> None:
         self._kernel, self._ask_about = kernel, ask_about
@@ -38,8 +39,8 @@ class Discovery:
         self._tasks.cancel()
 
     async def find_unlogged(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[FoundAction]:
-        """The actions in a node's journal that are not in the log. One that ended long ago is not in
-        memory any more, but its request stands in the log. Raises StoreError."""
+        """The actions in a node's journal that are not in the log. An action that ended long ago is no longer
+        in memory, but its request is in the log. Raises StoreError."""
         found: dict[ActionId, FoundAction] = {}
         for entry in told[:MOST_LOOKED_FOR]:
             name = ActionId(entry.action)
@@ -57,8 +58,8 @@ class Discovery:
         return list(found.values())
 
     def compare(self, module: ModuleName, report: StateReport) -> None:
-        """A node that names an action which is not in memory is asked for its journal, once for each list of
-        such names: anybody can publish a heartbeat. Raises StoreError."""
+        """Ask a node for its journal if its heartbeat names an action that is not in memory. The same list of
+        such names causes only one request, because anybody can publish a heartbeat. Raises StoreError."""
         named = {ActionId(name) for name in (*report.running, *report.finished, *report.interrupted)}
         if module in self._in_log:
             self._in_log[module] &= named
@@ -84,7 +85,7 @@ class Discovery:
             if found:
                 self._kernel.submit(HearJournal(module, tuple(found)), str(module))
         except BusError as error:
-            self._looked_for.pop(module, None)  # looked at again with the next heartbeat
+            self._looked_for.pop(module, None)  # compared again with the next heartbeat
             _log.info("journal_not_told", module=module, why=str(error))
         except LabosError as error:
             _log.warning("discovery_not_written", module=module, why=str(error))

@@ -1,10 +1,10 @@
-"""The dispatcher carries committed requests to nodes and their answers back to the kernel.
+"""The dispatcher sends committed requests to nodes, and submits their answers to the kernel.
 
-It decides nothing. Whatever gets lost on the way, ``find_out`` asks the node, which makes an
-attempt it never heard of impossible before it says so; only then is the next attempt made.
+It decides nothing. If a message is lost, ``find_out`` asks the node. If the node does not know the attempt,
+it first makes sure that the attempt can never run, and then says so; only then is the next attempt made.
 
-Anybody can publish on the bus. A published result counts only if it comes under the key of the module that
-was asked and fits the request; whatever else is said, the node that was asked is asked again.
+Anybody can publish on the bus. A published result counts only if it has the key of the requested module and
+fits the request. In all other cases the node itself is asked.
 """
 
 from __future__ import annotations
@@ -66,19 +66,19 @@ _encode = msgspec.json.Encoder().encode
 ENDS = (ActionSucceeded, ActionFailed, ActionRejected, ActionReconciled)
 
 SETTLED_S = 1.0
-"""How long a start waits for its module to hear that a person's work there has ended."""
+"""How long a start waits until its module is informed that a person's work there has ended."""
 
 LATE_QUESTIONS = 20
 """How often a node is asked about a result that came late."""
 
 MOST_ATTEMPTS = 2**31
-"""No action was ever sent so often."""
+"""A number of attempts that no action reaches."""
 
 
 class Dispatcher:
-    """One kernel's carrier. ``answer_s`` is how long a node may take to say that it accepts;
-    ``pause_s`` the longest pause between questions to a node that does not answer;
-    acknowledgements wait ``acknowledge_s`` for more to come."""
+    """Sends the requests of one kernel. ``answer_s`` is how long a node may take to accept; ``pause_s`` is
+    the longest pause between questions to a node that does not answer; acknowledgements wait
+    ``acknowledge_s``, so that several are sent as one."""
 
     def __init__(
         self,
@@ -94,7 +94,7 @@ class Dispatcher:
         self._keys = Keys(kernel.lab)
         self.doubts = Doubts(kernel)
         self.refuse: Callable[[ModuleName, str], None] = self.doubts.ask
-        """What is to be done with a module whose node does not obey this kernel, which is the lab's."""
+        """Called for a module whose node does not obey this kernel, although it is the lab's kernel."""
         self._tasks = Tasks()
         self._spawn = self._tasks.spawn
         self._asking: dict[ActionId, asyncio.Task[None]] = {}
@@ -111,7 +111,7 @@ class Dispatcher:
         self.asked = 0
 
     async def start(self) -> None:
-        """Hear results from now on, and find out about everything that was in flight."""
+        """Receive results from now on, and ask about everything that was in flight."""
         self._kernel.listeners.append(self)
         self._handles.append(await self._bus.subscribe(self._keys.all_results, self._on_result))
         self.on_reopened()
@@ -141,8 +141,8 @@ class Dispatcher:
                 self._by_person.add(event.subject)
 
     def on_reopened(self) -> None:
-        """Ask about everything that is open. Who is still being asked may be asked about an attempt that was
-        never written, and such an answer says nothing about the one that was."""
+        """Ask about everything that is open. A question that is still unanswered may be about an attempt that
+        was never written; its answer says nothing about the attempt in the log."""
         for asking in self._asking.values():
             asking.cancel()
         self._asking.clear()
@@ -160,7 +160,7 @@ class Dispatcher:
     async def _send(self, event: ActionRequested, position: int) -> None:
         start = make_start(event, self._kernel.lab, position)
         self.sent += 1
-        if telling := self._telling.get(event.module):  # it has to know first that a person's work has ended
+        if telling := self._telling.get(event.module):  # which has to be sent first
             await asyncio.wait(list(telling.values()), timeout=SETTLED_S)
         reply = None
         self._starting[event.action] = (event.module, self._find_instance(event.module))
@@ -175,8 +175,8 @@ class Dispatcher:
         self._take_answer(event.action, event.attempt, event.journal, reply, started=True)
 
     def tell_settled(self, module: ModuleName, action: ActionId, *, done: bool) -> None:
-        """Tell a node that an action which may still run there has ended by a person's word; losing
-        this costs a heartbeat."""
+        """Inform a node that a person has settled an action which may still run there; if this message is
+        lost, the next heartbeat brings another one."""
         telling = self._telling.setdefault(module, {})
         if action not in telling:
             telling[action] = self._spawn(self._tell_settled(module, action, done))
@@ -195,8 +195,9 @@ class Dispatcher:
                 del self._telling[module]
 
     def find_out(self, action: ActionId) -> None:
-        """Ask the node what became of an action until it is known; once at a time. A node that
-        has still to answer the request is not asked: the question could overtake it, and end the attempt."""
+        """Ask the node for the outcome of an action until it is known; only one question at a time. A node
+        that has not answered the request yet is not asked: the question could overtake the request, and end
+        the attempt."""
         if self._is_being_started(action):
             return
         running = self._asking.get(action)
@@ -231,17 +232,18 @@ class Dispatcher:
                 del self._asking[name]
 
     def _acknowledge_soon(self, module: ModuleName) -> None:
-        """One acknowledgement serves for all that ends within a moment."""
+        """One acknowledgement for all actions that end within a moment."""
         if module not in self._unacknowledged:
             self._unacknowledged.add(module)
             self._spawn(self._acknowledge(module))
 
     async def _acknowledge(self, module: ModuleName) -> None:
-        """Tell a node up to which position it may forget; losing this costs nothing."""
+        """Inform a node up to which position it may discard entries; if this message is lost, a later one
+        replaces it."""
         await asyncio.sleep(self._acknowledge_s)
         self._unacknowledged.discard(module)
         open_at = self._open_at.get(module)
-        # What is decided but not yet on disk must not be acknowledged.
+        # Events that are decided but not yet on disk must not be acknowledged.
         position = min(open_at.values()) - 1 if open_at else self._kernel.durable
         try:
             await self._ask_node(module, Acknowledge(self._kernel.lab, self._kernel.epoch, position))
@@ -268,7 +270,7 @@ class Dispatcher:
             _log.info("answer_dropped", action=name, why=str(error))  # asked again after reopening
 
     def _act_on(self, name: ActionId, attempt: int, journal: str, reply: ActionReply, started: bool) -> None:
-        """What follows from an answer to a start (``started``) or to a question."""
+        """Handle the answer to a start (``started``) or to a question."""
         kernel = self._kernel
         action = self._open(name)
         if action is None or action.attempt != attempt:
@@ -296,7 +298,7 @@ class Dispatcher:
         elif reply.status == "unheard":
             self.find_out(name)
         else:
-            # Also a node that refuses to say: it may be at it all the same.
+            # Also if the node refuses to answer: the action may be running all the same.
             kernel.submit(DoubtAction(name, f"its node says {reply.status}: {reply.why}"), by)
 
     def _finish(self, action: Action, attempt: int, journal: str, outcome: Outcome) -> None:
@@ -318,7 +320,7 @@ class Dispatcher:
             self.doubts.note("result_dropped", module, str(error))  # pulled again later
 
     def _hear(self, module: ModuleName, named: str, result: ResultPublished) -> None:
-        """A result counts if it fits the request that it answers; else the node that was asked is asked."""
+        """Accept a result if it fits the request that it answers; if not, ask the node of the request."""
         name = ActionId(result.action)
         action = self._open(name)
         if action is None:
@@ -334,20 +336,20 @@ class Dispatcher:
             self._finish(action, result.attempt, result.journal, result.outcome)
             return
         of_earlier = module == action.module and 0 < result.attempt < action.attempt
-        if why and not of_earlier:  # which may have been long on its way
+        if why and not of_earlier:  # such a result may have been delayed for long
             what = f"a result of its action {action.name!r} was published that does not fit"
             self.doubts.ask(action.module, f"{what}: {cut(why, 2 * LONGEST_NAME)}")
-        if self._prompted.spend(action.module):  # else its heartbeat tells
+        if self._prompted.spend(action.module):  # else its heartbeat will show it
             self.find_out(name)
 
     def _ask_late(self, module: ModuleName, name: ActionId, attempt: int) -> None:
-        """A node says how an action ended that was settled without it."""
+        """Ask a node for the outcome of an action that was settled without it."""
         if name not in self._late and self._prompted.spend(module):
             self._late.add(name)
             self._spawn(self._hear_late(module, name, attempt))
 
     async def _hear_late(self, module: ModuleName, name: ActionId, attempt: int) -> None:
-        """What the node itself says then is evidence."""
+        """The node's own answer is recorded as evidence."""
         pause = 0.2
         try:
             for _ in range(LATE_QUESTIONS):
@@ -375,8 +377,8 @@ class Dispatcher:
     # -- other kernels -----------------------------------------------------------------------
 
     def note_outranked(self, module: ModuleName, why: str) -> None:
-        """A node says that it obeys a newer kernel, or another lab's. Whether that is so, only the database
-        can tell."""
+        """A node reports that it obeys a newer kernel, or another lab's. Only the database can tell whether
+        that is true."""
         if module not in self._fenced:
             self._fenced.add(module)
             self._spawn(self._check_outranked(module, why))
@@ -397,24 +399,24 @@ class Dispatcher:
         try:
             mine = [action.id for action in self._state().actions.open.values() if action.module == module]
         except StoreError:
-            return  # asked about when the log is open again
+            return  # the question is repeated when the log is open again
         for name in mine:
             self.find_out(name)
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     def _state(self) -> LabState:
         return self._kernel.state
 
     def _is_being_started(self, name: ActionId) -> bool:
-        """Whether the process that is the node now has still to answer the request."""
+        """Whether the module's present node process has not yet answered the request."""
         if name not in self._starting:
             return False
         module, instance = self._starting[name]
         return instance != "" and instance == self._find_instance(module)
 
     def _find_instance(self, module: ModuleName) -> str:
-        """The process that is the module's node now; empty while the log is read again."""
+        """The present process of the module's node; empty while the log is read again."""
         try:
             return self._state().modules.by_name[module].instance
         except StoreError:
@@ -425,7 +427,7 @@ class Dispatcher:
 
 
 def make_start(event: ActionRequested, lab: str, position: int) -> Start:
-    """The message that asks a node for what an event requests."""
+    """The message to a node for a committed request."""
     start = Start(
         lab=lab,
         epoch=event.epoch,

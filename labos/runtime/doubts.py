@@ -1,4 +1,4 @@
-"""What was heard and is not believed: written to the process's log, and told to a person once."""
+"""Messages that are not accepted: written to the process's log, and reported to a person once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labos.runtime.incoming import RateLimiter
 from labos.runtime.kernel import Kernel
 
 ASK_AGAIN_S = 3600.0
-"""A person who has answered is not asked about the same module again for so long."""
+"""After a person has answered, no question about the same module is asked for so long."""
 
 LOG_AGAIN_S = 10.0
 
@@ -20,8 +20,8 @@ _log = structlog.get_logger(__name__)
 
 
 class Doubts:
-    """Tells of words that one kernel does not believe. A flood of them is one question a module, and a line
-    in the process's log every ``LOG_AGAIN_S``."""
+    """Reports messages that a kernel does not accept. Many of them cause only one question for each module,
+    and a line in the process's log every ``LOG_AGAIN_S``."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
@@ -31,7 +31,7 @@ class Doubts:
         self._left_out = 0
 
     def note(self, what: str, module: str, why: str) -> None:
-        """Write a line to the process's log, unless there was one about this module just now. All modules
+        """Write a line to the process's log, unless there was one about this module just before. All modules
         that the lab does not have count as one."""
         if not self._lines.spend(module if self.has(module) else ""):
             self._left_out += 1
@@ -40,13 +40,13 @@ class Doubts:
         self._left_out = 0
 
     def ask(self, module: ModuleName, why: str) -> None:
-        """Tell a person that something said in a module's name is not believed."""
+        """Report to a person that a message in a module's name is not accepted."""
         self.note("not_believed", module, why)
         if self.has(module) and self._questions.spend(module):
             self._submit(DoubtNode(module, why), module)
 
     def outrank(self, module: ModuleName, epoch: int) -> None:
-        """Tell a person that a node obeys a later kernel, and use its module no more."""
+        """Report to a person that a node obeys a later kernel, and stop using its module."""
         if self._outranked.spend(module):
             self._submit(OutrankNode(module, epoch), module)
 

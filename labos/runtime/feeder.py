@@ -1,7 +1,7 @@
 """Turns the rows of campaigns into runs, a few at a time.
 
-It only proposes: whether a row is the next one, and whether there is room for it, is decided with the state
-at hand. So it keeps nothing, and may be killed at any moment.
+It only proposes rows. The core decides, by the present state, whether a row is the next one and whether there
+is room for it. So the feeder stores nothing, and may be killed at any moment.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ MAKES_ROOM = (
     *(CampaignEvent, SharesApplied, GroupEvent),
     *(RunStarted, RunCompleted, RunFailed, RunCancelled),
 )
-"""Events after which a campaign may take a further row."""
+"""Events after which a campaign may submit a further row."""
 
 RETRY_S = 5.0
-"""How long to wait after a row could not be looked at, as when the disk that holds the table is away."""
+"""How long to wait after a row could not be read, for example because the disk with the table is away."""
 
 _log = structlog.get_logger(__name__)
 
 
 class RowSource(Protocol):
-    """Knows what the rows of campaigns are."""
+    """Knows the rows of campaigns."""
 
     async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
-        """The command that makes a run of a row, or says why none can be made of it. Whatever it raises is
-        taken for something that passes."""
+        """The command that makes a run of a row, or the reason why that is impossible. An error that it
+        raises counts as temporary."""
 
 
 class Feeder:
-    """Proposes rows as long as there is room. One a kernel."""
+    """Proposes rows as long as there is room. One for each kernel."""
 
     def __init__(self, kernel: Kernel, rows: RowSource) -> None:
         self._kernel, self._rows = kernel, rows
@@ -77,14 +77,14 @@ class Feeder:
                 while await self._propose_round():
                     pass
             except StoreError:
-                continue  # once the log is read again, this is rung again
+                continue  # called again when the log has been read again
             except Exception as error:
                 _log.warning("row_not_looked_at", why=repr(error))
                 asyncio.get_running_loop().call_later(RETRY_S, self._bell.set)
 
     async def _propose_round(self) -> bool:
-        """Propose the rows of each campaign for which there is room, in one command: all of them are known
-        before the first one starts. Returns whether any was taken."""
+        """Propose the rows of each campaign for which there is room, in one command: the lab knows all of
+        them before the first one starts. Returns whether any was accepted."""
         taken = False
         for name in list(self._kernel.state.campaigns.open):
             state = self._kernel.state

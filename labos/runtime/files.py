@@ -1,7 +1,7 @@
-"""The kernel's side of files: it gives out what runs pin, and takes what nodes leave behind.
+"""The kernel's part of file transfer: it sends the files that runs pin, and receives the files of nodes.
 
-A file that arrives in pieces is put together beside the blobs and becomes one when it is whole and
-is what its name says. A node that was cut off goes on where it was.
+Pieces of a file are put together beside the blobs. The file becomes a blob when it is complete and its digest
+equals its name. A node that was interrupted continues where it was.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from labos.ports import BlobStore
 
 _DIGEST = re.compile("[0-9a-f]{64}")
 MOST_ARRIVING = 32
-"""Files that are not yet whole."""
+"""The largest number of incomplete files."""
 LARGEST_ARRIVING = 2 * 1024 * 1024 * 1024
-"""Bytes of all of them."""
+"""The largest number of bytes of all incomplete files."""
 STALE_S = 3600.0
-"""A file is given up when no further piece of it has come for so long."""
+"""An incomplete file is deleted if no further piece of it has come for so long."""
 WRONG_BYTES = "its bytes are not those of its SHA-256."
 _encode = msgspec.json.Encoder().encode
 _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | KeepFile)
 
 
 class FileDesk:
-    """Answers FileRequests; ``arriving`` is a folder for files that are not yet whole."""
+    """Answers FileRequests; ``arriving`` is a folder for incomplete files."""
 
     def __init__(self, blobs: BlobStore, arriving: Path, clock: Clock | None = None) -> None:
         self._blobs, self._arriving = blobs, arriving
@@ -53,7 +53,7 @@ class FileDesk:
             return _encode(FileReply(problem=f"{request.digest[:80]!r} is not a SHA-256."))
         turn = self._turns[request.digest]
         try:
-            async with turn:  # two nodes may hand over the same file
+            async with turn:  # two nodes may send the same file
                 reply = await asyncio.to_thread(self._answer, request)
         except LabosError as error:
             reply = FileReply(problem=str(error))
@@ -96,8 +96,8 @@ class FileDesk:
         return FileReply(received=request.size) if whole else FileReply(problem=WRONG_BYTES)
 
     def _make_room(self) -> None:
-        """Before another file begins: those that nobody has sent on for long go, and the oldest if there are
-        too many. A node that was only slow sends its file again."""
+        """Before a new file begins, delete incomplete files without new pieces for long, and the oldest if
+        there are too many. A node that was only slow sends its file again."""
         found = []
         for path in self._arriving.iterdir():
             with contextlib.suppress(FileNotFoundError):

@@ -1,8 +1,8 @@
-"""A lab whose kernel is another process: its log is followed here, and nothing is decided.
+"""A lab whose kernel is in another process: its log is followed here, and nothing is decided.
 
-It stands where the kernel stands in the kernel's own process. What is read of it is the folded log; a command
-is judged by the rules, and then goes to the kernel (``SendOn``). The log is read beside the event loop and
-folded in it, so that nobody sees the state while an event is half folded.
+It is used in place of the kernel. Queries read the folded log; a command is checked against the rules, and
+then sent to the kernel (``SendOn``). The log is read in a thread beside the event loop and folded in the
+event loop, so that no query sees a half folded event.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ from labos.runtime.kernel_log import Listener
 from labos.runtime.ledger import Entry, load
 
 POLL_S = 0.05
-"""How often it is looked whether the log has grown, while nobody asks."""
+"""How often the log is checked for new events, while there are no requests."""
 
 CHUNK = 500
 """Events that are folded without a pause."""
 
 PAGE = 5_000
-"""Records that are read at once."""
+"""Records that are read together."""
 
 BEHIND_S = 3.0
-"""How long a reader waits for a position that it was told."""
+"""How long a reader waits for the requested position."""
 
 LOST_PAUSE_S = 0.5
-"""Between two tries to read a log that cannot be read."""
+"""The pause between two attempts to read a log that cannot be read."""
 
 _log = structlog.get_logger(__name__)
 
 
 class SendOn(Exception):
-    """Only the kernel's process can go on from here."""
+    """Only the kernel's process can continue from here."""
 
 
 class Behind(StoreUnavailable):
-    """This process does not know yet what the asker knows."""
+    """This process does not know yet the position that the client knows."""
 
 
 class FoldedLab:
-    """Stands where a kernel stands, and decides nothing: it has the ``state`` that a log was folded to."""
+    """Is used in place of a kernel, and decides nothing: it has the ``state`` to which a log was folded."""
 
     state: LabState
 
     @property
     def durable(self) -> int:
-        """All that is known here is on disk."""
+        """Everything that is known here is on disk."""
         return self.state.position
 
     @property
@@ -72,29 +72,29 @@ class FoldedLab:
         return self.state.lab.epoch
 
     async def flush(self) -> None:
-        """All that is known here is on disk."""
+        """Everything that is known here is on disk."""
 
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
-        """Raises what a kernel would raise, and what ``submit`` does."""
+        """Raises what a kernel would raise, and the errors of ``submit``."""
         answer = self.submit(command, actor, causation)
         if isinstance(answer, Rejection):
             raise make_error(answer)
         return answer
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
-        """What becomes of a command."""
+        """The events of a command, or its rejection."""
         raise NotImplementedError
 
 
 class FollowedKernel(FoldedLab):
-    """Follows one log. ``open`` reads it; ``follow`` keeps step with it."""
+    """Follows one log. ``open`` reads it; ``follow`` reads new events."""
 
     def __init__(self, store: EventStore, clock: Clock, ids: Ids) -> None:
         self.clock, self.ids = clock, ids
         self.listeners: list[Listener] = []
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
         self.suspended = ""
-        """Why the kernel starts nothing, as it has said last."""
+        """The last reason that the kernel has given why it starts nothing."""
         self.state = LabState()
         self._store = store
         self._hash = GENESIS
@@ -104,11 +104,11 @@ class FollowedKernel(FoldedLab):
         self._grown: list[tuple[int, asyncio.Future[None]]] = []
         self._task: asyncio.Task[None] | None = None
 
-    # -- what is read of a kernel ------------------------------------------------------------
+    # -- queries of a kernel -----------------------------------------------------------------
 
     @property
     def scheduler(self) -> Scheduler:
-        """One that explains why runs wait; it starts none."""
+        """A scheduler that explains why runs wait; it starts none."""
         if self._scheduler[1] != self.state.position:
             self._scheduler = Scheduler(), self.state.position
         return self._scheduler[0]
@@ -129,7 +129,7 @@ class FollowedKernel(FoldedLab):
     # -- the log -----------------------------------------------------------------------------
 
     async def open(self) -> None:
-        """Read the log as far as it is. Raises StoreError."""
+        """Read the log up to its present end. Raises StoreError."""
 
         def read() -> tuple[LabState, bytes]:
             state, _ = load(self._store)
@@ -138,7 +138,7 @@ class FollowedKernel(FoldedLab):
         self.state, self._hash = await asyncio.to_thread(read)
 
     def follow(self) -> None:
-        """Keep step with the log until closed."""
+        """Read new events until closed."""
         self._task = asyncio.get_running_loop().create_task(self._follow())
 
     async def close(self) -> None:
@@ -148,8 +148,8 @@ class FollowedKernel(FoldedLab):
         self._tell_waiting(self._waiting, StoreUnavailable("This process is ending.", remedy="Ask again."))
 
     async def wait_until_known(self, at_least: int = 0) -> None:
-        """Wait until all is known here that was on disk when this was called, and until ``at_least`` this
-        position is. Raises StoreUnavailable, Behind if that is not so within a few seconds."""
+        """Wait until everything is known here that was on disk when this was called, and until the position
+        ``at_least`` is. Raises StoreUnavailable, and Behind if that takes more than a few seconds."""
         loop = asyncio.get_running_loop()
         looked: asyncio.Future[None] = loop.create_future()
         self._waiting.append(looked)
@@ -184,7 +184,7 @@ class FollowedKernel(FoldedLab):
                 told = str(error)
                 self._tell_waiting(asked, error)
                 await asyncio.sleep(LOST_PAUSE_S)
-            except Exception as error:  # the next look may go well, and nobody may wait for ever
+            except Exception as error:  # the next attempt may succeed, and no request may wait without end
                 _log.exception("log_not_followed")
                 self._tell_waiting(asked, StoreUnavailable(f"The log could not be followed: {error!r}."))
                 await asyncio.sleep(LOST_PAUSE_S)
@@ -217,7 +217,7 @@ class FollowedKernel(FoldedLab):
             await self._begin_anew()
 
     def _read(self, after: int, before: bytes, head: Head) -> list[Entry]:
-        """A page of what is new, each record checked against the one before. Raises LogDamaged."""
+        """A page of new records, each checked against the one before. Raises LogDamaged."""
         entries = []
         for record in self._store.read(after, min(head.position, after + PAGE)):
             if fault := find_damage(before, record):
@@ -244,18 +244,18 @@ class FollowedKernel(FoldedLab):
             await asyncio.sleep(0)
 
     def _is_same_log(self) -> bool:
-        """Whether the log still bears what was read of it."""
+        """Whether the log still has the records that were read from it."""
         return self._hash_at(self.durable) == self._hash
 
     def _hash_at(self, position: int) -> bytes:
-        """The hash that the log bears at a position; empty if it does not reach so far."""
+        """The hash of the log's record at a position; empty if the log is shorter."""
         if not position:
             return GENESIS
         found = next(iter(self._store.read(position - 1, position)), None)
         return found.hash if found is not None else b""
 
     async def _begin_anew(self) -> None:
-        """The log is another one than it was: a backup was put back."""
+        """The log was replaced by another one: a backup was restored."""
         _log.warning("log_is_another", position=self.durable)
         await self.open()
         for listener in self.listeners:

@@ -1,6 +1,6 @@
-"""Keeps step with a log that another kernel writes, to take its place without folding it all.
+"""Follows a log that another kernel writes, so that a takeover need not fold the whole log.
 
-Nothing is written here, and nobody is kept waiting: what is new is read now and then.
+Nothing is written here, and no process waits for it: new events are read from time to time.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from labos.runtime.ledger import load
 
 
 class Follower:
-    """The folded log as far as it has been read, and the hash of the last record that was."""
+    """The folded log as far as it has been read, and the hash of the last record read."""
 
     def __init__(self, store: EventStore) -> None:
         self._store = store
@@ -20,8 +20,8 @@ class Follower:
         self._hash = GENESIS
 
     def catch_up(self) -> int:
-        """Read what is new; returns how many events that were. A log that is another one than it was (a
-        backup was put back) is read from its beginning. Raises StoreUnavailable, LogTooNew, LogDamaged."""
+        """Read new events; returns their number. If the log was replaced by another one (a backup was
+        restored), it is read from its beginning. Raises StoreUnavailable, LogTooNew, LogDamaged."""
         if not self._is_still_same():
             self.state, self._hash = LabState(), GENESIS
         self.state, number = load(self._store, begin=self.state)
@@ -30,8 +30,8 @@ class Follower:
         return number
 
     def hand_over(self) -> LabState | None:
-        """The state, to be folded on by a kernel; None if the log is another one than it was. The
-        follower begins anew afterwards."""
+        """The state, on which a kernel continues to fold; None if the log was replaced by another one.
+        Afterwards the follower starts from the beginning."""
         state = self.state if self.state.position and self._is_still_same() else None
         self.state, self._hash = LabState(), GENESIS
         return state
@@ -40,7 +40,7 @@ class Follower:
         return self._hash_at(self.state.position) == self._hash
 
     def _hash_at(self, position: int) -> bytes:
-        """The hash that the log bears at a position; empty if it does not reach so far."""
+        """The hash of the log's record at a position; empty if the log is shorter."""
         if not position:
             return GENESIS
         found = next(iter(self._store.read(after=position - 1, upto=position)), None)

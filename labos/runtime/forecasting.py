@@ -1,8 +1,8 @@
-"""Forecasts are worked out in a process of their own, so that the kernel loses no time with them.
+"""Forecasts are computed in a separate process, so that the kernel loses no time with them.
 
-The state goes there as a picture (``labos.core.state.encode_picture``), and with it the records from which it
-has not been learned yet how good forecasts were; the answer comes back, with what was learned. Nothing is
-shared. One is worked out at a time, with a low priority, and given up after a while.
+The process receives the state as a picture (``labos.core.state.encode_picture``), and the records from which
+the errors of forecasts have not been learned yet. It returns the forecast and what it has learned. Nothing is
+shared. Forecasts are computed one at a time, with a low priority and a limited duration.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from labos.planning.hindsight import LookBack, Row, look_back
 from labos.planning.lab_forecast import ForecastRequest, LabForecast, forecast_lab
 
 LOOKS_BACK_S = 15.0
-"""So many seconds are spent on what is to be learned; what is left is learned with the next forecast."""
+"""So many seconds are spent on learning; the remaining records are used with the next forecast."""
 
 GIVE_UP_S = 90.0
-"""After so many seconds a forecast is given up."""
+"""A forecast fails after so many seconds."""
 
 MOST_ASKED = 8
-"""So many may be asked for at a time."""
+"""At most so many forecasts may wait at the same time."""
 
 NICE = 10
 
@@ -35,7 +35,7 @@ _encode = msgspec.msgpack.Encoder().encode
 
 
 class ForecastJob(msgspec.Struct):
-    """A forecast that is asked for, what is known of those of the past, and the records since then."""
+    """A requested forecast, the errors learned from past forecasts, and the records since then."""
 
     request: ForecastRequest
     known: LookBack
@@ -43,14 +43,14 @@ class ForecastJob(msgspec.Struct):
 
 
 class ForecastResult(msgspec.Struct):
-    """A forecast, and what is known now of those of the past."""
+    """A forecast, and the errors learned from past forecasts up to now."""
 
     forecast: LabForecast
     known: LookBack
 
 
 class ForecastProcess:
-    """Works out forecasts, one at a time; ``working`` is the process of the last one."""
+    """Computes forecasts, one at a time; ``working`` is the process of the last one."""
 
     def __init__(self) -> None:
         self._turn = asyncio.Semaphore(1)
@@ -59,7 +59,7 @@ class ForecastProcess:
         self._is_closed = False
 
     def close(self) -> None:
-        """What is being worked out is given up, and nothing more is."""
+        """The present forecast is stopped, and no other is begun."""
         self._is_closed = True
         if self.working is not None and self.working.returncode is None:
             self.working.kill()
@@ -67,8 +67,8 @@ class ForecastProcess:
     async def answer(
         self, ask: Callable[[], Awaitable[ForecastJob]], keep: Callable[[LookBack], None]
     ) -> LabForecast:
-        """What is to be expected; the question is asked when its turn comes, and what was learned is given
-        to ``keep``. Raises Refused."""
+        """The forecast. ``ask`` is called when its turn comes, and ``keep`` receives what was learned. Raises
+        Refused."""
         if self._asked >= MOST_ASKED:
             raise Refused(
                 f"{self._asked} forecasts are asked for already.",

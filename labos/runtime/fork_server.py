@@ -1,9 +1,9 @@
-"""A process that has loaded what every node needs, and becomes one by forking.
+"""A process that has loaded everything that a node needs, and starts nodes by forking.
 
-Fourteen nodes that each start an interpreter and load the same modules keep a small machine busy for
-seconds. The server loads them once; a fork of it is a node after some milliseconds, and shares the memory.
-It runs no threads and holds no device, it only forks and tells how its children ended (decision 32).
-The kernel's half is ``spawning.ForkServer``; they speak over a socket pair, one packet a message.
+Fourteen nodes that each start an interpreter and load the same modules keep a small machine busy for seconds.
+The server loads the modules once; a fork of it is a node after some milliseconds, and shares the memory. It
+runs no threads and controls no device; it only forks and reports how its children ended (decision 32). The
+kernel's part is ``spawning.ForkServer``; the two communicate over a socket pair, one packet for each message.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ PACKET = 65536
 
 
 class StartChild(msgspec.Struct, tag="start"):
-    """Become the program with these words; with the packet come the descriptors of its standard input and of
-    its log."""
+    """Become the program with these arguments; the packet also has the descriptors of its standard input and
+    of its log."""
 
     words: tuple[str, ...]
 
 
 class ChildStarted(msgspec.Struct, tag="started"):
-    """A child of that process id runs, for the oldest ``StartChild`` not answered. ``pid`` 0: ``why`` not."""
+    """A child with this process id runs, for the oldest ``StartChild`` without an answer. If ``pid`` is 0,
+    ``why`` is the reason of the failure."""
 
     pid: int
     why: str = ""
 
 
 class ChildEnded(msgspec.Struct, tag="ended"):
-    """A child ended, with the code that ``subprocess`` would give: negative for a signal."""
+    """A child ended, with the code that ``subprocess`` would return: negative for a signal."""
 
     pid: int
     code: int
@@ -46,10 +47,10 @@ Answer = ChildStarted | ChildEnded
 
 
 def serve(link: socket.socket) -> tuple[str, ...] | None:
-    """Fork when a kernel asks. Gives the words in each child, which goes on with them as its own, and None in
-    the server as soon as nobody can ask any more."""
+    """Fork at the kernel's request. Returns the arguments in each child, which continues with them as its
+    own, and None in the server when the link is closed."""
     gc.collect()
-    gc.freeze()  # what is loaded now stays shared: no collection touches it
+    gc.freeze()  # the modules loaded now stay shared: the garbage collector leaves them alone
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
@@ -94,12 +95,12 @@ def _report_ended_children(link: socket.socket) -> None:
 
 
 def _tell(link: socket.socket, answer: Answer) -> None:
-    with contextlib.suppress(OSError):  # nobody is there any more: that is seen when the link is read
+    with contextlib.suppress(OSError):  # the kernel has gone: the next read from the link shows it
         link.send(msgspec.json.encode(answer))
 
 
 def _set_up_process(words: tuple[str, ...], stdin: int, log: int) -> None:
-    """What a program of its own would have: a session, its standard files, its name."""
+    """Give the process what a separate program would have: a session, its standard files, its name."""
     from setproctitle import setproctitle
 
     os.setsid()  # a Ctrl-C in the terminal is meant for the kernel, which stops its nodes

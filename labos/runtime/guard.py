@@ -1,7 +1,7 @@
-"""What keeps a fault of LabOS from stopping the lab: it is not tried again and again.
+"""Protects the lab from faults of LabOS: an operation that fails is not tried without end.
 
-A turn that raises is taken back whole. Taking it back means to read the end of the log again, so what
-failed once must not be allowed to fail at every heartbeat.
+A turn that raises is undone completely. For that, the end of the log has to be read again, so a failed
+operation must not fail again at every heartbeat.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ REMEMBERED = 1000
 
 
 class CircuitBreaker:
-    """Suspends what has failed ``limit`` times in a row. It is tried again after a pause, which doubles
-    with each failure. Times are seconds of a clock that never goes back."""
+    """Suspends an operation that has failed ``limit`` times in a row. It is tried again after a pause, which
+    doubles with each failure. Times are seconds of a monotonic clock."""
 
     def __init__(self, name: str, limit: int = 3) -> None:
         self.name = name
         self.why = ""
-        """What the last failure said; empty after a success."""
+        """The text of the last failure; empty after a success."""
         self.retry_at: float | None = None
         self._limit = limit
         self._failures = 0
 
     @property
     def is_open(self) -> bool:
-        """Whether it is suspended."""
+        """Whether the operation is suspended."""
         return self._failures >= self._limit
 
     def allows(self, now: float, is_retry: bool) -> bool:
-        """Whether it may be tried: always while it is closed, else only by a retry when its pause is over."""
+        """Whether it may be tried: always while it is not suspended, else only as a retry after its pause."""
         if not self.is_open:
             return True
         return is_retry and self.retry_at is not None and now >= self.retry_at
@@ -52,14 +52,14 @@ class CircuitBreaker:
 
 
 class FaultyCommands:
-    """Commands whose turn failed: the same one is refused for a while, so that a message which is repeated
-    does not make the kernel read its log again each time. Only the latest ``REMEMBERED`` are known."""
+    """Commands whose turn failed. The same command is refused for a while, so that a repeated message does
+    not make the kernel read its log again each time. Only the latest ``REMEMBERED`` are known."""
 
     def __init__(self) -> None:
         self._known: OrderedDict[bytes, tuple[int, float, str]] = OrderedDict()
 
     def explain_refusal(self, command: Command, now: float) -> str:
-        """What its last failure said, while it may not be tried again; empty if it may."""
+        """The text of its last failure, while it may not be tried again; empty if it may."""
         while self._known:
             key, (_, until, _) = next(iter(self._known.items()))
             if now - until < LONGEST_PAUSE_S:
@@ -84,7 +84,7 @@ def pause_s(failures: int) -> float:
 
 
 def _make_key(command: Command) -> bytes:
-    """The same for a command that is repeated, at whatever time it comes."""
+    """A key that is the same for a repeated command, whatever its time."""
     fields = {name: getattr(command, name) for name in command.__struct_fields__ if name != "now"}
     try:
         return type(command).__name__.encode() + msgspec.msgpack.encode(fields)

@@ -1,7 +1,7 @@
-"""What is heard on the bus is read with care: anybody may have written it.
+"""Reads messages from the bus with checks, because anybody may have written them.
 
-Whatever it is, it is read, or it is Unreadable, which is as good as NoAnswer: nothing here raises anything
-else. Texts and results are cut to what the log can hold before a command is made of them.
+A message can be read, or it is Unreadable, which counts like NoAnswer: no other error is raised here. Texts
+and results are cut to the size that the log can hold before a command is made of them.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from labos.node.limits import read
 from labos.node.protocol import AboutReport, ActionReply, Outcome, ResultPublished, StateReport
 
 LARGEST_NEWS = 1024 * 1024
-"""Bytes of a publication that is read: a result has 48 KB at the most."""
+"""The largest number of bytes of a publication: a result has at most 48 KB."""
 
 LARGEST_ANSWER = 16 * 1024 * 1024
-"""Bytes of an answer that is read: a description may bear tables."""
+"""The largest number of bytes of an answer: a description may contain tables."""
 
 
 _reply = msgspec.json.Decoder(ActionReply)
@@ -30,7 +30,7 @@ _state = msgspec.json.Decoder(StateReport)
 
 
 def read_reply(payload: bytes, whose: str) -> ActionReply:
-    """A node's word about an attempt. Raises Unreadable."""
+    """A node's answer about an attempt. Raises Unreadable."""
     reply = read(payload, _reply, whose=whose, limit=LARGEST_ANSWER)
     outcome = make_writable(reply.outcome) if reply.outcome is not None else None
     return msgspec.structs.replace(reply, why=cut(reply.why), outcome=outcome)
@@ -52,7 +52,7 @@ def read_state(payload: bytes, whose: str) -> StateReport:
 
 
 def read_about(payload: bytes, whose: str) -> AboutReport:
-    """What a node says of itself. Raises Unreadable."""
+    """A node's description of itself. Raises Unreadable."""
     report = read(payload, _about, whose=whose, limit=LARGEST_ANSWER)
     _check_names(whose, report.journal, report.instance, report.digest)
     _check_numbers(whose, report.epoch, report.acknowledged, report.acknowledged_by, report.now_ns)
@@ -60,14 +60,14 @@ def read_about(payload: bytes, whose: str) -> AboutReport:
 
 
 def make_writable(outcome: Outcome) -> Outcome:
-    """How an attempt ended, in a form that the log can hold."""
+    """The outcome of an attempt, in a form that the log can hold."""
     error = cut(outcome.error)
     return msgspec.structs.replace(outcome, error=error, result=limit_result(outcome.result))
 
 
 def find_module(key: str, form: str) -> ModuleName | None:
-    """``workcell/module`` of a key of the form ``labos/lab/*/*/state``, say: the two parts where the form has
-    its first two stars. None if the key is of another form: messages can be sent to keys with wildcards."""
+    """``workcell/module`` from a key of a form such as ``labos/lab/*/*/state``: the two parts at the first
+    two stars of the form. None if the key has another form: messages can be sent to keys with wildcards."""
     parts, wanted = key.split("/"), form.split("/")
     if len(parts) != len(wanted) or len(key) > LONGEST_NAME * 3:
         return None
@@ -95,15 +95,15 @@ def _check_numbers(whose: str, *numbers: int) -> None:
 
 
 class RateLimiter:
-    """Lets something happen ``burst`` times for each module of the lab, and again once every ``every_s``:
-    what comes in a flood must not go on as one."""
+    """Allows something ``burst`` times for each module of the lab, and after that once every ``every_s``: a
+    flood of messages must not cause a flood of reactions."""
 
     def __init__(self, clock: Clock, every_s: float, burst: int = 1) -> None:
         self._clock, self._every_s, self._burst = clock, every_s, burst
         self._left: dict[str, tuple[float, float]] = {}
 
     def spend(self, module: str) -> bool:
-        """Whether it may happen once more now."""
+        """Whether it is allowed once more now; counts it."""
         now = self._clock.monotonic()
         left, since = self._left.get(module, (float(self._burst), now))
         left = min(left + (now - since) / self._every_s, float(self._burst))

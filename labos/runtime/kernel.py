@@ -1,8 +1,8 @@
 """The kernel: the one process that decides and writes.
 
-A *turn* takes one command: its events are decided and folded one after the other, and what follows from
-them too; planning proposes starts, each of which is carried out in the same way, and the whole is one batch
-for the writer. What the outside hears of it (replies, requests to nodes) waits until the batch is on disk.
+A *turn* takes one command: its events, and the reactions to them, are decided and folded one after the other.
+Planning proposes starts, and each of them is carried out in the same way. All events of the turn are one
+batch for the writer. Replies and requests to nodes wait until the batch is on disk.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from labos.runtime.writer import Writer
 VERSION = "0.1.0"
 
 MAY_WAIT = (ActionAccepted,)
-"""Events for which nobody waits: nothing is sent because of them, and should they be lost, the
-node is asked and says the same again."""
+"""Events for which nobody waits: they cause no messages, and if they are lost, the node is asked and gives
+the same answer again."""
 
 FAULT = "internal_fault"
 FAULT_REMEDY = "This is a fault of LabOS: report it with what the kernel's log says. The lab goes on."
@@ -55,9 +55,9 @@ _log = structlog.get_logger(__name__)
 
 
 class _Turn(msgspec.Struct):
-    """How far a turn on a ``ledger`` has come: its ``entries``, of which the first ``decided`` are the
-    command's own; when to wake next (``deadline``, UTC ns). ``part`` is the part of planning that a failure
-    now is put down to, none if it is the command's own; ``planned`` are the parts that were tried."""
+    """The progress of a turn on a ``ledger``: its ``entries``, of which the first ``decided`` are the
+    command's own, and the time of the next wake-up (``deadline``, UTC ns). A failure now counts for ``part``,
+    a part of planning, or for the command if there is none; ``planned`` are the parts that were tried."""
 
     ledger: Ledger
     entries: list[Entry] = []
@@ -70,7 +70,8 @@ class _Turn(msgspec.Struct):
 class Kernel(KernelLog):
     """Decides and writes for one lab. The first event of a command bears its ``causation``, else the mark of
     the request that is being carried out (``marks``). ``plan_with`` makes the scheduler, once for each
-    reading of the log. What people say in commands stands beside the log, with a ``salt`` for each text."""
+    reading of the log. People's words in commands are stored beside the log, with a ``salt`` for each
+    text."""
 
     def __init__(
         self,
@@ -87,7 +88,7 @@ class Kernel(KernelLog):
         self.scheduler = plan_with()
         self.turns = 0
         self.on_turn: Callable[[float], None] = lambda _: None
-        """Told how long each turn took, in seconds."""
+        """Called with the duration of each turn, in seconds."""
         self._starts, self._deadlines = CircuitBreaker("starts"), CircuitBreaker("deadlines")
         self._faulty = FaultyCommands()
         self._is_folded = False
@@ -96,11 +97,11 @@ class Kernel(KernelLog):
         self._alarm: asyncio.TimerHandle | None = None
         self._alarm_at = 0
 
-    # -- life --------------------------------------------------------------------------------
+    # -- start and end -----------------------------------------------------------------------
 
     async def open(self, follower: Follower | None = None, *, plan: bool = True) -> None:
-        """Take the lease, fold the log, announce the new epoch. What a ``follower`` has read already is
-        not folded again. Without ``plan`` nothing is started, nor looked at for its time, before
+        """Take the lease, fold the log, announce the new epoch. Events that a ``follower`` has already folded
+        are not folded again. Without ``plan``, no step is started and no deadline is handled before
         ``begin_planning``. Raises Refused while another kernel lives."""
         settings, self._follower = self.settings, follower
         lab = LabId(self.ids.new())
@@ -121,7 +122,7 @@ class Kernel(KernelLog):
         await super().close()
 
     async def begin_planning(self) -> None:
-        """Start what may start from now on. Planning that fails is suspended before this returns."""
+        """Start steps from now on. If planning fails, it is suspended before this returns."""
         self._may_plan = True
         self.wake()
         while self._refolding is not None:
@@ -135,8 +136,8 @@ class Kernel(KernelLog):
     # -- commands ----------------------------------------------------------------------------
 
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
-        """Decide a command and wait until its events are on disk; returns them. Raises Refused
-        with the rejection's words, InternalFault if LabOS itself failed on it."""
+        """Decide a command and wait until its events are on disk; returns them. Raises Refused with the
+        rejection's text, InternalFault if LabOS itself failed."""
         answer = self._turn(command, actor, causation or MARK.get())
         if isinstance(answer, Rejection):
             raise make_error(answer)
@@ -144,12 +145,12 @@ class Kernel(KernelLog):
         return answer
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
-        """Decide a command without waiting for the disk: for callers that promise nothing to
-        anybody on the strength of it."""
+        """Decide a command without waiting for the disk: for callers who report nothing to others before the
+        events are on disk."""
         return self._turn(command, actor, causation or MARK.get())
 
     def wake(self, keys: Iterable[str] = ()) -> None:
-        """Look again at what waits for these keys, or for the time that has come."""
+        """Check again everything that waits for these keys, or for a time that has come."""
         if self._ledger is not None and not self._closing:
             self._keys.update(keys)
             self._turn(None, LABOS)
@@ -165,14 +166,14 @@ class Kernel(KernelLog):
         answer = self._take_turn(command, actor, causation)
         try:
             self.on_turn(self.clock.monotonic() - began)
-        except Exception as error:  # what has been decided holds, whether it was measured or not
+        except Exception as error:  # the decision is valid, whether its duration was measured or not
             _log.exception("turn_not_measured")
             self._record_fault(f"on_turn: {error!r}")
         return answer
 
     def _take_turn(self, command: Command | None, actor: str, causation: str) -> list[Event] | Rejection:
-        """Decide and fold a command, plan (without a command, only that), check, and hand everything to the
-        writer as one batch. If anything raises on the way, nothing of it has happened."""
+        """Decide and fold a command, plan (without a command, only plan), check, and give everything to the
+        writer as one batch. If any part raises an error, the whole turn is undone."""
         turn = _Turn(self._open_ledger())
         self.turns += 1
         if fault := find_fault(actor, "actor"):
@@ -192,7 +193,7 @@ class Kernel(KernelLog):
             self._plan(turn, is_wake=command is None)
             if self.settings.check_invariants and turn.entries:
                 self._check(turn)
-        except Exception as error:  # whatever it is, memory must not stay ahead of the log
+        except Exception as error:  # after any error, memory must not be ahead of the log
             return self._fail_turn(error, command, turn)
         for part in turn.planned:
             if part.why:
@@ -203,7 +204,7 @@ class Kernel(KernelLog):
         return events
 
     def _fail_turn(self, error: Exception, command: Command | None, turn: _Turn) -> Rejection:
-        """Take a turn back, and remember what made it fail."""
+        """Undo a turn, and remember the cause of its failure."""
         now_s = self.clock.monotonic()
         name = "planning" if command is None else type(command).__name__
         fault = error.message if isinstance(error, InvariantBroken) else repr(error)
@@ -226,8 +227,8 @@ class Kernel(KernelLog):
     def _take_command(
         self, command: Command, turn: _Turn, actor: str, causation: str
     ) -> list[Event] | Rejection:
-        """Carry out what somebody asks for. The words of a person stand beside the log, and go there with the
-        first event that refers to them."""
+        """Carry out a request. People's words are stored beside the log, together with the first event that
+        refers to them."""
         if actor == LABOS or "/" in actor:  # a module
             return self._carry_out(command, turn, actor, causation)
         kept: dict[str, Kept] = {}
@@ -250,7 +251,7 @@ class Kernel(KernelLog):
         causation: str,
         keep_words: Keep | None = None,
     ) -> list[Event] | Rejection:
-        """Decide a command and fold its events and what follows from them, which are added to those of the
+        """Decide a command and fold its events and the reactions to them, which are added to those of the
         turn. The first is caused by ``causation``, the others by the first."""
         ledger, entries = turn.ledger, turn.entries
         begin = len(entries)
@@ -267,8 +268,8 @@ class Kernel(KernelLog):
         return events
 
     def _plan(self, turn: _Turn, *, is_wake: bool) -> None:
-        """Carry out what is due, and start what may start. A part that keeps failing is suspended: commands
-        are carried out without it, and it is tried again by itself."""
+        """Carry out everything that is due, and start all steps that may start. A part that fails repeatedly
+        is suspended: commands are carried out without it, and it is tried again later."""
         state, now_s = turn.ledger.state, self.clock.monotonic()
         parts = [part for part in (self._deadlines, self._starts) if part.allows(now_s, is_wake)]
         parts = parts if self._may_plan else []
@@ -294,7 +295,7 @@ class Kernel(KernelLog):
             turn.deadline = self.scheduler.find_next_deadline(state)
         elif self._starts in parts:
             turn.deadline = self.scheduler.find_next_wake()
-        # What breaks an invariant now may be what planning has added.
+        # An invariant that breaks now may be broken by an event of planning.
         turn.part = self._starts if len(turn.entries) > turn.decided else None
         turn.planned = parts
 
@@ -304,8 +305,8 @@ class Kernel(KernelLog):
             self._decide_follow_up(start.make_command(lambda: ActionId(self.ids.new()), now), turn)
 
     def _carry_out_due(self, turn: _Turn, looked_at: int) -> None:
-        """What the time that has come asks for, and the quarantine of modules that fail too often, in the
-        entries from ``looked_at`` on."""
+        """Carry out everything that is due at this time, and the quarantine of modules that fail too often,
+        for the entries from ``looked_at`` on."""
         now = self.clock.now_ns()
         for command in self.scheduler.iterate_due(turn.ledger.state, now):
             self._decide_follow_up(command, turn)
@@ -314,14 +315,14 @@ class Kernel(KernelLog):
             self._decide_follow_up(Quarantine(suspect, *limits, now), turn)
 
     def _list_suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
-        """Modules that may have failed once too often."""
+        """Modules that may have failed too often."""
         if not self.settings.quarantine_after:
             return []
         found = {e.event.module: True for e in entries if isinstance(e.event, SUSPICIOUS)}
         return list(found)
 
     def _grant_access(self, turn: _Turn) -> None:
-        """Nothing is left to start: who waits to reach in may, where nothing moves."""
+        """There is nothing more to start: waiting requests for access are granted where nothing moves."""
         for cell, access in list(turn.ledger.state.lab.access.items()):
             if not access.granted:
                 self._decide_follow_up(GrantAccess(cell), turn)
@@ -330,7 +331,7 @@ class Kernel(KernelLog):
         cause = turn.entries[-1].record.head.id if turn.entries else ""
         decided = self._carry_out(command, turn, LABOS, cause)
         if isinstance(decided, Rejection):
-            # Planning proposes only what the rules allow: a rejection is a fault of ours.
+            # Planning proposes only what the rules allow: a rejection is a fault of LabOS.
             _log.error("proposal_rejected", command=repr(command), why=decided.message)
             self._record_fault(f"{command!r}: {decided.message}")
 
@@ -342,14 +343,14 @@ class Kernel(KernelLog):
             raise InvariantBroken(f"[{names}] would break what must always hold: {fault}")
 
     def _pass_on(self, entries: list[Entry]) -> None:
-        """Hand the batch to the writer."""
+        """Give the batch to the writer."""
         if entries:
             self._unwritten.extend(entries)
             may_wait = all(isinstance(entry.event, MAY_WAIT) for entry in entries)
             self._writer.submit([entry.record for entry in entries], may_wait=may_wait)
 
     def _set_alarm(self, deadline: int | None) -> None:
-        """Wake at ``deadline`` (UTC ns), or when planning that failed is to be tried again."""
+        """Wake at ``deadline`` (UTC ns), or when suspended planning will be tried again."""
         for part in (self._deadlines, self._starts):
             if part.retry_at is not None:
                 pause_s = max(part.retry_at - self.clock.monotonic(), 0.0)
@@ -372,12 +373,12 @@ class Kernel(KernelLog):
 
     @property
     def suspended(self) -> str:
-        """Why nothing is started: what planning fails on. Empty while it works."""
+        """Why nothing is started: the failure of planning. Empty while planning works."""
         return self._starts.why if self._starts.is_open else ""
 
 
 def _attach(kept: dict[str, Kept], entries: list[Entry]) -> None:
-    """Give each text to the first record that refers to it. To what nothing refers is not kept."""
+    """Attach each text to the first record that refers to it. Texts without a reference are not stored."""
     for at, entry in enumerate(entries):
         named = list_references(entry.record.payload)
         words = tuple(found for name in named if (found := kept.pop(name, None)) is not None)
@@ -387,7 +388,7 @@ def _attach(kept: dict[str, Kept], entries: list[Entry]) -> None:
 
 
 def make_error(rejection: Rejection) -> LabosError:
-    """What is raised for a command that was refused."""
+    """The error for a command that was refused."""
     if isinstance(rejection, Denied):
         return Forbidden(rejection.message, remedy=rejection.remedy)
     kinds: dict[str, type[LabosError]] = {FAULT: InternalFault, BAD_TEXT: BadInput}

@@ -1,6 +1,5 @@
-"""The log as its kernel holds it: decided ahead of the disk, read again when a write has failed, given back
-at the end.
-"""
+"""The log as the kernel uses it: events are decided ahead of the disk, the log is read again after a failed
+write, and the lease is given back at the end."""
 
 from __future__ import annotations
 
@@ -27,24 +26,24 @@ from labos.runtime.ledger import Entry, Ledger, load, snapshot
 from labos.runtime.writer import PatientWriter, Writer, make_in_doubt_error
 
 LONGEST_PAUSE_S = 5.0
-"""Between two tries to get the store back."""
+"""The pause between two attempts to reach the store again."""
 
 _log = structlog.get_logger(__name__)
 
 
 class Listener(Protocol):
-    """Hears of events once they are on disk, in order."""
+    """Receives events once they are on disk, in order."""
 
     def on_committed(self, entries: Sequence[Entry]) -> None: ...
 
     def on_reopened(self) -> None:
-        """The log was read again: what was decided but not written is forgotten."""
+        """The log was read again: events that were decided but not written are forgotten."""
 
 
 class KernelSettings(msgspec.Struct, frozen=True):
-    """``lease_s`` is how long a silent kernel keeps the lab; ``snapshot_every`` counts events;
-    ``reopen_s`` is how long the kernel tries to get its store back before it stops: 0 for not at all,
-    infinity for ever. A module that fails ``quarantine_after`` times (0: however often) within
+    """``lease_s`` is how long a kernel that does not answer keeps its lease; ``snapshot_every`` counts
+    events; ``reopen_s`` is how long the kernel tries to reach its store again before it stops (0: not at all;
+    infinity: without end). A module that fails ``quarantine_after`` times (0: however often) within
     ``quarantine_within_s`` lab seconds is taken out of service."""
 
     name: str = "lab"
@@ -59,7 +58,7 @@ class KernelSettings(msgspec.Struct, frozen=True):
 
 
 class KernelLog(ABC):
-    """Base of the kernel: everything but its turns."""
+    """The base of the kernel, without its turns."""
 
     def __init__(self, writer: Writer, clock: Clock, ids: Ids, settings: KernelSettings) -> None:
         self.settings = settings
@@ -68,8 +67,8 @@ class KernelLog(ABC):
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
         self.durable = 0
         self.faults: deque[str] = deque(maxlen=100)
-        """What it had to take back or refuse of its own: turns that failed, proposals against the rules,
-        listeners that failed. The latest ones; ``fault_count`` counts all."""
+        """The kernel's own faults that it had to undo or refuse: failed turns, proposals against the rules,
+        failed listeners. Only the latest ones; ``fault_count`` counts all."""
         self.fault_count = 0
         self._refolding: asyncio.Task[None] | None = None
         self._writer = PatientWriter(writer)
@@ -89,15 +88,15 @@ class KernelLog(ABC):
 
     @abstractmethod
     def wake(self) -> None:
-        """The log was read again: look at everything that waits."""
+        """The log was read again: check everything that waits."""
 
     @abstractmethod
     def _forget(self) -> None:
-        """The log is read again: forget what was derived from the state before."""
+        """The log is read again: forget everything that was derived from the earlier state."""
 
     @property
     def state(self) -> LabState:
-        """The speculative state: everything decided so far. Read it, never change it."""
+        """The speculative state: everything decided so far. Callers read it and never change it."""
         return self._open_ledger().state
 
     @property
@@ -131,7 +130,7 @@ class KernelLog(ABC):
         return await self._writer.call(look)
 
     async def holds_request(self, action: ActionId, position: int) -> bool:
-        """Whether a request of this action stands at a position of the log. Raises StoreError."""
+        """Whether the record at a position of the log is a request of this action. Raises StoreError."""
         if not 0 < position <= self.durable:
             return False
 
@@ -144,8 +143,8 @@ class KernelLog(ABC):
         return await self._writer.call(look)
 
     async def scrub(self) -> str:
-        """Let nothing of words that were erased stand in the database's files any more. Returns why something
-        still may; empty if it does not."""
+        """Remove what remains of erased words from the database's files. Returns why something may still
+        remain; empty if nothing does."""
         try:
             return await self._writer.call(lambda store: store.scrub())
         except StoreError as error:
@@ -153,7 +152,7 @@ class KernelLog(ABC):
 
     async def check_lease(self) -> None:
         """Ask the database whether this is still the lab's kernel; if it is not, the kernel stops. Raises
-        Fenced then, StoreError if the database does not say."""
+        Fenced then, StoreError if the database does not answer."""
         epoch, lease = self.epoch, self.settings.lease_s
         try:
             await self._writer.call(lambda store: store.renew(epoch, lease))
@@ -170,8 +169,8 @@ class KernelLog(ABC):
         )
 
     async def close(self) -> None:
-        """Write what is decided, keep a snapshot, give the lease back. ``failed`` says so if what was
-        decided last could not be written."""
+        """Write all decided events, store a snapshot, give the lease back. ``failed`` has the error if the
+        last events could not be written."""
         if self._closing:
             return
         self._closing = True
@@ -192,15 +191,15 @@ class KernelLog(ABC):
         ledger = self._open_ledger()
         picture, epoch, to_standby = snapshot(ledger.state, ledger.head), ledger.head.epoch, self._to_standby
         try:
-            if not to_standby:  # nobody waits; who stands by has folded the log himself
+            if not to_standby:  # a standby has folded the log itself
                 await self._writer.call(lambda store: store.save_snapshot(*picture))
             await self._writer.call(lambda store: store.release(epoch, to_standby=to_standby))
         except StoreError as error:
             _log.warning("lease_not_given_back", why=str(error))
 
     def _take_back(self, why: str) -> None:
-        """Forget what was folded in this turn. Earlier turns are with the writer already: the log is read
-        again behind them."""
+        """Undo the events that were folded in this turn. The writer already has earlier turns: the log is
+        read again after them."""
         self._ledger = None
         self._picture = None
         self._lost_why = StoreUnavailable(
@@ -219,10 +218,10 @@ class KernelLog(ABC):
             self._refolding = None
             await self._reopen(_make_store_error(error))
         else:
-            self._refolding = None  # what follows may fail again
+            self._refolding = None  # the next lines may fail again
             self._go_on()
 
-    # -- what the writer says ----------------------------------------------------------------
+    # -- called by the writer ----------------------------------------------------------------
 
     def _on_durable(self, position: int) -> None:
         self.durable = position
@@ -245,8 +244,8 @@ class KernelLog(ABC):
         self._lose(error)
 
     def _lose(self, error: StoreError) -> None:
-        """Forget everything that is not on disk for sure; then, unless this is the end anyway, read the
-        log again. Errors that come while that is under way are more of the same."""
+        """Forget everything that is not certainly on disk; then read the log again, unless the kernel is
+        closing. Further errors during this time have the same cause."""
         reopening, self._ledger = self._ledger is None, None
         self._lost_why = error
         self._unwritten.clear()
@@ -264,8 +263,8 @@ class KernelLog(ABC):
             self._tasks.append(asyncio.get_running_loop().create_task(self._reopen(error)))
 
     async def _reopen(self, error: LabosError) -> None:
-        """Get the log back after a commit of unknown outcome. A database that can be read but not
-        written (a full disk) is not back: its lease is renewed to see."""
+        """Open the log again after a commit in doubt. A database that can be read but not written (a full
+        disk) does not count as available: the renewal of its lease tests this."""
         began = self.clock.monotonic()
         if self._lost_at is None or began - self._lost_at > 2 * max(self.settings.reopen_s, LONGEST_PAUSE_S):
             self._lost_at, self._losses = began, 0
@@ -297,7 +296,7 @@ class KernelLog(ABC):
         self.wake()
 
     def _notify(self, listener: Listener, call: Callable[[], None]) -> bool:
-        """Tell a listener. One that fails does not keep the others from hearing."""
+        """Call a listener. If it fails, the others are still called."""
         try:
             call()
         except StoreError as error:
@@ -368,7 +367,8 @@ class KernelLog(ABC):
                 self._lose(error)
                 return
             except Exception as error:
-                # Nothing was decided meanwhile, and nothing could be: an idle lab has lost its log too.
+                # Nothing was decided meanwhile, and nothing could be: an idle lab must also notice that its
+                # log is lost.
                 if self._ledger is not None:
                     _log.error("lease_not_renewed", error=str(error))
                 self._lose(_make_store_error(error))

@@ -1,7 +1,7 @@
-"""The kernel's two views of the log: what is written for good, and what it has just decided.
+"""The kernel's two views of the log: the events on disk, and the events it has just decided.
 
-Events are folded into the state as soon as they are decided (*speculation*); replies, requests
-to nodes and publications wait until the store says that they are on disk.
+Events are folded into the state as soon as they are decided (*speculation*); replies, requests to nodes and
+publications wait until the store confirms that the events are on disk.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from labos.ports import EventStore, Head
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """An event and the record that will stand, or stands, for it."""
+    """An event and its record in the log, which may not be written yet."""
 
     record: Record
     event: Event
@@ -39,10 +39,10 @@ class Ledger:
         self._clock, self._ids = clock, ids
 
     def write(self, decided: Event, actor: str, causation: str = "") -> Entry:
-        """Fold an event and seal it behind the last one. The caller passes the record on to the writer."""
+        """Fold an event and seal it after the last one. The caller passes the record on to the writer."""
         state = self.state
         payload = encode(decided)
-        # What is folded now must be what will be folded again: the event as it is stored.
+        # Fold the event in its stored form, because later readings fold that form.
         event = decode(decided.TYPE, decided.SCHEMA, payload)
         stream = event.stream()
         position = self.head.position + 1
@@ -80,8 +80,8 @@ def find_correlation(state: LabState, event: Event) -> str:
 def load(
     store: EventStore, *, snapshots: bool = True, begin: LabState | None = None, end: Head | None = None
 ) -> tuple[LabState, int]:
-    """Fold the log, on from ``begin`` if that has come anywhere, else from its newest usable snapshot;
-    returns the state and how many events were folded. Each record is checked against the chain before it is
+    """Fold the log: after ``begin`` if that has folded any events, else after the newest usable snapshot.
+    Returns the state and the number of folded events. Each record is checked against the chain before it is
     folded, and with ``end``, the head row, that the log ends there. Raises LogTooNew, LogDamaged."""
     state = begin if begin is not None else LabState()
     hash_ = b""

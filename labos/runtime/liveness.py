@@ -1,27 +1,28 @@
-"""Which nodes show themselves on the bus: what was seen and heard of them, within limits."""
+"""Which nodes are visible on the bus: their tokens and heartbeats, in limited numbers."""
 
 from __future__ import annotations
 
 from labos.core.ids import ModuleName
 
 MOST_STRANGERS = 256
-"""Modules that no workcell has and whose nodes are remembered: an emergency stop reaches them too."""
+"""Nodes of so many modules outside all workcells are remembered: an emergency stop reaches them too."""
 
 MOST_INSTANCES = 16
-"""Nodes of one module that are remembered: of honest ones there are two at the most, for a moment."""
+"""The largest number of remembered nodes of one module: without attacks there are at most two, for a
+moment."""
 
 
 class Liveness:
-    """The instances of each module, and when (monotonic s) each was heard last."""
+    """The instances of each module, and when (monotonic s) each sent its last message."""
 
     def __init__(self) -> None:
         self._instances: dict[ModuleName, list[str]] = {}
         self._heard: dict[tuple[ModuleName, str], float] = {}
 
     def hear(self, module: ModuleName, instance: str, now: float, keep: str, others: int | None) -> bool:
-        """It lives. Of too many instances the one is forgotten that was silent longest, but never ``keep``.
-        For a module that no workcell has, ``others`` is how many there are in workcells: false if there are
-        too many besides, and it is not remembered."""
+        """Note that an instance is alive. If there are too many, the one that was silent longest is
+        forgotten, but never ``keep``. For a module outside all workcells, ``others`` is the number of modules
+        in workcells: false if there are too many modules besides these, and it is not remembered."""
         instances = self._instances.get(module)
         if instances is None:
             if others is not None and len(self._instances) >= others + MOST_STRANGERS:
@@ -36,7 +37,7 @@ class Liveness:
         return True
 
     def expect(self, module: ModuleName, instance: str, now: float) -> None:
-        """It should live: from now on it is missed if nothing is heard."""
+        """Note that an instance should be alive: it counts as missing if no message comes from now on."""
         self._heard.setdefault((module, instance), now)
 
     def forget(self, module: ModuleName, instance: str) -> None:
@@ -51,7 +52,7 @@ class Liveness:
         return self._instances.get(module, [])
 
     def list_silent(self, now: float, silence_s: float) -> list[tuple[ModuleName, str, float]]:
-        """Who has not been heard for so long, and for how long."""
+        """The instances without a message for so long, and the time since the last one."""
         heard = list(self._heard.items())
         return [(*who, now - at) for who, at in heard if now - at > silence_s]
 

@@ -1,8 +1,8 @@
 """Checks the whole chain of the log in the background, while the lab works.
 
-A kernel's start checks what it folds: the log behind the snapshot. What stands below is looked at here, at
-low speed, by a thread with a connection of its own: it takes the processor for a tenth of the time at the
-most, and for less than a millisecond at once.
+A kernel's start checks the part of the log that it folds, after the snapshot. The part before is checked
+here, at low speed, by a thread with a connection of its own: it uses the processor for at most a tenth of the
+time, and for less than a millisecond at once.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import structlog
 from labos.errors import LabosError
 
 SHARE = 0.1
-"""The part of the time that the thread works, at the most."""
+"""The largest part of the time in which the thread works."""
 
 LEAST_PAUSE_S = 0.001
 
 Tell = Callable[[int, int], None]
 Check = Callable[[Tell], Any]
-"""Checks everything, tells now and then how far it is, (records, of how many), and returns the damage that it
-found, a value with ``position`` and ``reason``, or None."""
+"""A check of the whole log. It reports its progress from time to time (records, of how many), and returns the
+damage that it found, a value with ``position`` and ``reason``, or None."""
 
 _log = structlog.get_logger(__name__)
 
@@ -36,8 +36,8 @@ class _Stopped(Exception):
 
 class LogCheck:
     """One check, from ``start`` to its end. ``on_damage(position, reason)`` is called in the loop's thread.
-    ``checked`` of ``total`` records were looked at so far; ``done`` says that it has come to its end, and
-    ``damage`` what it found, in words."""
+    ``checked`` of ``total`` records have been checked so far; ``done``: the check has ended, and ``damage``
+    is the damage that it found, in words."""
 
     def __init__(self, check: Check, on_damage: Callable[[int, str], None]) -> None:
         self._check, self._on_damage = check, on_damage
@@ -54,17 +54,17 @@ class LogCheck:
         self._thread.start()
 
     async def close(self) -> None:
-        """End it, wherever it is. A thread that waits for a frozen database is left behind."""
+        """Stop the check. A thread that waits for a frozen database is not waited for."""
         self._ending.set()
         if self._thread.is_alive():
             await self._loop.run_in_executor(None, self._thread.join, 1.0)
 
     def make_view(self) -> dict[str, Any]:
-        """How far it is, for people and programs."""
+        """The progress, for people and programs."""
         return {"checked": self.checked, "of": self.total, "done": self.done, "damage": self.damage}
 
     async def wait(self) -> None:
-        """Until it has come to its end."""
+        """Wait until the check has ended."""
         await self._loop.run_in_executor(None, self._thread.join)
 
     # -- in the thread -----------------------------------------------------------------------
@@ -74,7 +74,7 @@ class LogCheck:
             found = self._check(self._tell)
         except _Stopped:
             return
-        except LabosError as error:  # the database is away: the next start looks again
+        except LabosError as error:  # the database is away: the next start checks again
             _log.warning("log_check_ended_early", records=self.checked, why=str(error))
             return
         self.done = True
@@ -85,7 +85,7 @@ class LogCheck:
         _log.error("log_damaged", position=found.position, why=found.reason)
         try:
             self._loop.call_soon_threadsafe(self._on_damage, found.position, found.reason)
-        except RuntimeError:  # the loop is closed: the next start looks again
+        except RuntimeError:  # the loop is closed: the next start checks again
             pass
 
     def _tell(self, checked: int, total: int) -> None:

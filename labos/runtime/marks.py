@@ -1,8 +1,9 @@
-"""Which requests the log knows: the first event of each bears the request's mark as its causation.
+"""Finds out which requests are in the log: the first event of each has the request's mark as its causation.
 
-A client that heard no answer asks again with the same Idempotency-Key. While the kernel lives, it remembers
-the answer. A kernel that was started since, and an API process whose kernel is away, have the log to ask
-whether the request was carried out. Behind a mark stands what tells the request from others with its key.
+A client without an answer sends its request again with the same Idempotency-Key. A running kernel remembers
+the answer. A kernel that was started later, and an API process whose kernel is away, find out from the log
+whether the request was carried out. The mark is followed by a digest that distinguishes the request from
+others with the same key.
 """
 
 from __future__ import annotations
@@ -18,28 +19,28 @@ import structlog
 from labos.runtime.ledger import Entry
 
 PREFIX = "request:"
-"""No event's id begins so."""
+"""No event id begins with this."""
 
 MARK: ContextVar[str] = ContextVar("mark", default="")
-"""The mark of the request that is being carried out; empty where it needs none."""
+"""The mark of the request that is being carried out; empty if it needs none."""
 
 LOOKED_AT = 50_000
-"""So many of the last records are looked through for marks at a start."""
+"""At a start, so many of the last records are searched for marks."""
 
 MOST = 50_000
-"""Marks that are known."""
+"""The largest number of known marks."""
 
 _log = structlog.get_logger(__name__)
 
 
 class MarkedLog(Protocol):
-    """A log that finds records by the beginning of their causation."""
+    """A log that finds records by the first part of their causation."""
 
     def list_caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]: ...
 
 
 class Marks:
-    """A kernel's listener; ``begin`` looks at what earlier kernels have written."""
+    """A kernel's listener; ``begin`` reads the records of earlier kernels."""
 
     def __init__(self, log: MarkedLog) -> None:
         self._log = log
@@ -47,7 +48,7 @@ class Marks:
         self._reading: asyncio.Task[None] | None = None
 
     def begin(self) -> None:
-        """Read the marks of the last records, beside everything else."""
+        """Read the marks of the last records, in the background."""
         self._reading = asyncio.get_running_loop().create_task(self._read())
 
     async def find(self, mark: str) -> int:
@@ -55,13 +56,13 @@ class Marks:
         StoreUnavailable."""
         while self._reading is not None:
             reading = self._reading
-            await asyncio.shield(reading)  # what cannot be read is not known: the asker hears of it
+            await asyncio.shield(reading)  # raises if the log cannot be read
             if self._reading is reading:
                 self._reading = None
         return self._known.get(mark, (0, ""))[0]
 
     def find_digest(self, mark: str) -> str:
-        """What stands behind a mark that is known: the beginning of a digest; empty in older logs."""
+        """The text after a known mark: the first part of a digest; empty in older logs."""
         return self._known[mark][1]
 
     async def close(self) -> None:
@@ -75,7 +76,7 @@ class Marks:
                 self._note(entry.record.head.causation, entry.position)
 
     def on_reopened(self) -> None:
-        """Something may be in the log that was not known to be on disk."""
+        """The log may have records that were not known to be on disk."""
         self.begin()
 
     async def _read(self) -> None:

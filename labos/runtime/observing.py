@@ -1,4 +1,5 @@
-"""What modules see: the ``observe`` of their nodes, in words of the log."""
+"""Observations of modules: asks nodes to ``observe``, and translates their answers to the names of the
+log."""
 
 from __future__ import annotations
 
@@ -27,32 +28,32 @@ _encode = msgspec.json.Encoder().encode
 _reply = msgspec.json.Decoder(AdminReply)
 
 MOST_SEEN = 10_000
-"""No station holds more."""
+"""A count that no station reaches."""
 
 
 class Observer:
-    """Asks modules for one kernel. ``answer_s`` is how long a node may take to say what it sees."""
+    """Asks modules for one kernel. ``answer_s`` is how long a node may take to answer."""
 
     def __init__(self, kernel: Kernel, bus: Bus, answer_s: float) -> None:
         self._kernel, self._bus, self._answer_s = kernel, bus, answer_s
 
     def explain_cannot_ask(self, module: ModuleName) -> str:
-        """Why a module cannot be asked now; empty if it can. What still moves shows nothing."""
+        """Why a module cannot be asked now; empty if it can. A module that still moves cannot observe."""
         known = self._kernel.state.modules.by_name.get(module)
         if known is None:
             return "it does not exist"
         return "" if known.status in (ModuleStatus.IDLE, ModuleStatus.ERROR) else f"it is {known.status}"
 
     async def observe(self, module: ModuleName) -> dict[StationName, Any]:
-        """What a module sees, by station. Raises BusError if it does not say, StoreError."""
+        """The observations of a module, by station. Raises BusError if it does not answer, StoreError."""
         seen = (await observe_module(self._kernel, self._bus, module, self._answer_s)).get("labware")
         told = seen if isinstance(seen, Mapping) else {}
         return {resolve_station(module, str(place)): what for place, what in told.items()}
 
 
 class ObservingListener(ABC, Generic[Name]):
-    """A kernel's listener that observes about what it hears of: one task for each name. ``answer_s`` is how
-    long a node may take to say what it observes; ``observed`` counts."""
+    """A kernel's listener that starts observations after events: one task for each name. ``answer_s`` is how
+    long a node may take to answer; ``observed`` is the number of observations."""
 
     def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0) -> None:
         self._kernel, self._observer = kernel, Observer(kernel, bus, answer_s)
@@ -61,7 +62,7 @@ class ObservingListener(ABC, Generic[Name]):
         self.observed = 0
 
     def start(self) -> None:
-        """Observe from now on, and at once for what is open already."""
+        """Observe from now on, and at once for everything that is open already."""
         self._kernel.listeners.append(self)
         self.on_reopened()
 
@@ -86,7 +87,7 @@ class ObservingListener(ABC, Generic[Name]):
 
 
 class Requester(Protocol):
-    """In whose name a node is asked."""
+    """The sender of a request to a node."""
 
     @property
     def lab(self) -> LabId: ...
@@ -98,8 +99,8 @@ class Requester(Protocol):
 async def observe_module(
     kernel: Requester, bus: Bus, module: ModuleName, answer_s: float
 ) -> Mapping[str, Any]:
-    """What a module's device sees: variables by name, ``labware`` by station. Raises BusError if its node
-    does not say, StoreError."""
+    """The observations of a module's device: variables by name, ``labware`` by station. Raises BusError if
+    its node does not answer, StoreError."""
     request = AdminRequest(kernel.lab, kernel.epoch, "observe", {})
     key = Keys(kernel.lab).operation(module, "admin")
     payload = await bus.query(key, _encode(request), answer_s)
@@ -110,14 +111,14 @@ async def observe_module(
 
 
 def resolve_station(module: ModuleName, place: str) -> StationName:
-    """A place as a node names it: its own ``nest``, or ``sealer.default`` of another."""
+    """The station for a name that a node uses: its own ``nest``, or ``sealer.default`` of another module."""
     bare = place.rpartition("/")[2]
     return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")
 
 
 def read_contents(state: LabState, what: Any) -> tuple[int | None, LabwareId] | None:
-    """What a node says of a station: whether something is there, how much, or its barcode; as a count
-    (null: at least one) and the labware that bears it. None if it cannot tell."""
+    """A node's observation of a station: whether there is something, how much, or a barcode. Returns the
+    count (null: at least one) and the labware with this barcode. None if the node cannot tell."""
     if isinstance(what, bool):
         return (None if what else 0), LabwareId("")
     if isinstance(what, int):

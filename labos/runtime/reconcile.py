@@ -1,12 +1,11 @@
-"""Where labware is that nobody saw arrive: the lab looks before it asks a person to.
+"""Finds out where labware is after a motion with an unknown end: the lab observes before it asks a person.
 
-The ladder: what the driver's own ``observe`` sees (a hand's sensor, a nest's), then the modules
-that say that they see the places in question (``observes`` in their config, or as the observer that a
-station names). What is seen goes to
-the kernel like a person's word; what nobody sees stays the question that a person answers.
+First the driver's own ``observe`` (the sensor of a hand or a nest), then the modules that can observe the
+places in question (``observes`` in their config, or the observer that a station names). The kernel accepts an
+observation like a person's report; if there is none, the question stays for a person.
 
-The module itself is asked first, always, and nothing more is asked while its hand is full: only a
-person can put down what it holds, and places seen before and after that do not go together.
+The module itself is always asked first. While its hand is full, no other module is asked: only a person can
+put down the labware in the hand, and observations before and after that do not fit together.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from labos.runtime.ledger import Entry
 from labos.runtime.observing import ObservingListener, read_contents, resolve_station
 
 KINDS = ("unknown_action", "lost_labware")
-"""Questions about motions that nobody saw end."""
+"""Questions about motions with an unknown end."""
 
 _log = structlog.get_logger(__name__)
 
 
 class Reconciler(ObservingListener[InterventionId]):
-    """Finds out for one kernel how motions ended that nobody saw end."""
+    """Finds out for one kernel how motions with an unknown end have ended."""
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
@@ -52,14 +51,14 @@ class Reconciler(ObservingListener[InterventionId]):
             if question.kind in KINDS:
                 self._observe_soon(question.id)
 
-    # -- the ladder --------------------------------------------------------------------------
+    # -- the order of observers ---------------------------------------------------------------
 
     def _observe_again(self, module: ModuleName) -> None:
-        """A module is back, or at rest: it, or what it sees, may answer now."""
+        """A module is back, or at rest: the module, or an observer of it, may answer now."""
         try:
             questions = list(self._kernel.state.interventions.open.values())
         except StoreError:
-            return  # looked for when the log is open again
+            return  # observed again when the log is open
         for question in questions:
             if question.kind in KINDS and workcell_of(ModuleName(question.module)) == workcell_of(module):
                 self._observe_soon(question.id)
@@ -85,7 +84,7 @@ class Reconciler(ObservingListener[InterventionId]):
                 del self._observing[name]
 
     async def _ask(self, module: ModuleName, wanted: set[StationName], about: InterventionId) -> bool:
-        """Ask a module what it sees, and tell the kernel; whether it answered."""
+        """Let a module observe, and submit its observations to the kernel; returns whether it answered."""
         if self._observer.explain_cannot_ask(module):
             return False  # asked again when it is at rest
         try:
@@ -94,15 +93,15 @@ class Reconciler(ObservingListener[InterventionId]):
             _log.info("nothing_seen", module=module, why=str(error))
             return False
         if self._are_all_empty(about, sights):
-            return True  # it stands where nobody thinks: a person has to look
+            return True  # it is at none of its possible places: a person has to find it
         for station, what in sights.items():
             if station in wanted and self._open(about) is not None:
                 self._tell(module, station, what)
         return True
 
     def _are_all_empty(self, about: InterventionId, sights: Mapping[StationName, Any]) -> bool:
-        """Whether every place where some labware may be is seen empty at once: told one by one, the
-        last place would count as found."""
+        """Whether all possible places of some labware are observed as empty at once. If these observations
+        were submitted one by one, the labware would count as found at the last place."""
         question = self._open(about)
         wanted = self._list_possible_places(question) if question is not None else set()
         known = self._kernel.state.bench.labware.values()
@@ -119,13 +118,13 @@ class Reconciler(ObservingListener[InterventionId]):
         else:
             self.observed += 1
 
-    # -- what to look for --------------------------------------------------------------------
+    # -- the places to observe --------------------------------------------------------------
 
     def _open(self, name: InterventionId) -> Intervention | None:
         return self._kernel.state.interventions.open.get(name)
 
     def _list_possible_places(self, question: Intervention) -> set[StationName]:
-        """Where the labware of a question may be now."""
+        """The places where the labware of a question may be now."""
         state = self._kernel.state
         action = state.actions.open.get(ActionId(question.subject))
         effects = action.effects if action is not None else question.motions
@@ -142,7 +141,8 @@ class Reconciler(ObservingListener[InterventionId]):
         return hand is not None and bool(hand.labware)
 
     def _list_observers(self, wanted: set[StationName], first: ModuleName) -> list[ModuleName]:
-        """The other modules that see one of these places: their own, or said so by ``observes``."""
+        """The other modules that can observe one of these places: as their own, or according to
+        ``observes``."""
         found = []
         for name, module in self._kernel.state.modules.by_name.items():
             told = module.spec.config.get("config", module.spec.config)
@@ -159,7 +159,7 @@ class Reconciler(ObservingListener[InterventionId]):
 
 
 def read_sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
-    """What a node says of a station: whether something is there, how much, or its barcode; null if
-    it cannot tell."""
+    """The command for a node's observation of a station: whether there is something, how much, or a barcode;
+    null if the node cannot tell."""
     said = read_contents(state, what) if station in state.bench.stations else None
     return ObserveStation(station, by, *said) if said is not None else None

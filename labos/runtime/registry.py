@@ -1,10 +1,11 @@
-"""Who answers for which module: nodes are noticed, heard and missed here.
+"""Keeps track of the nodes of modules: which are on the bus, and which are missing.
 
-A node is there when its liveliness token is; it is silent when its heartbeat stops although the
-token stands (a process alive with its interpreter held is not noticed otherwise).
+A node is present while its liveliness token exists. It is silent if its heartbeat stops although the token
+exists (otherwise a running process with a blocked interpreter would not be noticed).
 
-Tokens and heartbeats can be made up: they lead to a question to the process that serves the module's keys,
-never to more than one at a time, and only for modules that the lab has."""
+Tokens and heartbeats can be forged. They only cause a question to the process that serves the module's keys,
+never more than one at a time, and only for modules that the lab has.
+"""
 
 from __future__ import annotations
 
@@ -36,10 +37,10 @@ from labos.runtime.liveness import Liveness
 from labos.runtime.tasks import Tasks
 
 GREET_S = 0.1
-"""The shortest pause between two questions to one node who it is."""
+"""The shortest pause between two requests to one node for its description."""
 
 LEAVE_S = 2.0
-"""The longest wait for the bus to say that a node is gone whose process has ended."""
+"""The longest wait for the message of the bus that a node is gone, after its process has ended."""
 
 TWO_NODES = "two nodes claim this module"
 
@@ -47,9 +48,9 @@ _log = structlog.get_logger(__name__)
 
 
 class Registry:
-    """Keeps the modules slice in step with the nodes on the bus. ``silence_s`` without a
-    heartbeat counts as gone; a node that obeys another kernel is asked again after ``barred_s``.
-    ``is_stopping`` says whether a module's node was told to end."""
+    """Keeps the modules slice up to date with the nodes on the bus. A node counts as gone after ``silence_s``
+    without a heartbeat; a node that obeys another kernel is asked again after ``barred_s``. ``is_stopping``
+    tells whether a module's node was ordered to end."""
 
     def __init__(
         self,
@@ -79,10 +80,10 @@ class Registry:
         self._left = asyncio.Event()
         self.rejected: dict[ModuleName, str] = {}
         self.metrics: dict[ModuleName, str] = {}
-        """Where the nodes that joined last show their metrics, as ``host:port``."""
+        """The addresses (``host:port``) of the metrics of the nodes that joined last."""
 
     async def start(self) -> None:
-        """Watch from now on. Nodes that the log believes in but that do not live are lost."""
+        """Watch from now on. Nodes that are present in the log but not running are recorded as gone."""
         self._kernel.listeners.append(self)
         self._dispatcher.refuse = self._refuse
         self._handles.append(await self._bus.subscribe(self._keys.all_states, self._on_state))
@@ -99,7 +100,7 @@ class Registry:
 
     @property
     def living(self) -> list[ModuleName]:
-        """Modules for which a node is on the bus, whatever the log says."""
+        """Modules with a node on the bus, whatever the log says."""
         return self._living.modules
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
@@ -128,8 +129,8 @@ class Registry:
             self._drop_stranger(module)
 
     async def wait_until_left(self, modules: Sequence[str]) -> None:
-        """Wait until the log knows that the nodes of ``modules`` are gone, whose processes have ended: what
-        the bus says of it comes a little later."""
+        """Wait until the log has recorded that the nodes of ``modules``, whose processes have ended, are
+        gone. The bus reports this a little later than the end of a process."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(LEAVE_S):
                 while any(self._living.list_instances(ModuleName(module)) for module in modules):
@@ -137,7 +138,7 @@ class Registry:
                     await self._left.wait()
 
     def _hear(self, module: ModuleName, instance: str) -> bool:
-        """It lives; false if nobody needs to know."""
+        """Note that an instance is alive; false if this is of no interest."""
         try:
             known = self._kernel.state.modules.by_name
         except StoreError:
@@ -150,12 +151,12 @@ class Registry:
         return heard
 
     def _drop_stranger(self, module: ModuleName) -> None:
-        """Nobody needs to know any more why a module was rejected that no workcell has."""
+        """Forget why a module was rejected, if no workcell has it."""
         if not self._living.list_instances(module) and not self._dispatcher.doubts.has(module):
             self.rejected.pop(module, None)
 
     def _greet_soon(self, module: ModuleName) -> None:
-        """Greet the node of a module; once more if that is being done."""
+        """Ask the node of a module for its description; if a request is in progress, once more afterwards."""
         if not self._living.list_instances(module):
             return
         if module in self._greeting:
@@ -179,7 +180,7 @@ class Registry:
             del self._greeting[module]
 
     async def _greet(self, module: ModuleName) -> None:
-        """Ask a living node who it is, and let it join. Raises StoreError."""
+        """Ask a running node for its description, and let it join. Raises StoreError."""
         pause = GREET_S
         while self._living.list_instances(module):
             if module not in self._kernel.state.modules.by_name:
@@ -216,7 +217,7 @@ class Registry:
                 pause = min(pause * 2, 2.0)
 
     def _is_second(self, module: ModuleName, about: AboutReport) -> bool:
-        """Whether the module's own node lives besides the one that answered."""
+        """Whether the module's own node is running besides the one that answered."""
         known = self._kernel.state.modules.by_name.get(module)
         if known is None or known.status == ModuleStatus.GONE or known.instance == about.instance:
             return False
@@ -227,7 +228,7 @@ class Registry:
         self._dispatcher.doubts.note("node_not_admitted", module, self.rejected[module])
 
     async def _find_position_beyond(self, about: AboutReport) -> int:
-        """The position up to which a node was told of things, if the log does not hold all of that."""
+        """The position up to which a node was acknowledged, if the log is shorter than that."""
         kernel = self._kernel
         if not about.acknowledged:
             return 0
@@ -248,7 +249,7 @@ class Registry:
     ) -> None:
         description = about.description
         known = self._kernel.state.modules.by_name.get(module)
-        # A node is not BUSY to us with what we asked of it ourselves.
+        # A node that only carries out our own request does not count as BUSY.
         busy_for_us = known is not None and not known.in_flight.keys().isdisjoint(report.running)
         status = "IDLE" if report.status == "BUSY" and busy_for_us else report.status
         if self._is_second(module, about):
@@ -294,8 +295,8 @@ class Registry:
                 self._dispatcher.find_out(action.id)
 
     async def _rewind(self, module: ModuleName) -> None:
-        """Let a node take requests again whose positions it was once told of; losing this costs
-        another question when it joins again. It is out of service meanwhile."""
+        """Let a node accept requests again at positions that were already acknowledged. If this message is
+        lost, another one follows when the node joins again. The module is out of service meanwhile."""
         try:
             await self._kernel.flush()
             request = AdminRequest(
@@ -325,8 +326,8 @@ class Registry:
         self._dispatcher.doubts.outrank(module, epoch)
 
     def _refuse(self, module: ModuleName, why: str) -> None:
-        """A node does not obey this kernel, which is the lab's: nothing more is asked of it, until it says of
-        itself whom it obeys."""
+        """A node does not obey this kernel, although it is the lab's kernel. Nothing more is requested from
+        the node until its own description shows which kernel it obeys."""
         self._keep_out(module, why)
         self._tasks.spawn(self._refuse_after_asking(module, why))
 
@@ -346,7 +347,7 @@ class Registry:
         try:
             known = self._kernel.state.modules.by_name.get(module)
         except StoreError:
-            return  # its node says it again when the log is open
+            return  # its node reports it again when the log is open
         if known is not None and known.status != ModuleStatus.GONE:
             self._lose(module, known.instance, why)
             self._greet_soon(module)
@@ -369,10 +370,11 @@ class Registry:
         except NoAnswer as error:
             self._dispatcher.doubts.note("state_unreadable", module, error.message)
         except LabosError as error:
-            _log.debug("state_dropped", module=module, why=str(error))  # it comes again
+            _log.debug("state_dropped", module=module, why=str(error))  # the next one follows
 
     def _compare_report(self, module: ModuleName, report: StateReport) -> None:
-        """A node's own view: its status, and actions of ours that it has ended or never got."""
+        """Compare a heartbeat with the log: the node's status, and actions of ours that have ended or never
+        arrived."""
         state = self._kernel.state
         known = state.modules.by_name.get(module)
         if known is None:
@@ -387,23 +389,21 @@ class Registry:
         status = report.status
         if status == "BUSY" and any(action.id in report.running for action in mine):
             status = "IDLE"
-        # Who changes its mind in a flood is heard with the next heartbeat.
+        # If a node changes its status too often, the next heartbeat brings the present one.
         if (status, report.error) != (known.status, known.error) and self._changes.spend(module):
             self._kernel.submit(ReportState(module, status, report.error), str(module))
         for action in mine:
             ended = action.id in report.finished or action.id in report.interrupted
             lost = action.status == ActionStatus.ACCEPTED and action.id not in report.running
-            if (
-                action.status == ActionStatus.UNKNOWN
-            ):  # a node that knows no more than that is not asked again
+            if action.status == ActionStatus.UNKNOWN:  # a node that has no further facts is not asked again
                 ended, lost = action.id in report.finished and not action.looks, False
             if action.status != ActionStatus.REPORTED and (ended or lost):
                 self._dispatcher.find_out(action.id)
         self._discovery.compare(module, report)
 
     async def _listen(self) -> None:
-        """Miss the nodes whose heartbeat has stopped, and those that only the log remembers. A token alone
-        does not count for ever: word of its end may have come before word of itself."""
+        """Record nodes as gone if their heartbeat has stopped, or if only the log still has them. A token
+        alone is not enough for long: the bus may report the end of a token before its beginning."""
         while True:
             await asyncio.sleep(self._silence_s / 4)
             try:
@@ -428,7 +428,8 @@ class Registry:
             self._report_double(name, now)
 
     def _report_double(self, module: ModuleName, now: float) -> None:
-        """Two nodes that both go on living under one name are more than one that takes the other's place."""
+        """Report two nodes with the same name if both stay alive: then the second one is not a replacement of
+        the first."""
         known = self._kernel.state.modules.by_name[module]
         living = self._living.list_instances(module)
         if known.status == ModuleStatus.GONE or known.instance not in living or len(living) < 2:
@@ -443,7 +444,7 @@ class Registry:
                 module, f"besides the node that is in use ({known.instance}) others use its name: {others}"
             )
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     async def _ask_about(self, module: ModuleName) -> AboutReport:
         return read_about(await self._query(module, "about"), str(module))

@@ -1,4 +1,4 @@
-"""Notices that a peer that was asked has been silent for too long."""
+"""Notices that a peer has not answered a request for too long."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import asyncio
 from collections.abc import Callable
 
 LOOK_S = 1.0
-"""How often it looks, at the least; ten times within a shorter limit."""
+"""The longest pause between two checks; a shorter limit is checked ten times."""
 
 
 class SilenceTimer:
-    """Calls ``on_silence`` when ``sign()`` has stayed the same for ``limit_s``, and again as long as it
-    does; None means that nothing was asked, and then nobody looks.
+    """Calls ``on_silence`` when ``sign()`` has not changed for ``limit_s``, and again as long as it does not;
+    if it is None, there is no open request and the checks end.
 
-    Only time in which this process itself ran is counted: a kernel that was frozen, or whose machine
-    slept, has no reason to blame others.
+    Only time in which this process itself ran is counted: if a kernel was frozen, or its machine slept, the
+    peer is not the cause.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class SilenceTimer:
         self._looked_at = self._silent_s = 0.0
 
     def watch(self) -> None:
-        """Something was asked."""
+        """There is an open request."""
         if self._alarm is None:
             self._seen = None
             self._look_later()

@@ -1,4 +1,5 @@
-"""How the processes of nodes are made: each from nothing, or as forks of one that has loaded everything."""
+"""Starts the processes of nodes: each with a new interpreter, or as forks of one that has loaded
+everything."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ import structlog
 from labos.runtime.fork_server import PACKET, Answer, ChildEnded, StartChild
 
 PYTHON = (sys.executable, "-m", "labos")
-"""How a command begins that the fork server can become."""
+"""The first words of a command that the fork server can carry out."""
 
 PATIENCE_S = 30.0
 """How long the fork server may take to start, and for each child."""
@@ -42,18 +43,18 @@ class Child(Protocol):
         """The code with which it ended; None while it runs."""
 
     def let_go(self) -> None:
-        """Close its standard input: nobody attends it any more."""
+        """Close its standard input, so that it works without supervision."""
 
 
 class Spawner(Protocol):
-    """Makes processes. ``attended`` ones read a standard input that ends when they are let go of, or when
-    their maker dies."""
+    """Starts processes. ``attended`` ones read a standard input that ends when they are released, or when
+    their parent dies."""
 
     async def spawn(self, argv: Sequence[str], log: Path, *, attended: bool) -> Child:
         """Raises OSError."""
 
     def close(self) -> None:
-        """Make no more; those that were made live on."""
+        """Start no more processes; those that were started continue."""
 
 
 class PlainChild:
@@ -94,7 +95,8 @@ class PlainSpawner:
 
 
 class ForkedChild:
-    """A fork of the server. While that lives it tells how the child ended; after it, only that."""
+    """A fork of the server. While the server runs, it reports how the child ended; later, only the fact that
+    it ended is known."""
 
     def __init__(self, pid: int, stdin: int, is_alive: Callable[[int], bool]) -> None:
         self.pid = pid
@@ -114,9 +116,9 @@ class ForkedChild:
 
 
 class ForkServer:
-    """Starts processes as forks of one that has loaded ``labos node`` (``fork_server``). What the server
-    cannot become, and everything while it does not answer, is started plainly. If it dies, its children live
-    on, and the next process gets a new server."""
+    """Starts processes as forks of one that has loaded ``labos node`` (``fork_server``). A command that the
+    server cannot carry out is started with a new interpreter, and so is every command while the server does
+    not answer. If the server dies, its children continue, and the next process gets a new server."""
 
     def __init__(self, log: Path, is_alive: Callable[[int], bool], patience_s: float = PATIENCE_S) -> None:
         self._log, self._is_alive, self._patience_s = log, is_alive, patience_s
@@ -146,7 +148,7 @@ class ForkServer:
         self._give_up("nobody needs it any more")
 
     def _begin(self) -> socket.socket:
-        """The link to the server, which is started if there is none."""
+        """The link to the server, which is started if it does not run."""
         if self._link is not None:
             return self._link
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -175,7 +177,8 @@ class ForkServer:
         read, write = os.pipe() if attended else (os.open(os.devnull, os.O_RDONLY), -1)
         try:
             with log.open("ab") as file:
-                # A packet goes whole or not at all; the queue holds more of them than a lab has nodes.
+                # A packet is sent completely or not at all; the queue holds more packets than a lab has
+                # nodes.
                 socket.send_fds(link, [msgspec.json.encode(StartChild(words))], [read, file.fileno()])
         except BaseException:
             _close(write)
@@ -212,12 +215,12 @@ class ForkServer:
             return
         child = self._children[answer.pid] = ForkedChild(answer.pid, stdin, self._is_alive)
         if asked.done():
-            child.let_go()  # the caller has gone away
+            child.let_go()  # the caller was cancelled
         else:
             asked.set_result(child)
 
     def _give_up(self, why: str) -> None:
-        """Ask this server no more."""
+        """Send nothing more to this server."""
         link, self._link = self._link, None
         server, self._server = self._server, None
         if link is None or server is None:
@@ -237,7 +240,7 @@ class ForkServer:
 
 
 def make_environment() -> dict[str, str]:
-    """What a node's process finds in its environment."""
+    """The environment of a node's process."""
     return {"LABOS_LOG": "info", **os.environ}
 
 
@@ -247,5 +250,5 @@ def _close(fd: int) -> None:
 
 
 def choose_spawner(log: Path, is_alive: Callable[[int], bool]) -> Spawner:
-    """Forks where that is sound: on Linux. Elsewhere libraries of the system do not bear it."""
+    """Forks where that is safe: on Linux. On other systems, some system libraries do not support it."""
     return ForkServer(log, is_alive) if sys.platform == "linux" else PlainSpawner()

@@ -1,7 +1,7 @@
-"""Emergency stops: over the bus straight to the nodes, without kernel, fence or log.
+"""Emergency stops: directly over the bus to the nodes, without kernel, fencing or log.
 
-A node tells of the stop with its state until it is reset; the kernel records it from there. A stop
-by software is a convenience and no safety function.
+A node reports the stop with its state until it is reset; the kernel records it from there. A stop by software
+is a convenience and not a safety function.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _reply = msgspec.json.Decoder(AdminReply)
 EVERYTHING = "*"
 
 ANSWER_S = 3.0
-"""How long a node may take to say that it has stopped."""
+"""How long a node may take to confirm that it has stopped."""
 
 
 class StopReport(msgspec.Struct, frozen=True):
@@ -35,8 +35,8 @@ class StopReport(msgspec.Struct, frozen=True):
 
 
 def resolve_target(target: str, modules: Iterable[ModuleName]) -> list[ModuleName]:
-    """The modules that a target names: one of them by its full or local name, all of a workcell,
-    or everything (``*``). Of several modules of one name all are meant: rather one too many."""
+    """The modules that a target names: one of them by its full or local name, all of a workcell, or
+    everything (``*``). If several modules have one name, all of them are stopped."""
     return [
         module
         for module in modules
@@ -56,7 +56,7 @@ async def stop_modules(bus: Bus, lab: str, modules: Iterable[ModuleName], by: st
 
 
 async def _stop(bus: Bus, lab: str, module: ModuleName, by: str) -> int | str:
-    """When the module was stopped, or why it is not known to be."""
+    """The time at which the module was stopped, or why that is not known."""
     request = msgspec.json.encode(AdminRequest(lab, 0, "estop", {"by": by}))
     try:
         answer = await bus.query(Keys(lab).operation(module, "admin"), request, ANSWER_S)
@@ -65,7 +65,7 @@ async def _stop(bus: Bus, lab: str, module: ModuleName, by: str) -> int | str:
         return error.message.rstrip(".")
     except NoAnswer:
         return "no node answers for it"
-    except BusError as error:  # what is wrong with one must not keep the others from being stopped
+    except BusError as error:  # an error at one module must not prevent the stop of the others
         return str(error)
     if not reply.done or not isinstance(reply.result, int) or not 0 <= reply.result < 2**63:
         return cut(reply.why) or "its node does not say so"

@@ -1,8 +1,8 @@
-"""Keeps the processes of a lab's nodes alive, and finds those that a dead kernel left behind.
+"""Keeps the processes of a lab's nodes running, and finds those that a dead kernel left behind.
 
-A node ends when its standard input does, so nodes die with their kernel however it dies, after
-they have finished what they were doing. Detached nodes live on and are found by the next kernel
-through the notes in ``<home>/nodes``.
+A node ends when its standard input ends, so nodes end with their kernel, whatever the reason, after they have
+finished their present actions. Detached nodes continue; the next kernel finds them through the notes in
+``<home>/nodes``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from labos.runtime.spawning import Child, ExitCode, PlainSpawner, Spawner
 
 POLL_S = 0.1
 GRACE_S = 30.0
-"""How long nodes may go on with what they are doing when the lab is closed."""
+"""How long nodes may continue their present actions when the lab is closed."""
 
 QUICK_S = 5.0
 """A node that ends within this time of its start has failed to start."""
@@ -38,7 +38,7 @@ class NodeCommand(msgspec.Struct, frozen=True):
 
 
 class NodeProcess(msgspec.Struct):
-    """A node's process as it is now. ``pid`` 0: none."""
+    """The present process of a node. ``pid`` 0: none."""
 
     module: str
     state: Literal["starting", "running", "failed", "quarantined", "stopped"] = "starting"
@@ -49,7 +49,7 @@ class NodeProcess(msgspec.Struct):
 
 
 class _Note(msgspec.Struct):
-    """What is written down of a process, for the next kernel."""
+    """The note about a process for the next kernel."""
 
     module: str
     pid: int
@@ -57,8 +57,8 @@ class _Note(msgspec.Struct):
 
 
 class Supervisor:
-    """Starts nodes, starts crashed ones again, and gives those up that fail ``patience`` times
-    in a row as soon as they start. ``is_alive`` says whether a process of that id exists."""
+    """Starts nodes and restarts crashed ones. A node that fails ``patience`` times in a row directly after
+    its start is not started again. ``is_alive`` tells whether a process with that id exists."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class Supervisor:
         self._hurry = asyncio.Event()
 
     def start(self, commands: Sequence[NodeCommand]) -> None:
-        """Keep these nodes alive from now on; those known already are left alone."""
+        """Keep these nodes running from now on; those known already are not touched."""
         self._notes.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._logs.mkdir(mode=0o700, parents=True, exist_ok=True)
         for command in commands:
@@ -96,11 +96,11 @@ class Supervisor:
         return self._logs / f"{module.replace('/', '.')}.log"
 
     def hurry(self) -> None:
-        """Do not let the nodes finish what they are doing."""
+        """Do not let the nodes finish their present actions."""
         self._hurry.set()
 
     async def close(self, grace_s: float = GRACE_S) -> list[str]:
-        """Stop every node: each finishes what it is doing, but no longer than ``grace_s``. Returns the
+        """Stop every node: each may finish its present actions, but no longer than ``grace_s``. Returns the
         modules whose nodes were killed then."""
         self._closing = True
         killed = []
@@ -123,14 +123,14 @@ class Supervisor:
         return killed
 
     def leave(self) -> None:
-        """Keep nobody alive any more, and leave every node as it is: it obeys another kernel."""
+        """Supervise no node any more, and leave every node as it is: it obeys another kernel."""
         self._closing = True
         for task in self._tasks.values():
             task.cancel()
         self._spawner.close()
 
     async def stop(self, module: str) -> None:
-        """Keep a node alive no more; it finishes what it is doing."""
+        """Stop a node: it finishes its present actions, and is not started again."""
         node, task = self.nodes.get(module), self._tasks.get(module)
         if node is None or task is None:
             return
@@ -141,7 +141,7 @@ class Supervisor:
         del self.nodes[module], self._tasks[module]
 
     def is_stopping(self, module: str) -> bool:
-        """Whether its node was told to end, and is not started again."""
+        """Whether its node was ordered to end, and is not started again."""
         return self._closing or module in self._dropped
 
     # -- one node ----------------------------------------------------------------------------
@@ -176,7 +176,7 @@ class Supervisor:
             node.state = "stopped"
 
     async def _judge(self, node: NodeProcess, code: ExitCode, lasted_s: float) -> None:
-        """It ended unasked: start it again after a while, or give it up."""
+        """A node ended without an order: start it again after a while, or stop trying."""
         node.failures = node.failures + 1 if lasted_s < QUICK_S else 1
         node.why = self._read_last_line(node.module) or f"it ended with code {code}"
         _log.warning("node_ended", module=node.module, code=code, lasted_s=round(lasted_s, 1), why=node.why)
@@ -202,7 +202,7 @@ class Supervisor:
         with contextlib.suppress(OSError):
             self._note_file(command.module).write_bytes(msgspec.json.encode(note))
         if self.is_stopping(command.module):
-            self._ask_to_stop(node)  # asked for while it was started
+            self._ask_to_stop(node)  # the stop was requested during its start
         return child
 
     def _ask_to_stop(self, node: NodeProcess) -> None:
@@ -215,13 +215,13 @@ class Supervisor:
     def _let_go(self, module: str) -> None:
         self._children.pop(module).let_go()
 
-    # -- what an earlier kernel left ---------------------------------------------------------
+    # -- processes of an earlier kernel ------------------------------------------------------
 
     def _note_file(self, module: str) -> Path:
         return self._notes / f"{module.replace('/', '.')}.json"
 
     def _find_survivor(self, module: str) -> _Note | None:
-        """The process of this node that an earlier kernel started, if it still lives."""
+        """The process of this node that an earlier kernel started, if it is still running."""
         try:
             note = msgspec.json.decode(self._note_file(module).read_bytes(), type=_Note)
         except (OSError, msgspec.MsgspecError):
@@ -240,12 +240,12 @@ class Supervisor:
 
 
 def _is_node(note: _Note) -> bool:
-    """Whether the process is the node it was, and no other that got its id since."""
+    """Whether the process is still the same node, and not another one with the same id."""
     try:
         words = Path(f"/proc/{note.pid}/cmdline").read_bytes().replace(b"\0", b" ").split()
     except OSError:
-        return True  # no such place on this system: the note has to do
-    # A process that has only just been made shows nothing yet.
+        return True  # no such folder on this system: the note has to be enough
+    # A process that has just been made shows no command yet.
     return not words or note.module.rpartition("/")[2].encode() in words
 
 

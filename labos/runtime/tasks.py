@@ -1,4 +1,4 @@
-"""Tasks that nobody waits for: one that ends with an error is told of."""
+"""Background tasks: an error in one is reported."""
 
 from __future__ import annotations
 

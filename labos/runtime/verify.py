@@ -1,7 +1,7 @@
-"""Looks before it is believed: the observers of stations are asked when a device says that it is done.
+"""Observes the result of a reported action before it is accepted: the observers of its stations are asked.
 
-What they see goes to the kernel as ``VerifyAction``, which decides. An observer that does not answer is
-asked again for a while; then nobody knows how the action ended, and the ladder of ``reconcile`` begins.
+Their observations go to the kernel as ``VerifyAction``; the core decides. An observer that does not answer is
+asked again for a while. After that the outcome of the action is unknown, and ``reconcile`` begins.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _log = structlog.get_logger(__name__)
 
 
 class Verifier(ObservingListener[ActionId]):
-    """Observes for one kernel whether reported actions did what they should. ``patience_s`` is how long an
-    observer is asked that does not answer."""
+    """Observes for one kernel whether reported actions had their effects. ``patience_s`` is how long an
+    observer that does not answer is asked."""
 
     def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, patience_s: float = 30.0) -> None:
         super().__init__(kernel, bus, answer_s=answer_s)
@@ -50,7 +50,7 @@ class Verifier(ObservingListener[ActionId]):
     # -- one action --------------------------------------------------------------------------
 
     async def _observe(self, name: ActionId) -> None:
-        """Look until what was seen held still meanwhile, and was all there was to see."""
+        """Observe until nothing has changed during an observation, and every place was observed."""
         clock = self._kernel.clock
         give_up = clock.monotonic() + self._patience_s
         try:
@@ -70,13 +70,14 @@ class Verifier(ObservingListener[ActionId]):
                     return
                 await asyncio.sleep(PAUSE_S)
         except LabosError as error:
-            _log.info("look_given_up", action=name, why=str(error))  # looked again when it is open again
+            _log.info("look_given_up", action=name, why=str(error))  # observed again when the log is open
         finally:
             if self._observing.get(name) is asyncio.current_task():
                 del self._observing[name]
 
     async def _list_observations(self, action: Action) -> tuple[tuple[Seen, ...], str]:
-        """What the observers see where an action should have had its effect; and why not all was seen."""
+        """The observations at the places where an action should have had its effect; and why not every place
+        was observed."""
         state = self._kernel.state
         by_observer: dict[ModuleName, list[StationName]] = {}
         for place in action.looks:
@@ -111,7 +112,7 @@ class Verifier(ObservingListener[ActionId]):
             stands = len(station.labware) + len(station.stock)
             strange = sight.labware and sight.labware not in station.labware
             if strange or sight.count not in (None, stands):
-                # It is not all as it should be there, whatever became of this action.
+                # The station differs from the log, independent of this action.
                 told = ObserveStation(sight.station, sight.by, sight.count, sight.labware)
                 self._submit(told, action)
 
@@ -120,14 +121,14 @@ class Verifier(ObservingListener[ActionId]):
         if isinstance(answer, Rejection):
             _log.info("sight_not_taken", action=action.id, why=answer.message)
 
-    # -- what there is to look at ------------------------------------------------------------
+    # -- the places to observe --------------------------------------------------------------
 
     def _find_reported(self, name: ActionId) -> Action | None:
         action = self._kernel.state.actions.open.get(name)
         return action if action is not None and action.status == ActionStatus.REPORTED else None
 
     def _is_at_work(self, action: Action) -> bool:
-        """Whether an observer does something else: its device may not be able to look meanwhile."""
+        """Whether an observer does something else: its device may not be able to observe meanwhile."""
         state = self._kernel.state
         stations = [state.bench.stations[place] for place in action.looks if place in state.bench.stations]
         observers = {station.spec.observer for station in stations}
@@ -135,7 +136,8 @@ class Verifier(ObservingListener[ActionId]):
         return any(module.in_flight.keys() - {action.id} for module in modules)
 
     def _describe_places(self, action: Action) -> list[tuple[Any, ...]]:
-        """What is known of the places that are looked at: if it changes meanwhile, what is seen is old."""
+        """The known facts about the observed places: if they change meanwhile, the observation is out of
+        date."""
         bench = self._kernel.state.bench
         moving = is_disturbed(self._kernel.state, action)
         return [

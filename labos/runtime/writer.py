@@ -1,9 +1,9 @@
 """The one thread that writes the log.
 
-Batches queue up while a commit is under way and go to disk together in the next one (natural
-group commit). A batch that somebody waits for never waits for others to come; only one that nobody
-waits for is held back a moment (``PatientWriter``). After a failed commit everything queued is
-dropped: the kernel reads the log again before it writes anything more.
+Batches queue up while a commit is in progress and go to disk together in the next one (natural group commit).
+If a caller waits for a batch, the batch never waits for later ones; only a batch without a waiting caller is
+held back for a moment (``PatientWriter``). After a failed commit all queued batches are dropped: the kernel
+reads the log again before it writes anything more.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from labos.runtime.silence import SilenceTimer
 T = TypeVar("T")
 
 HOLD_S = 0.02
-"""How long a batch that may wait does so: longer than a quick action takes, too short to see."""
+"""How long a batch that may wait is held back: longer than a quick action takes, too short to be noticed."""
 
 SILENCE_S = 10.0
-"""A database that says nothing for so long is given up, unless it is said otherwise."""
+"""A request to a database without an answer for so long is abandoned, unless another limit is set."""
 
 LEAVE_S = 5.0
-"""How long a thread that was helped out of a call may take to end."""
+"""How long a thread may take to end after its pending call was interrupted."""
 
 
 class Writer(Protocol):
@@ -41,7 +41,7 @@ class Writer(Protocol):
     def begin(
         self, head: Head, on_durable: Callable[[int], None], on_failure: Callable[[StoreError], None]
     ) -> None:
-        """Write behind ``head`` from now on. ``on_durable(position)`` after each commit."""
+        """Write after ``head`` from now on. ``on_durable(position)`` is called after each commit."""
 
     def submit(self, records: Sequence[Record]) -> None: ...
 
@@ -52,8 +52,8 @@ class Writer(Protocol):
 
 
 class PatientWriter:
-    """Passes batches on to a writer. One that ``may_wait`` stays back for a moment, so that it
-    can go to disk with the next one; whatever else is asked of the writer sends it off first."""
+    """Passes batches on to a writer. A batch that ``may_wait`` is held back for a moment, so that it can be
+    written together with the next one; any other request to the writer sends it at once."""
 
     def __init__(self, writer: Writer, *, hold_s: float = HOLD_S) -> None:
         self._writer = writer
@@ -75,7 +75,7 @@ class PatientWriter:
             self._alarm = asyncio.get_running_loop().call_later(self._hold_s, self.flush)
 
     def flush(self) -> None:
-        """Somebody waits for what was submitted."""
+        """A caller waits for the submitted batches."""
         if self._alarm is not None:
             self._alarm.cancel()
             self._alarm = None
@@ -93,14 +93,14 @@ class PatientWriter:
 
 
 class AnsweringStore(EventStore, Protocol):
-    """A store that can be abandoned during a call."""
+    """A store whose calls can be interrupted."""
 
     name: str
     answered: int
-    """Goes up while a long reading of the log gets on."""
+    """Increases while a long reading of the log makes progress."""
 
     def hang_up(self) -> None:
-        """Break off whatever any thread waits for in the database; it gets StoreUnavailable."""
+        """Interrupt the database calls of all threads; they raise StoreUnavailable."""
 
 
 class _Batch(msgspec.Struct, frozen=True):
@@ -118,11 +118,11 @@ _Job = _Batch | _Call | None
 
 
 class ThreadWriter:
-    """The writer over a real store. One that has not answered for ``silence_s`` is given up: the caller who
-    waits hears so at once, and what the thread hangs in is broken off.
+    """The writer over a real store. A call without an answer for ``silence_s`` is abandoned: the waiting
+    caller gets an error at once, and the thread's pending call is interrupted.
 
-    ``turn`` counts how often it began and gave up: what belongs to an earlier turn is neither written
-    nor told. ``on_commit`` is told how long each commit took, in seconds.
+    ``turn`` counts the starts and abandonments: jobs of an earlier turn are neither written nor reported.
+    ``on_commit`` is called with the duration of each commit, in seconds.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class ThreadWriter:
             self._calls.discard(future)
 
     async def close(self) -> None:
-        """Write what was submitted. A thread that hangs, and cannot be helped out, is left behind."""
+        """Write the submitted batches. A thread whose call cannot be interrupted is not waited for."""
         self._jobs.put(None)
         patience_s = None if math.isinf(self._silence_s) else self._silence_s + LEAVE_S
         await self._loop.run_in_executor(None, self._thread.join, patience_s)
@@ -184,7 +184,7 @@ class ThreadWriter:
     # -- silence -----------------------------------------------------------------------------
 
     def _sign(self) -> tuple[int, int] | None:
-        """Changes whenever the store has answered; None if nobody has asked."""
+        """A value that changes whenever the store has answered; None if there is no open request."""
         return (self._done, self._store.answered) if self._done < self._given else None
 
     def _give_up(self) -> None:
@@ -223,7 +223,7 @@ class ThreadWriter:
                 job = self._write(job)
 
     def _write(self, first: _Batch) -> _Job:
-        """Commit a batch with those that queued up behind it; returns the job after them."""
+        """Commit a batch together with those that queued up behind it; returns the next job."""
         records, taken = list(first.records), 1
         while len(records) < self._largest:
             try:
@@ -242,7 +242,7 @@ class ThreadWriter:
 
     def _commit(self, records: list[Record], turn: int) -> None:
         if self._head is None or turn != self._turn:
-            return  # dropped: an earlier commit failed, or was given up
+            return  # dropped: an earlier commit failed, or was abandoned
         began = time.monotonic()
         try:
             self._head = self._store.append(self._head, records)
@@ -258,7 +258,7 @@ class ThreadWriter:
 
     def _serve(self, function: Callable[[EventStore], Any], future: asyncio.Future[Any] | None) -> None:
         if future is not None and future.done():
-            return  # nobody waits for it any more
+            return  # no caller waits for it any more
         try:
             result = function(self._store)
         except Exception as error:
@@ -271,7 +271,7 @@ class ThreadWriter:
     def _tell(self, function: Callable[..., None], *args: Any) -> None:
         try:
             self._loop.call_soon_threadsafe(function, *args)
-        except RuntimeError:  # the loop is closed: nobody waits any more
+        except RuntimeError:  # the loop is closed: no caller waits any more
             pass
 
 
@@ -286,6 +286,6 @@ def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
 
 
 def make_in_doubt_error(error: StoreUnavailable) -> CommitInDoubt:
-    """The error for callers who wait for a commit, when the store failed during it."""
+    """The error for callers who wait for a commit during which the store failed."""
     remedy = f"{error.remedy} Look with `labos log` before you ask for the same again.".strip()
     return CommitInDoubt(error.message, remedy=remedy)

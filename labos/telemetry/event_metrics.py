@@ -184,7 +184,7 @@ class EventMetrics(MetricGroup):
             InterventionResolved: self._on_answered,
         }
 
-    # -- what the kernel says ------------------------------------------------------------------
+    # -- called by the kernel ------------------------------------------------------------------
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
@@ -268,7 +268,7 @@ class EventMetrics(MetricGroup):
         run = self._runs.get(RunId(known.run))
         if run is not None:
             self.user_s.add((self._user(run.user),), seconds)
-        if not isinstance(event, ActionReconciled):  # counted when nobody knew
+        if not isinstance(event, ActionReconciled):  # counted when the outcome became unknown
             outcome = event.TYPE.rpartition(".")[2]
             self.actions.add((*place, outcome))
         if isinstance(event, ActionSucceeded | ActionFailed):

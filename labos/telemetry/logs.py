@@ -45,5 +45,5 @@ def configure_logs(default: str = "warning", stream: TextIO | None = None) -> No
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=lambda *_: _Lines(stream),
     )
-    # Libraries that log by themselves (uvicorn, alembic) speak up only about what went wrong.
+    # Libraries with log lines of their own (uvicorn, alembic) report only errors and warnings.
     logging.basicConfig(level=max(level, logging.WARNING), stream=stream or sys.stderr)

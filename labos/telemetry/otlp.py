@@ -56,7 +56,7 @@ class OtlpSender:
         from opentelemetry.sdk.trace.export import BatchSpanProcessor
         from opentelemetry.sdk.util.instrumentation import InstrumentationScope
 
-        # Of a receiver that is away the library would write a traceback each second.
+        # For a receiver that is away, the library would write a traceback each second.
         logging.getLogger("opentelemetry").setLevel(logging.CRITICAL)
         self.offered = self.taken = 0
         self._trace, self._span, self._resource = trace, ReadableSpan, Resource.create(dict(attributes))

@@ -55,7 +55,7 @@ class ProcessReadings(msgspec.Struct, frozen=True):
 
 
 class ProcessMetrics(MetricGroup):
-    """The metrics of a kernel's process that do not speak of the bench. Most are called as the reading that
+    """The metrics of a kernel's process that are not about the bench. Most have the name of the reading that
     they show."""
 
     def __init__(self) -> None:

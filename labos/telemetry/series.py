@@ -242,7 +242,8 @@ class MetricGroup:
         return [value for value in vars(self).values() if isinstance(value, LabMetric)]
 
     def take(self, readings: msgspec.Struct) -> None:
-        """Each metric that is called as a reading shows it; as before, where that is None."""
+        """Set each metric from the reading with the same name; a metric keeps its value if the reading is
+        None."""
         for name, value in msgspec.structs.asdict(readings).items():
             metric = getattr(self, name, None)
             if isinstance(metric, GaugeMetric) and value is not None:

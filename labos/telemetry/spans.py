@@ -108,7 +108,7 @@ class SpanRecorder:
             ActionReconciled: self._on_reconciled,
         }
 
-    # -- what the kernel says ------------------------------------------------------------------
+    # -- called by the kernel ------------------------------------------------------------------
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         durable_at = self._now()
@@ -121,7 +121,7 @@ class SpanRecorder:
         self.begin_with(self._state())
 
     def begin_with(self, state: LabState) -> None:
-        """Take what is under way from a state; no later event was seen yet."""
+        """Take the work in progress from a state, before later events arrive."""
         self._lab = state.lab.id
         self._runs.clear()
         self._actions.clear()
@@ -247,7 +247,7 @@ class SpanRecorder:
             if until > start:
                 self._tell(trace, (*attempt, name), parent, name, start, until)
 
-        sent = action.durable_at  # not known of one that an earlier kernel has sent
+        sent = action.durable_at  # unknown for an action that an earlier kernel has sent
         began = action.accepted_at or sent
         ended = action.device_ended_at if began <= action.device_ended_at <= at else 0
         if sent:

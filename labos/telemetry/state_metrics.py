@@ -163,7 +163,7 @@ class StateMetrics(MetricGroup):
         mine: Counter[Labels] = Counter(dict.fromkeys(self._seen_users, 0))
         queue = dict.fromkeys(state.lab.workcells, 0)
         queued, active = state.runs.queued.values(), state.runs.active.values()
-        # Thousands may wait: they are counted by what they have in common first.
+        # Thousands may wait: runs with equal properties are counted together first.
         kinds = Counter((run.plan, run.workflow, run.user, run.paused, run.status) for run in queued)
         kinds.update((run.plan, run.workflow, run.user, run.paused, run.status) for run in active)
         for (plan, workflow, user, paused, status), count in kinds.items():
@@ -179,7 +179,7 @@ class StateMetrics(MetricGroup):
         self.user_runs.replace(mine)
         self.queue.replace({(cell,): float(count) for cell, count in queue.items()})
         ages: dict[Labels, float] = {(cell,): 0.0 for cell, count in queue.items() if not count}
-        for run in queued:  # they stand in order of age: the first of each workcell is its oldest
+        for run in queued:  # in order of age: the first of each workcell is its oldest
             if len(ages) == len(queue):
                 break
             ages.setdefault((state.runs.plans[run.plan].plan.workcell,), (now - run.submitted_at) / 1e9)
@@ -218,7 +218,7 @@ class StateMetrics(MetricGroup):
         taken: dict[Labels, float] = {}
         for name, station in state.bench.stations.items():
             if name in state.bench.shelves or station.spec.kind == "waste":
-                continue  # a hotel's shelves count by themselves
+                continue  # each shelf of a hotel is counted by itself
             key = _place_key(name, station.spec.module)
             room[key] = room.get(key, 0.0) + station.spec.capacity
             taken[key] = taken.get(key, 0.0)
@@ -262,7 +262,7 @@ OWN = "bench"
 """The module name for stations that belong to no module."""
 
 
-# A factory has thousands of names, and they stay what they are.
+# A factory has thousands of names, which do not change.
 
 
 @lru_cache(maxsize=10_000)

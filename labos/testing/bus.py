@@ -133,7 +133,7 @@ class SimulatedBus:
 
             net.arrive(process, hand_over)
 
-        # In nobody's context: a message on its way outlives its sender.
+        # Outside the context of a process: a message on its way outlives its sender.
         loop.call_later(net.faults.delay(), arrive, context=context_of(None))
 
     async def serve(self, key: str, handler: Handler) -> _Handle:
@@ -210,4 +210,4 @@ def _answer(answer: asyncio.Future[bytes], reply: bytes) -> None:
 def _fail(answer: asyncio.Future[bytes], key: str) -> None:
     if not answer.done():
         answer.set_exception(NoAnswer(f"Nobody serves {key}."))
-        answer.exception()  # whoever asked may have died since: then nobody hears of it
+        answer.exception()  # the sender may have died since: then nobody receives the answer

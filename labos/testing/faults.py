@@ -80,7 +80,8 @@ STORMY = FaultRates(loss=0.03, duplication=0.03, longest_delay_s=1.0, crash=0.00
 class Faults:
     """Draws faults; ``visit`` kills or freezes the running process at a crash point.
 
-    ``occurred`` and ``deaths`` tell what came of it, with the virtual time of each."""
+    ``occurred`` and ``deaths`` list the faults that happened, with the virtual time of each.
+    """
 
     def __init__(self, rates: FaultRates, rng: random.Random) -> None:
         self.rates, self.rng = rates, rng

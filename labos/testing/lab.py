@@ -157,14 +157,14 @@ class SimulatedLab(People):
         await asyncio.gather(*users)
         for person in self._people:
             if person.done():
-                person.result()  # whoever has stumbled did not do what this lab is about
+                person.result()  # an error in the person's own code is not the subject of the simulation
         self.faults.calm = True
         state = self.fold_log()
         while not self._is_over(state):
             await self._await(self._is_over)
             await self._await_written()
             state = self.fold_log()
-            if not self._is_over(state):  # a kernel that was replaced knows less, until it is told
+            if not self._is_over(state):  # a kernel that was replaced has an older state until it learns this
                 await asyncio.sleep(1.0)
         await self._await_written()
         assert self.kernel is not None

@@ -223,12 +223,12 @@ class People(Processes):
                     if isinstance(question.topic, PlannedWork) and self.rng.random() < LATE:
                         continue  # there is something else to do first
                     if self.is_moving(question.module):
-                        continue  # nobody reaches into that
+                        continue  # nobody touches a module that moves
                     unknown = isinstance(question.topic, UnknownAction)
                     if unknown and not await self._is_over_for(kernel, question.module):
-                        continue  # it may go on when its node is back
+                        continue  # it may continue when its node is back
                     if not await self._may_touch(kernel):
-                        break  # what fell first is asked about first
+                        break  # the piece that fell first is asked about first
                     if question.id in kernel.state.interventions.open:
                         await self._answer(kernel, question)
                         self.answered += 1
@@ -270,7 +270,7 @@ class People(Processes):
         if kernel is None:
             return
         access = kernel.state.lab.access.get(cell)
-        # A kernel that stood still may have heard late that somebody asks.
+        # A kernel that was frozen may have received the request late.
         if not self._inside and (access is None or access.by != "person"):
             return
         asked = {(question.kind, question.subject) for question in kernel.state.interventions.open.values()}
@@ -303,7 +303,7 @@ class People(Processes):
 
     @contextmanager
     def _suspend_faults(self, moved: bool = True) -> Iterator[None]:
-        """No fault is drawn while somebody who has ``moved`` something reports it."""
+        """No fault is drawn while a person who has ``moved`` something reports it."""
         calm = self.faults.calm
         self.faults.calm = calm or moved
         try:
@@ -336,7 +336,7 @@ class People(Processes):
             run = state.runs.get(name)
             if run is None:
                 return True
-            # A kernel that another one has ended may have given this name to a shorter run.
+            # Another run may have this name: a kernel that was fenced may have given it to a shorter run.
             return meddle.step < len(run.steps) and run.steps[meddle.step].status != PENDING
 
         await self._await(has_begun, look_s=1.0)  # a picture takes five

@@ -137,7 +137,7 @@ def _look_for_take(world: World, state: LabState, device: str, effect: Take) -> 
     if _pick_up(world, device):
         return "gone"
     for plate in world.at(f"hand:{device}"):
-        if world.is_full(local(effect.target)):  # by what another answer has just put back
+        if world.is_full(local(effect.target)):  # by labware that another answer has just put back
             world.carry(plate, "")
             return "gone"
         world.carry(plate, local(effect.target))
@@ -160,7 +160,7 @@ def _look_at_device(world: World, state: LabState, action: Action) -> str:
     if not noted and any(isinstance(effect, Claims) for effect in action.effects):
         return "not_done"  # it has never been set
     if noted and any(noted[-1].get(name, value) != value for name, value in action.args.items()):
-        return "not_done"  # the device shows the setting before this one
+        return "not_done"  # the device shows the previous setting
     if action.name in ("open_lid", "close_lid"):
         return "done" if any(map(world.is_shut, nests)) == (action.name == "close_lid") else "not_done"
     return "done"

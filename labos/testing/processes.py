@@ -200,7 +200,7 @@ class Processes:
         if self._list_living_kernels() != [process]:
             return
         machine = MACHINES[self._clocks[MACHINES[0]] is process.clock]
-        # Asked from the standby's machine: its clock must not matter.
+        # The request comes from the standby's machine: its clock must have no influence.
         self.store.process = Process("standby", self._clocks.setdefault(machine, VirtualClock(self.loop)))
         if self.store.is_abandoned():
             self.takeovers += 1

@@ -70,7 +70,7 @@ class Bench:
     # -- people ------------------------------------------------------------------------------
 
     def clear(self) -> None:
-        """Somebody takes all plates and lids away."""
+        """A person takes all plates and lids away."""
         for plates in self.world.places().values():
             for plate in plates:
                 self.world.carry(plate, "")
@@ -115,7 +115,7 @@ class Bench:
     def _find_own_station(self) -> str:
         return next((s.name for s in self.about.stations if s.kind != "gripper"), "default")
 
-    # -- what happened -----------------------------------------------------------------------
+    # -- motions -----------------------------------------------------------------------------
 
     def mark(self) -> int:
         """The end of the motion log now."""

@@ -278,7 +278,7 @@ async def check_busy(on: Session) -> None:
         asked = await on.ask_for(query)
         if asked.reply.status == "refused":
             raise Failed(f"{query.action} is a pure query, but is refused while it works: {asked.reply.why}")
-        # What is done meanwhile is the motion's doing.
+        # Changes in this time are caused by the motion.
         answer = asked.reply.outcome or await on.kernel.outcome(asked.start, END_S)
         if answer is None or not answer.succeeded:
             why = answer.error if answer is not None else "it has no answer"

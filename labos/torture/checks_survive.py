@@ -95,8 +95,8 @@ async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) ->
 
 
 async def _end_by_person(on: Session, done: Attempt) -> None:
-    """An action that waits for a person, also after the repair, must report this; it is then stopped. Raises
-    Failed."""
+    """If an action waits for a person, also after the repair, the driver must report this; the action is then
+    stopped. Raises Failed."""
     if await on.kernel.outcome(done.start, MENDED_S) is not None or not await on.is_running(done):
         return
     state = await on.kernel.state()
@@ -374,7 +374,7 @@ async def kill_node(on: Session) -> None:
         await on.slow_both_down(1.0)
     await on.recover()
     await on.check_works_again(case)
-    done = await on.begin(case)  # between its journal and its device, or hardly later
+    done = await on.begin(case)  # between its journal and its device, or shortly after
     await _kill_and_start(on, done)
     await on.recover()
     for fault in on.torture.faults[:1] if on.is_wired else ():

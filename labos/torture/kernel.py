@@ -40,7 +40,8 @@ _encode = msgspec.json.Encoder().encode
 
 
 class Kernel:
-    """Asks one module's node what a kernel would ask. ``setup`` has the settings that the node asks for."""
+    """Sends the requests of a kernel to one module's node. ``setup`` has the settings for which the node
+    asks."""
 
     def __init__(self, bus: ZenohBus, endpoint: str, module: str, setup: SetupReply, home: Path) -> None:
         self.endpoint, self.module = endpoint, module
@@ -75,7 +76,7 @@ class Kernel:
         """Whether a node of the module is alive on the bus."""
         return bool(self._alive)
 
-    # -- asking ------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------
 
     def request(self, name: str, args: dict[str, Any]) -> Start:
         """A first attempt at a new action."""
@@ -86,7 +87,7 @@ class Kernel:
         return await self._query("action", message, ActionReply)
 
     async def ask(self, start: Start) -> ActionReply:
-        """Ask what became of an attempt."""
+        """Ask for the outcome of an attempt."""
         asked = Ask(self.lab, self.epoch, start.action, start.attempt, start.position)
         return await self._query("action", asked, ActionReply)
 
@@ -126,7 +127,7 @@ class Kernel:
             await asyncio.sleep(POLL_S)
         return None
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     async def _query(self, operation: str, message: Any, kind: type[T], limit_s: float = ANSWER_S) -> T:
         key = self._keys.operation(self.module, operation)

@@ -54,7 +54,7 @@ def _is_variable_settled(on: Session, done: Attempt, effect: Any, seen: dict[str
         return False
     deeds = on.list_deeds(done)
     if not deeds or deeds != on.reference.get(key_of(done.case)):
-        return True  # how far a door is that stopped on its way, the bench does not say
+        return True  # the bench does not say how far a door is that stopped on its way
     if seen[effect.variable] != effect.value:
         raise Failed(f"observe says {effect.variable} = {seen[effect.variable]!r}; it is {effect.value!r}")
     return True

@@ -305,7 +305,7 @@ class TcpRelay(Spoiler):
             self._connections |= both
             try:
                 if listener.fileno() < 0 or self._target != target:
-                    return  # unplugged before anybody knew of this connection
+                    return  # unplugged before this connection was noticed
                 up = threading.Thread(target=_pump, args=(near, far, self._make_asker(far)), daemon=True)
                 up.start()
                 self.pass_answers(far, near, up)

@@ -40,7 +40,7 @@ class HttpRelay(TcpRelay):
         head, end, body = data.partition(HEAD_END)
         if self.spoiled_count % 2:
             return head + end + noise(body)
-        # Its lines still end, so that it is not waited for.
+        # Its lines still end, so that no reader waits for it.
         return b"\r\n".join(noise(line) for line in head.split(b"\r\n")) + end + noise(body)
 
 

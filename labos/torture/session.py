@@ -120,7 +120,7 @@ class Session:
     def now() -> float:
         return time.monotonic()
 
-    # -- life --------------------------------------------------------------------------------
+    # -- start and end -----------------------------------------------------------------------
 
     async def open(self) -> None:
         """Lay the bench, switch the device on, connect the line. The node is started later."""
@@ -213,7 +213,7 @@ class Session:
         if self.powered:
             self.switch_off()
         self.switch_on()
-        if rested:  # what has just been switched on stands as still as before
+        if rested:  # a device that was just switched on has not moved
             self._rested = (self._asked, self.bench.mark())
 
     async def slow_both_down(self, slowness: float) -> None:
@@ -282,7 +282,7 @@ class Session:
         if case.prepare is not None:
             case.prepare(self.device, self.bench.world)
 
-    # -- acting ------------------------------------------------------------------------------
+    # -- actions -----------------------------------------------------------------------------
 
     async def begin(self, case: Case) -> Attempt:
         """Prepare the bench and the module for a case, and request its action."""
@@ -305,7 +305,7 @@ class Session:
             if reply.status != "interrupted":
                 why = done.reply.why or f"it has not ended after {END_S:g} s"
                 raise Failed(f"{done.case.action} has no outcome: {why}")
-            outcome = Outcome(False, "unknown", error=reply.why)  # the driver itself says so
+            outcome = Outcome(False, "unknown", error=reply.why)  # the driver itself reports this
         await self.judge(done, outcome)
         return outcome
 
@@ -374,7 +374,7 @@ class Session:
         done: set[str] = set()
         for _ in range(DEPTH if wanted else 0):
             seen = await self._observe()
-            # What it cannot see is set once, whatever it was.
+            # A variable that it cannot observe is set once, whatever its value was.
             unmet = [(n, v) for n, v in wanted if (seen[n] != v if n in seen else n not in done)]
             if not unmet:
                 return
@@ -445,7 +445,7 @@ class Session:
         for _ in range(TRIES):
             done = await self.begin_to_middle(case)
             switch_off()
-            # What a device notes because its power has gone is not the end of its motion.
+            # An entry of the device about the loss of its power is not the end of its motion.
             if not self._is_over(done, self._powered_until):
                 return done
             self.switch_on()
@@ -454,7 +454,7 @@ class Session:
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
     def read_motion_s(self, case: Case) -> float:
-        """How long its device moves (s), by the bench, whatever its node says."""
+        """How long its device moves (s) according to the bench, independent of its node's report."""
         took_s = min(self.took_s[case.action], self.motion_s)
         return self.moved_s[case.action] if self._shows_its_end(case) else took_s
 
@@ -487,12 +487,13 @@ class Session:
         if self._rested == (self._asked, self.bench.mark()):
             return
         still_s = 1.2 * self.motion_s * self.slowness
-        # On a busy computer a node starts late, and its device is so much slower that this is longer.
+        # On a busy computer a node starts late. Its device is slowed down accordingly, so that the wait is
+        # longer.
         if not await self.bench.await_quiet(still_s, max(REST_S, 5 * still_s)):
             raise Failed("its device never comes to rest")
         self._rested = (self._asked, self.bench.mark())
 
-    # -- coming back -------------------------------------------------------------------------
+    # -- recovery ----------------------------------------------------------------------------
 
     def restore_device(self) -> bool:
         """Give the device power and repair the line; returns whether the device had to be switched on."""

@@ -44,7 +44,7 @@ class LoopWatch:
         if held_s > LIMIT_S and self._held_by:
             with self._report.open("a", encoding="utf-8") as report:
                 report.write(f"{held_s:.3f}\t{self._held_by}\n")
-        # Writing the line takes time too, and is nobody's fault.
+        # Writing the line takes time too, which must not be counted.
         self._last, self._waited, self._held_by = time.monotonic(), _read_wait_s(), ""
         asyncio.get_running_loop().call_later(BEAT_S, self._beat)
 
@@ -59,11 +59,11 @@ class LoopWatch:
                 continue
             if not self._is_driver_code(frame):
                 continue
-            # Without the text of the lines, which would be read from disk.
+            # Without the text of the code lines, which would be read from disk.
             stack = traceback.StackSummary.extract(traceback.walk_stack(frame), lookup_lines=False)
             calls = [call for call in reversed(stack) if f"asyncio{_SEP}" not in call.filename][-3:]
             if Path(stack[0].filename).name == "selectors.py":
-                continue  # it waits for something to do
+                continue  # it waits for an event
             self._held_by = " > ".join(f"{Path(c.filename).name}:{c.lineno} {c.name}" for c in calls)
 
     def _is_driver_code(self, frame: FrameType | None) -> bool:
