@@ -85,6 +85,7 @@ class Forecasts:
 
         async def ask() -> ForecastJob:
             known, records = await asyncio.to_thread(self._read, kernel.durable)
+            own = kernel.scheduler.adviser.own
             request = ForecastRequest(
                 picture=encode_picture(kernel.state),
                 now=kernel.clock.now_ns(),
@@ -93,6 +94,7 @@ class Forecasts:
                 actor=actor,
                 new_rows=new_rows or [],
                 approved=approved,
+                orders=own.known if own.is_used else None,
             )
             return ForecastJob(request, known, records)
 

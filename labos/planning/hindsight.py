@@ -305,25 +305,36 @@ class LookBack(msgspec.Struct):
     picture: bytes = b""
 
 
-def look_back(known: LookBack, rows: Iterable[Row], is_late: Callable[[], bool] = lambda: False) -> LookBack:
-    """Learn from the records that follow; once it ``is_late``, from no more of them."""
+def look_back(
+    known: LookBack,
+    rows: Iterable[Row],
+    is_late: Callable[[], bool] = lambda: False,
+    *,
+    searches: bool = False,
+) -> LookBack:
+    """Learn from the records that follow; once it ``is_late``, from no more of them. ``searches``: the lab
+    looks for orders of its own."""
     state = from_picture(known.picture) if known.picture else LabState()
     hindsight = known.hindsight
     for position, kind, schema, at, payload in rows:
         event = decode(kind, schema, payload)
         evolve(state, event, position, at)
-        hindsight.learn(event, at, lambda at=at: foresee(state, at))  # type: ignore[misc]
+        hindsight.learn(event, at, lambda at=at: foresee(state, at, searches=searches))  # type: ignore[misc]
         hindsight.position = position
         if isinstance(event, RunSubmitted) and is_late():
             break
     return LookBack(hindsight, encode_picture(state))
 
 
-def foresee(state: LabState, now: int) -> Play | None:
+def foresee(state: LabState, now: int, *, searches: bool = False) -> Play | None:
     """How a lab would go on from now with the usual durations; None if it has too much to do to tell."""
     copy = from_picture(encode_picture(state))
     keep_first(copy, LOOKED_AT)
     play = VirtualLab(
-        copy, now, lambda action, step: find_usual_time(copy, step), most_steps=MOST_STEPS
+        copy,
+        now,
+        lambda action, step: find_usual_time(copy, step),
+        most_steps=MOST_STEPS,
+        orders={} if searches else None,
     ).go_on()
     return None if play.cut else play

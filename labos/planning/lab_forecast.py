@@ -24,6 +24,7 @@ from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, encode_picture, from_picture
 from labos.planning.forecast import find_usual_time
 from labos.planning.hindsight import Hindsight, TimeRange
+from labos.planning.own_order import OwnOrder
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
 
 LATER_S = 1.0
@@ -109,7 +110,8 @@ class ForecastRequest(msgspec.Struct):
     """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
     ``new_rows`` the plans of its rows, between which they choose, if it is a campaign. ``rows`` are those of
     campaigns that are known. ``hindsight`` tells how far off forecasts were. In place of what is new, a
-    submission that waits for an approval (``approved``) is let go on."""
+    submission that waits for an approval (``approved``) is let go on. ``orders`` are those that the lab has
+    found by itself; None if it follows the order by age."""
 
     picture: bytes
     now: int
@@ -121,6 +123,7 @@ class ForecastRequest(msgspec.Struct):
     approved: str = ""
     most_runs: int = MOST_RUNS
     most_steps: int = MOST_STEPS
+    orders: dict[str, OwnOrder] | None = None
 
 
 def forecast_lab(request: ForecastRequest) -> LabForecast:
@@ -181,6 +184,7 @@ class _Forecaster:
             rows,
             most_rows=asked.most_runs,
             most_steps=asked.most_steps,
+            orders=asked.orders,
         )
         if asked.new is not None and not without:
             self._submit(lab, asked.new)

@@ -6,14 +6,18 @@ which run goes first wherever two need the same. How long it takes is worked out
 where it does not have to wait, as long as the places on its way are free. So the list stays possible. Again
 and again one or two runs are taken out and put back, and what ends sooner is kept.
 
+An order is held against the order by age, in the same model: it is followed only if all work ends clearly
+sooner, and a run that ends later than by age counts against it (``Value``).
+
 In one turn of the kernel at most ``AT_ONCE`` lists are tried. Runs that can start do so with the best one so
-far, and the search goes on from it. The choice of runs is drawn from the state: the same state has the same
-order.
+far, and the search goes on from it. The choice of runs is drawn from the runs and the number of lists that
+were tried: a forecast that goes on from the same state finds the same order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import msgspec
 
@@ -49,14 +53,23 @@ STALE_S = 60.0
 WORSE = 0.25
 """A list that takes longer by up to this part may be gone on from."""
 
+GAIN = 0.02
+"""An order is followed if it is better than the order by age by this part of the time that is left."""
+
+EQUALLY_OLD_S = 60.0
+"""Runs of one user that were submitted within so many lab seconds are equally old."""
+
 Value = tuple[int, int]
-"""When all is over, and the sum of the runs' ends: less is better."""
+"""How good an order is: less is better. First when all is over, plus the time by which that run ends later
+than by age that loses most; then the sum of the runs' ends."""
 
 
 Part = tuple[int, int, tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """A step, its time, what it takes, what it takes room in from its beginning, and what it frees at its end."""
 
 _MASK = 2**64 - 1
+
+FAR = 2**62
 
 
 class MotionGroup(msgspec.Struct, frozen=True, gc=False):
@@ -67,11 +80,21 @@ class MotionGroup(msgspec.Struct, frozen=True, gc=False):
     left: int
 
 
+class EquallyOld(msgspec.Struct, frozen=True):
+    """Runs of the same age, and when they would end by age, the first end first: which of them ends when
+    makes no difference."""
+
+    runs: frozenset[RunId]
+    ends: tuple[int, ...]
+
+
 class OwnOrder(msgspec.Struct):
     """The order of a workcell: the runs of its motions; those of the list with which the search ended; when
-    its steps start; for which runs it was found; when it was ``seen``; and how many lists were tried. ``due``
-    are steps that could have started, and since when. It is ``barred`` if one of them has not started for
-    long: the model does not know what it waits for."""
+    its steps start; for which runs it was found; when it was ``seen``; and how many lists were tried.
+    ``by_age`` is when runs would end by age, and ``limit`` the value that an order must have to be followed,
+    both as they were when the last of these runs came. ``is_followed``: an order had it. ``due`` are steps
+    that could have started, and since when. It is ``barred`` if one of them has not started for long: the
+    model does not know what it waits for."""
 
     motions: list[RunId]
     last: list[RunId]
@@ -79,6 +102,9 @@ class OwnOrder(msgspec.Struct):
     runs: frozenset[RunId]
     seen: int
     tried: int
+    by_age: tuple[EquallyOld, ...]
+    limit: int
+    is_followed: bool
     due: dict[tuple[RunId, int], int] = {}
     barred: bool = False
 
@@ -93,12 +119,25 @@ def _list_lines(known: OwnOrder | None) -> tuple[list[RunId], list[RunId]]:
 
 class OwnOrders:
     """The orders that the lab has found by itself, one for each workcell. In an empty workcell, no run starts
-    before so many lists have been tried: ``before_start``. With ``enough`` 0, there are none."""
+    before so many lists have been tried: ``before_start``. With ``enough`` 0, there are none. They go on from
+    those that are ``known``. With ``weighs_age`` false, it makes no difference which run is older."""
 
-    def __init__(self, enough: int = ENOUGH, before_start: int = 0) -> None:
-        self._enough, self._before_start = enough, before_start
+    def __init__(
+        self,
+        enough: int = ENOUGH,
+        before_start: int = 0,
+        known: Mapping[str, OwnOrder] = MappingProxyType({}),
+        *,
+        weighs_age: bool = True,
+    ) -> None:
+        self._enough, self._before_start, self._weighs_age = enough, before_start, weighs_age
         self._ways: dict[str, Ways] = {}
-        self._known: dict[str, OwnOrder] = {}
+        self._known = dict(known)
+
+    @property
+    def known(self) -> dict[str, OwnOrder]:
+        """What was found so far, by workcell."""
+        return dict(self._known)
 
     @property
     def is_used(self) -> bool:
@@ -110,7 +149,7 @@ class OwnOrders:
     def find(self, cell: str) -> OrderSuggested | None:
         """The order of a workcell, if there is one."""
         known = self._known.get(cell)
-        return None if known is None or known.barred else known.order
+        return known.order if known is not None and known.is_followed and not known.barred else None
 
     def forget(self, cell: str) -> None:
         """The bench of a workcell has changed."""
@@ -131,27 +170,45 @@ class OwnOrders:
         if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
             return False
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
-        search = OrderSearch(outline)
-        if not outline.is_safe or not search.is_possible:
+        if not outline.is_safe:
+            return self.drop(cell)
+        found_by_age = None if known is None or is_new else (known.by_age, known.limit)
+        found_by_age = found_by_age or self._find_limits(state, outline)
+        if found_by_age is None:
+            return self.drop(cell)
+        by_age, limit = found_by_age
+        tried = known.tried if known is not None and not is_new else 0
+        search = OrderSearch(outline, by_age, tried)
+        if not search.is_possible:
             return self.drop(cell)
         numbers = {run.id: number for number, run in enumerate(outline.runs)}
         best, last = ([numbers[run] for run in line if run in numbers] for line in _list_lines(known))
-        tried = known.tried if known is not None and not is_new else 0
         improved = search.improve(REFRESHED if tried >= self._enough else AT_ONCE, best, last)
         if improved is None:
             return self.drop(cell)
         found, here = improved
         names = [run.id for run in outline.runs]
         steps = tuple(Suggested(names[who], step, time) for time, who, step in sorted(found.starts))
-        until = found.value[0] + convert_lab_s(state, STALE_S)
+        until = found.last + convert_lab_s(state, STALE_S)
         was = known.due if known is not None else {}
         due = {(one.run, one.step): was.get((one.run, one.step), now) for one in steps if one.start <= now}
         barred = any(now - since > convert_lab_s(state, STALE_S) for since in due.values())
         order = OrderSuggested(cell, OWN, until, steps)
         motions, last_motions = ([names[who] for who in each.order] for each in (found, here))
         tried += search.tried
-        self._known[cell] = OwnOrder(motions, last_motions, order, runs, now, tried, due, barred)
-        return known is None or barred or _list_sequence(known.order) != _list_sequence(order)
+        is_followed = found.value[0] <= limit or (known is not None and not is_new and known.is_followed)
+        runs = runs if known is None or is_new else known.runs
+        before = self.find(cell)
+        self._known[cell] = OwnOrder(
+            motions, last_motions, order, runs, now, tried, by_age, limit, is_followed, due, barred
+        )
+        after = self.find(cell)
+        if before is None or after is None:
+            return before is not after
+        return _list_sequence(before) != _list_sequence(after)
+
+    def _find_limits(self, state: LabState, outline: Outline) -> tuple[tuple[EquallyOld, ...], int] | None:
+        return _play_by_age(state, outline) if self._weighs_age else ((), FAR)
 
     def goes_on_at(self, cell: str) -> int | None:
         """When the search goes on (UTC ns); None if it is over."""
@@ -168,23 +225,55 @@ class OwnOrders:
         return known.tried < min(self._before_start, self._enough)
 
     def _find_next_look(self, state: LabState, known: OwnOrder) -> int:
+        if known.tried >= self._enough and not known.is_followed:
+            return FAR
         pause = BREATH_NS if known.tried < self._enough else convert_lab_s(state, REFRESH_S)
         return known.seen + pause
 
 
+def _play_by_age(state: LabState, outline: Outline) -> tuple[tuple[EquallyOld, ...], int] | None:
+    """When runs end if those inside go first, and then the oldest; and the value that an order has to have to
+    be followed instead. None if they do not all come to their ends."""
+    play = outline.copy().go_on()
+    if any(left > 0 for left in play.left):
+        return None
+    ends = dict(zip((run.id for run in outline.runs), play.ends, strict=True))
+    groups: list[list[RunState]] = []
+    for run in sorted(outline.runs, key=lambda run: (run.user, run.submitted_at)):
+        first = groups[-1][0] if groups else None
+        apart = run.submitted_at - first.submitted_at if first is not None and first.user == run.user else FAR
+        if apart <= convert_lab_s(state, EQUALLY_OLD_S):
+            groups[-1].append(run)
+        else:
+            groups.append([run])
+    by_age = tuple(
+        EquallyOld(frozenset(run.id for run in group), tuple(sorted(ends[run.id] for run in group)))
+        for group in groups
+    )
+    last = max(play.ends)
+    return by_age, last - int(GAIN * (last - outline.now))
+
+
 class FoundOrder(msgspec.Struct, frozen=True):
+    """``last`` is when all is over."""
+
     value: Value
+    last: int
     order: list[int]
     starts: list[tuple[int, int, int]]
     """(time, run, step)"""
 
 
 class OrderSearch:
-    """Looks for an order of the motions of an outline. ``tried`` counts the lists."""
+    """Looks for an order of the motions of an outline. ``tried`` counts the lists, ``seed`` those that were
+    tried before. ``by_age`` is when they would end by age."""
 
-    def __init__(self, outline: Outline) -> None:
+    def __init__(self, outline: Outline, by_age: Sequence[EquallyOld], seed: int = 0) -> None:
         self.outline = outline
         self.tried = 0
+        self._seed = seed
+        numbers = {run.id: number for number, run in enumerate(outline.runs)}
+        self._by_age = [([numbers[r] for r in group.runs if r in numbers], group.ends) for group in by_age]
         self._count = len(outline.runs)
         self._room = outline.room
         self._ready = [outline.now] * self._count
@@ -284,7 +373,18 @@ class OrderSearch:
             if who not in without:
                 total += end
                 last = max(last, end)
-        return FoundOrder((last, total), list(order), starts)
+        return FoundOrder((last + self._find_loss(ready, without), total), last, list(order), starts)
+
+    def _find_loss(self, ends: Sequence[int], without: frozenset[int]) -> int:
+        """By how much the run ends later than by age that loses most. Of equally old ones, those that are
+        over were the first."""
+        loss = 0
+        for group, by_age in self._by_age:
+            mine = sorted([ends[who] for who in group if who not in without])
+            for end, sooner in zip(reversed(mine), reversed(by_age)):  # noqa: B905  (some are over)
+                if end - sooner > loss:
+                    loss = end - sooner
+        return loss
 
     def _go(
         self,
@@ -464,8 +564,8 @@ class OrderSearch:
         return found or self.measure(rest)
 
     def _draw(self) -> Iterator[int]:
-        """Numbers that look like chance, the same for the same state."""
-        value = (self.outline.now ^ len(self.outline.runs)) & _MASK
+        """Numbers that look like chance, the same for the same runs after as many lists."""
+        value = (sum(run.position for run in self.outline.runs) * 1_000_003 + self._seed) & _MASK
         while True:
             value = (value * 6364136223846793005 + 1442695040888963407) & _MASK
             yield value >> 33

@@ -10,8 +10,9 @@ found: they decide who goes first, and nothing that must hold rests on them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from types import MappingProxyType
 
 import msgspec
 
@@ -34,7 +35,7 @@ from labos.planning.choosing import list_changes
 from labos.planning.companions import check_for_others, find_companions, make_command, put_last
 from labos.planning.deadlines import Deadlines
 from labos.planning.elders import Elders
-from labos.planning.own_order import BEFORE_START, OwnOrders
+from labos.planning.own_order import BEFORE_START, OwnOrder, OwnOrders
 from labos.planning.patience import OvertakeCounts
 from labos.planning.pilot import Candidate
 from labos.planning.ranking import Ranking, Spot
@@ -418,9 +419,10 @@ class Scheduler:
                 yield state.runs.plan_of(run)
 
 
-def make_searching_scheduler() -> Scheduler:
-    """A scheduler that looks for an order of all that waits before the first of several runs starts."""
-    return Scheduler(OwnOrders(before_start=BEFORE_START))
+def make_searching_scheduler(known: Mapping[str, OwnOrder] = MappingProxyType({})) -> Scheduler:
+    """A scheduler that looks for an order of all that waits before the first of several runs starts. It goes
+    on from orders of workcells that are ``known``."""
+    return Scheduler(OwnOrders(before_start=BEFORE_START, known=known))
 
 
 def list_ready_steps(state: LabState, run: RunState) -> list[int]:

@@ -48,7 +48,8 @@ from labos.core.users import LABOS
 from labos.core.waits import Wait
 from labos.planning.forecast import find_setup_under_way
 from labos.planning.obstacle import explain_wait
-from labos.planning.scheduler import Scheduler
+from labos.planning.own_order import OwnOrder
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.touch import find_touched_keys
 
@@ -108,7 +109,8 @@ HORIZON_NS = 30 * 24 * 3600 * 10**9
 
 class VirtualLab:
     """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are the plans of rows of campaigns,
-    which stand for all their rows, in turn; ``most_rows`` of a campaign become runs."""
+    which stand for all their rows, in turn; ``most_rows`` of a campaign become runs. With ``orders``, it
+    looks for orders of its own as a lab does, and goes on from these; with None, the order is by age."""
 
     def __init__(
         self,
@@ -119,6 +121,7 @@ class VirtualLab:
         *,
         most_rows: int = MOST_RUNS,
         most_steps: int = MOST_STEPS,
+        orders: Mapping[str, OwnOrder] | None = None,
     ) -> None:
         self.state, self.now, self.play = state, now, Play()
         self._lasts = lasts
@@ -129,7 +132,7 @@ class VirtualLab:
         self._most_rows, self._most_steps = most_rows, most_steps
         self._admitted: dict[CampaignId, int] = {}
         self._keys: set[str] = set()
-        self._scheduler = Scheduler()
+        self._scheduler = Scheduler() if orders is None else make_searching_scheduler(orders)
         self._scheduler.sleepers = _ObservedSleepers(self._note_wait)
         self._flying: list[tuple[int, int, ActionId]] = []
         self._ends: dict[ActionId, int] = {}

@@ -127,7 +127,10 @@ def main() -> None:
     clock = SystemClock()
     began = clock.monotonic()
     asked = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=ForecastJob)
-    known = look_back(asked.known, asked.rows, lambda: clock.monotonic() - began > LOOKS_BACK_S)
+    searches = asked.request.orders is not None
+    known = look_back(
+        asked.known, asked.rows, lambda: clock.monotonic() - began > LOOKS_BACK_S, searches=searches
+    )
     asked.request.hindsight = known.hindsight
     sys.stdout.buffer.write(_encode(ForecastResult(forecast_lab(asked.request), known)))
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from labos.core.state import LabState, encode_picture
 from labos.planning.hindsight import TimeRange
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
+from labos.planning.own_order import OwnOrder
 from labos.services.runs import RunHistory
 from labos.services.times import show_time
 
@@ -14,16 +15,20 @@ MOST_STEPS = 5_000
 """At most so many steps are simulated; beyond them there is no forecast."""
 
 
-def tell_due(state: LabState, stories: Iterable[RunHistory], now: int) -> dict[str, str]:
+def tell_due(
+    state: LabState, stories: Iterable[RunHistory], now: int, *, searches: bool = False
+) -> dict[str, str]:
     """For each of these runs with a due date: the due date, and whether the run kept it or, if the run has
     not ended, will keep it. For this the lab is simulated in virtual time, without rows that campaigns have
-    not submitted."""
+    not submitted. ``searches``: the lab looks for orders of its own."""
     dated = [story for story in stories if story.due_at]
     alive = {story.id for story in dated if not story.over}
     found = {story.id: _tell_past(story) for story in dated if story.over}
     if not alive:
         return found
-    forecast = forecast_lab(ForecastRequest(encode_picture(state), now, most_steps=MOST_STEPS))
+    orders: dict[str, OwnOrder] | None = {} if searches else None
+    request = ForecastRequest(encode_picture(state), now, most_steps=MOST_STEPS, orders=orders)
+    forecast = forecast_lab(request)
     ends = {run.run: run.ends for run in forecast.runs}
     for story in dated:
         if story.id in alive:

@@ -29,10 +29,11 @@ APART = 0.02
 
 
 class Told(OwnOrders):
-    """Keeps what was predicted at each look: (now, when all is over)."""
+    """Follows every order, however old the runs are. Keeps what was predicted at each look: (now, when all is
+    over)."""
 
     def __init__(self) -> None:
-        super().__init__(before_start=3 * AT_ONCE)
+        super().__init__(before_start=3 * AT_ONCE, weighs_age=False)
         self.predicted: list[tuple[int, int]] = []
 
     def search(
@@ -118,13 +119,14 @@ def test_an_order_is_found_that_no_rule_of_the_queue_has() -> None:
             station("trash", "waste", 99),
         ],
     )
-    ways = [_way(("mill", 300.0), ("oven", 30.0)), _way(("mill", 30.0), ("oven", 300.0))]
+    ways = [make_way(("mill", 300.0), ("oven", 30.0)), make_way(("mill", 30.0), ("oven", 300.0))]
     together = play(cell, ways, lambda: Scheduler(OwnOrders(before_start=AT_ONCE))).makespan_s
     alone = play(cell, ways[:1], Scheduler).makespan_s
     assert together < alone + 60.0
 
 
-def _way(*visits: tuple[str, float]) -> Plan:
+def make_way(*visits: tuple[str, float]) -> Plan:
+    """A plate's way over machines, and how long it is on each."""
     places = [f"{name}.nest" for name, _ in visits]
     steps = [step("arm", take("stack", places[0]), duration_s=10.0)]
     for at, (name, takes) in enumerate(visits):
