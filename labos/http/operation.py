@@ -2,8 +2,9 @@
 from it.
 
 A handler names what it reads by its parameters: ``path``, ``query`` and ``body`` are structs, and what it
-returns is one too::
+returns is one too. An operation decorates its handler::
 
+    @Operation(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
     async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunChanged: ...
 """
 
@@ -177,10 +178,10 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     request what was answered, where the handler cannot be asked once more."""
 
     route: str
-    handler: Callable[..., Awaitable[Any]]
     client: Method
     summary: str
     needs: Need | Literal["nobody"]
+    handler: Any = None
     tag: str = ""
     by_home: bool = False
     by_link: bool = False
@@ -198,9 +199,12 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     logs_key: bool = False
     recall: Callable[[list[Event]], Any] | None = None
 
+    def __call__(self, handler: Callable[..., Awaitable[Any]]) -> Operation:
+        return msgspec.structs.replace(self, handler=handler)
+
     @property
     def id(self) -> str:
-        return str(typing.cast(Any, self.handler).__name__)
+        return str(self.handler.__name__)
 
     @property
     def method(self) -> str:
@@ -287,9 +291,11 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return told
 
 
-def declare(tag: str, *operations: Operation) -> tuple[Operation, ...]:
-    """These operations under one heading."""
-    return tuple(msgspec.structs.replace(operation, tag=tag) for operation in operations)
+def list_operations(names: Mapping[str, Any], tag: str) -> tuple[Operation, ...]:
+    """The operations among the ``names`` of a module, in its order; under the heading ``tag``, if they name
+    none."""
+    found = (each for each in names.values() if isinstance(each, Operation))
+    return tuple(msgspec.structs.replace(each, tag=each.tag or tag) for each in found)
 
 
 def respond(operation: Operation, found: Any) -> Response:
