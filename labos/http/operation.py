@@ -2,8 +2,9 @@
 derived from it.
 
 The parameters of a handler show what it reads: ``path``, ``query`` and ``body`` are structs, and its return
-value is a struct too::
+value is a struct too. An operation decorates its handler::
 
+    @Operation(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
     async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunChanged: ...
 """
 
@@ -178,10 +179,10 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     again."""
 
     route: str
-    handler: Callable[..., Awaitable[Any]]
     client: Method
     summary: str
     needs: Need | Literal["nobody"]
+    handler: Any = None
     tag: str = ""
     by_home: bool = False
     by_link: bool = False
@@ -199,9 +200,12 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     logs_key: bool = False
     recall: Callable[[list[Event]], Any] | None = None
 
+    def __call__(self, handler: Callable[..., Awaitable[Any]]) -> Operation:
+        return msgspec.structs.replace(self, handler=handler)
+
     @property
     def id(self) -> str:
-        return str(typing.cast(Any, self.handler).__name__)
+        return str(self.handler.__name__)
 
     @property
     def method(self) -> str:
@@ -288,9 +292,11 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return told
 
 
-def declare(tag: str, *operations: Operation) -> tuple[Operation, ...]:
-    """These operations under one heading."""
-    return tuple(msgspec.structs.replace(operation, tag=tag) for operation in operations)
+def list_operations(names: Mapping[str, Any], tag: str) -> tuple[Operation, ...]:
+    """The operations among the ``names`` of a module, in its order; under the heading ``tag``, if they name
+    none."""
+    found = (each for each in names.values() if isinstance(each, Operation))
+    return tuple(msgspec.structs.replace(each, tag=each.tag or tag) for each in found)
 
 
 def respond(operation: Operation, found: Any) -> Response:

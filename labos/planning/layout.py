@@ -166,6 +166,9 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     for place, who in coming:
         floor.piles[place].append(who)
     for action in state.actions.list_in_cell(cell):
+        for effect in action.effects:
+            for place in floor.endless.intersection(effect.room).intersection(effect.cleared):
+                floor.count[place] -= 1  # it was counted with what is on its way there
         for what in list_carried(action.effects):
             if what.stock in floor.stock:
                 target = bench.find_planned_place(what.target)

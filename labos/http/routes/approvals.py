@@ -21,7 +21,7 @@ from labos.http.bodies import Amendment, Amounts, Limit
 from labos.http.campaigns import amend_terms
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.services.proposals import ChangedPart, describe_waiting, list_differences
@@ -131,6 +131,15 @@ class PolicyReference(msgspec.Struct, frozen=True):
     digest: str
 
 
+_POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
+
+
+@Operation(
+    route="GET /approvals",
+    client=Method("_list_approvals"),
+    summary="List the submissions that wait for an approval",
+    needs="viewer",
+)
 async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     """A page of them, the oldest first. While there are `more`, ask for the next page with `after` = the last
     `subject`."""
@@ -143,6 +152,12 @@ async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     return Proposals(found, begin + query.limit < len(names))
 
 
+@Operation(
+    route="GET /approvals/{subject}",
+    client=Method("approval_of"),
+    summary="Show a submission that waits for an approval, and how it differs from the last approved one",
+    needs="viewer",
+)
 async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     state = call.kernel.state
     proposal = _find_proposal(call, path)
@@ -153,6 +168,13 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     return ProposalDetail(view, changed)
 
 
+@Operation(
+    route="GET /approvals/{subject}/forecast",
+    client=Method("approval_forecast", timeout_s=FORECAST_S),
+    summary="Forecast a submission that waits for an approval",
+    needs="viewer",
+    problems=("refused",),
+)
 async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     """The forecast assumes that the submission is approved now, without changes. This does not approve it. An
     experiment cannot be forecast, because its application decides while it runs."""
@@ -160,6 +182,15 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     return msgspec.structs.replace(found, forecast=hide_others(found.forecast, call))
 
 
+@Operation(
+    route="POST /approvals/{subject}/approve",
+    client=Method("approve", "subject, by, digest", take="digest", repeat=True),
+    summary="Approve a submission, as it is or with changes",
+    needs="operator",
+    problems=("refused",),
+    example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
+    example_answer={"subject": "C1", "digest": "ab" * 32},
+)
 async def approve_proposal(call: Call, path: OfProposal, body: ApprovalTerms) -> ProposalAnswer:
     """Only the submission with this digest can be approved: the request is refused if the submission has
     changed since the operator looked at it. An operator approves; the policy says whether it may be the
@@ -196,6 +227,15 @@ def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
 
 
+@Operation(
+    route="POST /approvals/{subject}/refuse",
+    client=Method("refuse", take="digest", repeat=True),
+    summary="Refuse a submission",
+    needs="operator",
+    problems=("refused",),
+    example={"by": "olga", "comment": "too many plates"},
+    example_answer={"subject": "C1", "digest": "ab" * 32},
+)
 async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -> ProposalAnswer:
     """The submission is cancelled. If it is a change of a campaign, the campaign continues unchanged."""
     proposal = _find_proposal(call, path)
@@ -204,6 +244,12 @@ async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -
     return ProposalAnswer(proposal.subject, digest)
 
 
+@Operation(
+    route="GET /policy",
+    client=Method("policy"),
+    summary="Show the policy: which submissions need an approval, and the highest priority",
+    needs="viewer",
+)
 async def get_policy(call: Call) -> PolicyView:
     approvals = call.kernel.state.approvals
     found = PolicyView(approvals.applied, approvals.policy)
@@ -211,6 +257,15 @@ async def get_policy(call: Call) -> PolicyView:
     return found
 
 
+@Operation(
+    route="POST /policy",
+    client=Method("apply_policy", "text, file=name, by", take=None, repeat=True),
+    summary="Apply a policy file",
+    needs="admin",
+    problems=("refused", "spec_error", "spec_errors"),
+    example={"text": _POLICY, "by": "ada", "name": "policy.yaml"},
+    example_answer={"digest": "ab" * 32},
+)
 async def apply_policy(call: Call, body: PolicyText) -> PolicyReference:
     """Submissions that wait already continue to wait."""
     found = await call.service.run_beside(len(body.text), parse_policy, body.text, body.name)
@@ -239,67 +294,4 @@ def _find_terms(state: LabState, proposal: Proposal) -> Terms | None:
     return proposal.terms or (campaign.terms if campaign is not None else None)
 
 
-_POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
-
-OPERATIONS = declare(
-    "approvals",
-    Operation(
-        route="GET /approvals",
-        handler=list_approvals,
-        client=Method("_list_approvals"),
-        summary="List the submissions that wait for an approval",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /approvals/{subject}",
-        handler=get_approval,
-        client=Method("approval_of"),
-        summary="Show a submission that waits for an approval, and how it differs from the last approved one",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /approvals/{subject}/forecast",
-        handler=forecast_approval,
-        client=Method("approval_forecast", timeout_s=FORECAST_S),
-        summary="Forecast a submission that waits for an approval",
-        needs="viewer",
-        problems=("refused",),
-    ),
-    Operation(
-        route="POST /approvals/{subject}/approve",
-        handler=approve_proposal,
-        client=Method("approve", "subject, by, digest", take="digest", repeat=True),
-        summary="Approve a submission, as it is or with changes",
-        needs="operator",
-        problems=("refused",),
-        example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
-        example_answer={"subject": "C1", "digest": "ab" * 32},
-    ),
-    Operation(
-        route="POST /approvals/{subject}/refuse",
-        handler=refuse_proposal,
-        client=Method("refuse", take="digest", repeat=True),
-        summary="Refuse a submission",
-        needs="operator",
-        problems=("refused",),
-        example={"by": "olga", "comment": "too many plates"},
-        example_answer={"subject": "C1", "digest": "ab" * 32},
-    ),
-    Operation(
-        route="GET /policy",
-        handler=get_policy,
-        client=Method("policy"),
-        summary="Show the policy: which submissions need an approval, and the highest priority",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /policy",
-        handler=apply_policy,
-        client=Method("apply_policy", "text, file=name, by", take=None, repeat=True),
-        summary="Apply a policy file",
-        needs="admin",
-        problems=("refused", "spec_error", "spec_errors"),
-        example={"text": _POLICY, "by": "ada", "name": "policy.yaml"},
-        example_answer={"digest": "ab" * 32},
-    ),
-)
+OPERATIONS = list_operations(globals(), "approvals")

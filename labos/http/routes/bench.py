@@ -27,29 +27,67 @@ from labos.http.declare import declare_bench
 from labos.http.limits import LARGEST_BODY, check_person
 from labos.http.method import Method
 from labos.http.observing import ObservationResult, give, observe
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
 from labos.http.stock import Load, Unload, load, unload
 
 
+@Operation(
+    route="POST /interventions/{intervention}",
+    client=Method("resolve", "intervention, choice, by, note, result", take=None),
+    summary="Answer a question",
+    needs="submitter",
+    problems=("refused",),
+    example={"choice": "done", "by": "ada", "note": "it stood askew"},
+    example_answer={"intervention": "I1", "choice": "done"},
+)
 async def answer_intervention(call: Call, path: OfIntervention, body: InterventionAnswer) -> Resolution:
     await call.service.resolve(path.intervention, body.choice, body.by, body.note, body.result)
     return Resolution(path.intervention, body.choice)
 
 
+@Operation(
+    route="POST /stations/place",
+    client=Method("place", take="labware"),
+    summary="Report that labware was put on an empty station",
+    needs="operator",
+    status=201,
+    problems=("not_found", "refused"),
+    example={"station": "sealer.default", "labware": "plate96", "by": "ada"},
+    example_answer={"labware": "P7"},
+)
 async def place_labware(call: Call, body: LabwarePlacement) -> LabwareReference:
     names = await load(call.service, Load(station=body.station, labware=body.labware), body.by)
     return LabwareReference(names[0] if names else "")
 
 
+@Operation(
+    route="POST /stations/load",
+    client=Method("load", take="labware"),
+    summary="Report that labware was loaded",
+    needs="operator",
+    status=201,
+    problems=("not_found", "refused"),
+    example={"station": "sciclops.tower1", "labware": "plate96", "by": "ada", "count": 20, "lot": "L7"},
+    example_answer={"labware": []},
+)
 async def load_station(call: Call, body: Load) -> LoadResult:
     """The labware is on top of a stack, or in free slots. It is refused if the station does not accept it or
     has no room."""
     return LoadResult(await load(call.service, body, body.by))
 
 
+@Operation(
+    route="POST /stations/unload",
+    client=Method("unload"),
+    summary="Report that labware was taken away",
+    needs="operator",
+    problems=("not_found", "refused"),
+    example={"station": "sciclops.tower1", "by": "ada", "count": 3},
+    example_answer={"labware": ["P7"], "nameless": 2},
+)
 async def unload_station(call: Call, body: Unload) -> UnloadResult:
     """The labware has left the bench. It is refused for labware of a run or an experiment that has not
     ended."""
@@ -57,18 +95,43 @@ async def unload_station(call: Call, body: Unload) -> UnloadResult:
     return UnloadResult(names, nameless)
 
 
+@Operation(
+    route="POST /stations/observe",
+    client=Method("observe", "station, what, by"),
+    summary="Report what stands at a station",
+    needs="operator",
+    status=201,
+    problems=("not_found", "refused"),
+    example={"station": "sealer.default", "by": "ada", "what": "empty"},
+)
 async def observe_station(call: Call, body: Observation) -> ObservationResult:
     """The report narrows down uncertain places. If it contradicts the log, LabOS asks a question. It is
     refused while labware is being moved to or from the station."""
     return await observe(call.service, body.station, body.what, body.by)
 
 
+@Operation(
+    route="POST /stations/declare",
+    client=Method("declare", "stations, by", take="declared"),
+    summary="Declare what stands at stations",
+    needs="operator",
+    status=201,
+    problems=("not_found", "refused"),
+    example={"by": "ada", "stations": {"sealer.default": ["plate96"]}},
+    example_answer={"declared": {"sealer.default": ["plate96"]}},
+)
 async def declare_stations(call: Call, body: BenchDeclaration) -> DeclareResult:
     """The labware is listed from bottom to top. Either all stations are declared, or none."""
     found = await declare_bench(call.service, body.stations, body.workcell, body.by, empty=body.empty)
     return DeclareResult(found)
 
 
+@Operation(
+    route="GET /round",
+    client=Method("round"),
+    summary="Show what has to be reported of the bench after the log lost its end",
+    needs="viewer",
+)
 async def get_round(call: Call) -> Round:
     """The evidence that the log has lost its end, and the stations that have to be reported before anything
     starts. If the log is complete, the answer is empty."""
@@ -77,6 +140,19 @@ async def get_round(call: Call) -> Round:
     return view
 
 
+@Operation(
+    route="POST /round",
+    client=Method("say", "by, stations, as_recorded", repeat=True),
+    summary="Report what stands at stations after the log lost its end",
+    needs="operator",
+    status=201,
+    example={"by": "ada", "stations": {"sealer.default": []}, "as_recorded": ["ot2_pcr_alpha.deck1"]},
+    example_answer={
+        "said": ["sealer.default"],
+        "refused": [{"station": "rpl/pf400.gripper", "why": "…", "remedy": "…"}],
+        "left": [],
+    },
+)
 async def report_round(call: Call, body: RoundReport) -> RoundResult:
     """Each station is accepted or refused by itself. Labware is named by its id, or by its type if the log
     does not have it, with its lid (`P7+P8`, `plate96+lid96`). For a waste station only the number matters.
@@ -84,6 +160,16 @@ async def report_round(call: Call, body: RoundReport) -> RoundResult:
     return await say(call.service, body, body.by)
 
 
+@Operation(
+    route="POST /labware/{labware}/barcode",
+    client=Method("barcode", take=None, repeat=True),
+    summary="Record the barcode of labware",
+    needs="submitter",
+    status=201,
+    problems=("refused",),
+    example={"barcode": "4006381333931", "by": "ada"},
+    example_answer={"labware": "P7"},
+)
 async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> LabwareReference:
     """It is refused if other labware on the bench has this barcode."""
     labware = LabwareId(path.labware)
@@ -91,6 +177,16 @@ async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> Labw
     return LabwareReference(labware)
 
 
+@Operation(
+    route="POST /labware/{labware}/owner",
+    client=Method("give", take=None, repeat=True),
+    summary="Give labware to another owner",
+    needs="submitter",
+    status=201,
+    problems=("refused",),
+    example={"to": "user:bo", "by": "ada"},
+    example_answer={"labware": "P7", "owner": "user:bo"},
+)
 async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> LabwareOwner:
     """It is refused while a run uses the labware, while it is being moved or processed, and if it does not
     belong to `by`."""
@@ -100,6 +196,17 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
     return LabwareOwner(path.labware, body.to)
 
 
+@Operation(
+    route="POST /samples",
+    client=Method("_register_sheet", take="plates", repeat=True),
+    summary="Register the samples in the wells of plates",
+    needs="submitter",
+    status=201,
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    example={"text": "plate,well,sample\nP7,A1,serum 12\n", "by": "ada", "name": "sheet.csv"},
+    example_answer={"plates": {"P7": 1}},
+    largest_body=LARGEST_BODY,
+)
 async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
     """A sheet with faults is refused completely; the answer lists the places of all faults."""
     plates = await register_samples(
@@ -114,124 +221,4 @@ async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
     return SampleCounts(plates)
 
 
-OPERATIONS = declare(
-    "bench",
-    Operation(
-        route="POST /interventions/{intervention}",
-        handler=answer_intervention,
-        client=Method("resolve", "intervention, choice, by, note, result", take=None),
-        summary="Answer a question",
-        needs="submitter",
-        problems=("refused",),
-        example={"choice": "done", "by": "ada", "note": "it stood askew"},
-        example_answer={"intervention": "I1", "choice": "done"},
-    ),
-    Operation(
-        route="POST /stations/place",
-        handler=place_labware,
-        client=Method("place", take="labware"),
-        summary="Report that labware was put on an empty station",
-        needs="operator",
-        status=201,
-        problems=("not_found", "refused"),
-        example={"station": "sealer.default", "labware": "plate96", "by": "ada"},
-        example_answer={"labware": "P7"},
-    ),
-    Operation(
-        route="POST /stations/load",
-        handler=load_station,
-        client=Method("load", take="labware"),
-        summary="Report that labware was loaded",
-        needs="operator",
-        status=201,
-        problems=("not_found", "refused"),
-        example={"station": "sciclops.tower1", "labware": "plate96", "by": "ada", "count": 20, "lot": "L7"},
-        example_answer={"labware": []},
-    ),
-    Operation(
-        route="POST /stations/unload",
-        handler=unload_station,
-        client=Method("unload"),
-        summary="Report that labware was taken away",
-        needs="operator",
-        problems=("not_found", "refused"),
-        example={"station": "sciclops.tower1", "by": "ada", "count": 3},
-        example_answer={"labware": ["P7"], "nameless": 2},
-    ),
-    Operation(
-        route="POST /stations/observe",
-        handler=observe_station,
-        client=Method("observe", "station, what, by"),
-        summary="Report what stands at a station",
-        needs="operator",
-        status=201,
-        problems=("not_found", "refused"),
-        example={"station": "sealer.default", "by": "ada", "what": "empty"},
-    ),
-    Operation(
-        route="POST /stations/declare",
-        handler=declare_stations,
-        client=Method("declare", "stations, by", take="declared"),
-        summary="Declare what stands at stations",
-        needs="operator",
-        status=201,
-        problems=("not_found", "refused"),
-        example={"by": "ada", "stations": {"sealer.default": ["plate96"]}},
-        example_answer={"declared": {"sealer.default": ["plate96"]}},
-    ),
-    Operation(
-        route="GET /round",
-        handler=get_round,
-        client=Method("round"),
-        summary="Show what has to be reported of the bench after the log lost its end",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /round",
-        handler=report_round,
-        client=Method("say", "by, stations, as_recorded", repeat=True),
-        summary="Report what stands at stations after the log lost its end",
-        needs="operator",
-        status=201,
-        example={"by": "ada", "stations": {"sealer.default": []}, "as_recorded": ["ot2_pcr_alpha.deck1"]},
-        example_answer={
-            "said": ["sealer.default"],
-            "refused": [{"station": "rpl/pf400.gripper", "why": "…", "remedy": "…"}],
-            "left": [],
-        },
-    ),
-    Operation(
-        route="POST /labware/{labware}/barcode",
-        handler=label_labware,
-        client=Method("barcode", take=None, repeat=True),
-        summary="Record the barcode of labware",
-        needs="submitter",
-        status=201,
-        problems=("refused",),
-        example={"barcode": "4006381333931", "by": "ada"},
-        example_answer={"labware": "P7"},
-    ),
-    Operation(
-        route="POST /labware/{labware}/owner",
-        handler=hand_over_labware,
-        client=Method("give", take=None, repeat=True),
-        summary="Give labware to another owner",
-        needs="submitter",
-        status=201,
-        problems=("refused",),
-        example={"to": "user:bo", "by": "ada"},
-        example_answer={"labware": "P7", "owner": "user:bo"},
-    ),
-    Operation(
-        route="POST /samples",
-        handler=register_sheet,
-        client=Method("_register_sheet", take="plates", repeat=True),
-        summary="Register the samples in the wells of plates",
-        needs="submitter",
-        status=201,
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        example={"text": "plate,well,sample\nP7,A1,serum 12\n", "by": "ada", "name": "sheet.csv"},
-        example_answer={"plates": {"P7": 1}},
-        largest_body=LARGEST_BODY,
-    ),
-)
+OPERATIONS = list_operations(globals(), "bench")

@@ -31,72 +31,10 @@ from labos.http.bookings import (
     select_bookings,
 )
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.services.shown import read_texts
 
 MEDIA_TYPE = "text/calendar"
-
-
-async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
-    """The bookings that have not ended, in the order of their next times."""
-    views = [make_view(booking) for booking in select_bookings(call.service, query.target)]
-    found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
-    await call.kernel.flush()
-    return found
-
-
-async def get_booking(call: Call, path: OfBooking) -> BookingView:
-    found = make_view(find_booking(call.kernel.state, path.booking))
-    await call.kernel.flush()
-    return found
-
-
-async def make_booking(call: Call, body: NewBooking) -> BookingView:
-    """Runs of other users start nothing that would still be there at that time. If somebody else has a
-    booking at that time, the request is refused, unless an admin forces it. A booking for maintenance cannot
-    be overridden."""
-    state, now = call.kernel.state, call.kernel.clock.now_ns()
-    target, terms = find_target(call.service, body.target), make_terms(state, body)
-    events = await call.kernel.execute(MakeBooking(target, terms, body.by, now, body.force), body.by)
-    return make_view(find_booking(call.kernel.state, events[0].booking), events[0].over)  # type: ignore[attr-defined]
-
-
-async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> BookingView:
-    """Fields that are left out do not change. If only the beginning is given, the end moves by the same
-    time."""
-    booking, now = find_booking(call.kernel.state, path.booking), call.kernel.clock.now_ns()
-    terms = change_terms(call.kernel.state, booking, body)
-    events = await call.kernel.execute(ChangeBooking(booking.id, terms, body.by, now, body.force), body.by)
-    return make_view(find_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
-
-
-async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> BookingCancelled:
-    """Everybody may then use that time, also if it has begun."""
-    find_booking(call.kernel.state, path.booking)
-    await call.kernel.execute(CancelBooking(path.booking, body.by, body.why, body.begins_at), body.by)
-    return BookingCancelled(path.booking, body.begins_at)
-
-
-async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
-    """Each time of each booking, also of repeated ones."""
-    found = make_calendar(call.service, query, call.kernel.clock.now_ns())
-    await call.kernel.flush()
-    return found
-
-
-async def export_calendar(call: Call, query: LinkQuery) -> Response:
-    """All bookings as iCalendar (RFC 5545). A calendar program subscribes to it with a token of scope
-    `viewer` in the address."""
-    from labos.services.ical import encode_ical  # a large library, which few labs need
-
-    bookings = select_bookings(call.service, query.target)
-    await call.kernel.flush()
-    named = list_references("\n".join(booking.why for booking in bookings).encode())
-    texts = await asyncio.to_thread(read_texts, call.service.parts.store, named)
-    shown = [msgspec.structs.replace(each, why=put_into_text(each.why, texts)) for each in bookings]
-    found = encode_ical(call.kernel.state, shown)
-    headers = {"cache-control": "private, max-age=300"}
-    return Response(found, media_type=MEDIA_TYPE, headers=headers)
 
 
 _AT = 1_764_144_000_000_000_000
@@ -121,87 +59,141 @@ _BOOKING = {
 }
 _TIME = {name: _BOOKING[name] for name in ("target", "begins_at", "ends_at", "user", "group", "why", "now")}
 
-OPERATIONS = declare(
-    "bookings",
-    Operation(
-        route="GET /bookings",
-        handler=list_bookings,
-        client=Method("bookings", "target", take="bookings"),
-        summary="List the bookings",
-        needs="viewer",
-        problems=("not_found",),
-        example_answer={"bookings": [_BOOKING]},
-    ),
-    Operation(
-        route="POST /bookings",
-        handler=make_booking,
-        client=Method("book", "target, begins_at, ends_at, by", key="new"),
-        summary="Book a module or a workcell",
-        needs="submitter",
-        status=201,
-        problems=("refused", "not_found"),
-        example={
-            "target": "ot2_pcr_alpha",
-            "begins_at": _AT,
-            "ends_at": _AT + 7_200_000_000_000,
-            "whom": "chemistry",
-            "why": "course",
-            "zone": "Europe/Zurich",
-            "rule": "FREQ=WEEKLY",
-            "by": "ada",
-        },
-        example_answer=_BOOKING,
-    ),
-    Operation(
-        route="GET /bookings/{booking}",
-        handler=get_booking,
-        client=Method("booking"),
-        summary="A booking",
-        needs="viewer",
-        example_answer=_BOOKING,
-    ),
-    Operation(
-        route="POST /bookings/{booking}/change",
-        handler=change_booking,
-        client=Method("change_booking", repeat=True),
-        summary="Change the time or the owner of a booking",
-        needs="submitter",
-        problems=("refused",),
-        example={"begins_at": _AT, "ends_at": _AT + 7_200_000_000_000, "by": "ada"},
-        example_answer=_BOOKING,
-    ),
-    Operation(
-        route="POST /bookings/{booking}/cancel",
-        handler=cancel_booking,
-        client=Method("cancel_booking", take=None, key="new"),
-        summary="Cancel a booking, or one time of it",
-        needs="submitter",
-        problems=("refused",),
-        example={"by": "ada", "why": "not needed"},
-        example_answer={"booking": "B3", "begins_at": 0},
-    ),
-    Operation(
-        route="GET /calendar",
-        handler=show_calendar,
-        client=Method("calendar", "since, until, target"),
-        summary="List the booked times",
-        needs="viewer",
-        problems=("not_found",),
-        example_answer={
-            "since": _AT,
-            "until": _AT + 7 * DAY_NS,
-            "times": [{"booking": "B3", "maintenance": False, **_TIME}],
-        },
-    ),
-    Operation(
-        route="GET /calendar.ics",
-        handler=export_calendar,
-        client=Method("calendar_file", "target", without=("token",)),
-        answer=bytes,
-        media=(MEDIA_TYPE,),
-        summary="The calendar for calendar programs",
-        needs="viewer",
-        by_link=True,
-        problems=("not_found",),
-    ),
+
+@Operation(
+    route="GET /bookings",
+    client=Method("bookings", "target", take="bookings"),
+    summary="List the bookings",
+    needs="viewer",
+    problems=("not_found",),
+    example_answer={"bookings": [_BOOKING]},
 )
+async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
+    """The bookings that have not ended, in the order of their next times."""
+    views = [make_view(booking) for booking in select_bookings(call.service, query.target)]
+    found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
+    await call.kernel.flush()
+    return found
+
+
+@Operation(
+    route="POST /bookings",
+    client=Method("book", "target, begins_at, ends_at, by", key="new"),
+    summary="Book a module or a workcell",
+    needs="submitter",
+    status=201,
+    problems=("refused", "not_found"),
+    example={
+        "target": "ot2_pcr_alpha",
+        "begins_at": _AT,
+        "ends_at": _AT + 7_200_000_000_000,
+        "whom": "chemistry",
+        "why": "course",
+        "zone": "Europe/Zurich",
+        "rule": "FREQ=WEEKLY",
+        "by": "ada",
+    },
+    example_answer=_BOOKING,
+)
+async def make_booking(call: Call, body: NewBooking) -> BookingView:
+    """Runs of other users start nothing that would still be there at that time. If somebody else has a
+    booking at that time, the request is refused, unless an admin forces it. A booking for maintenance cannot
+    be overridden."""
+    state, now = call.kernel.state, call.kernel.clock.now_ns()
+    target, terms = find_target(call.service, body.target), make_terms(state, body)
+    events = await call.kernel.execute(MakeBooking(target, terms, body.by, now, body.force), body.by)
+    return make_view(find_booking(call.kernel.state, events[0].booking), events[0].over)  # type: ignore[attr-defined]
+
+
+@Operation(
+    route="GET /bookings/{booking}",
+    client=Method("booking"),
+    summary="A booking",
+    needs="viewer",
+    example_answer=_BOOKING,
+)
+async def get_booking(call: Call, path: OfBooking) -> BookingView:
+    found = make_view(find_booking(call.kernel.state, path.booking))
+    await call.kernel.flush()
+    return found
+
+
+@Operation(
+    route="POST /bookings/{booking}/change",
+    client=Method("change_booking", repeat=True),
+    summary="Change the time or the owner of a booking",
+    needs="submitter",
+    problems=("refused",),
+    example={"begins_at": _AT, "ends_at": _AT + 7_200_000_000_000, "by": "ada"},
+    example_answer=_BOOKING,
+)
+async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> BookingView:
+    """Fields that are left out do not change. If only the beginning is given, the end moves by the same
+    time."""
+    booking, now = find_booking(call.kernel.state, path.booking), call.kernel.clock.now_ns()
+    terms = change_terms(call.kernel.state, booking, body)
+    events = await call.kernel.execute(ChangeBooking(booking.id, terms, body.by, now, body.force), body.by)
+    return make_view(find_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
+
+
+@Operation(
+    route="POST /bookings/{booking}/cancel",
+    client=Method("cancel_booking", take=None, key="new"),
+    summary="Cancel a booking, or one time of it",
+    needs="submitter",
+    problems=("refused",),
+    example={"by": "ada", "why": "not needed"},
+    example_answer={"booking": "B3", "begins_at": 0},
+)
+async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> BookingCancelled:
+    """Everybody may then use that time, also if it has begun."""
+    find_booking(call.kernel.state, path.booking)
+    await call.kernel.execute(CancelBooking(path.booking, body.by, body.why, body.begins_at), body.by)
+    return BookingCancelled(path.booking, body.begins_at)
+
+
+@Operation(
+    route="GET /calendar",
+    client=Method("calendar", "since, until, target"),
+    summary="List the booked times",
+    needs="viewer",
+    problems=("not_found",),
+    example_answer={
+        "since": _AT,
+        "until": _AT + 7 * DAY_NS,
+        "times": [{"booking": "B3", "maintenance": False, **_TIME}],
+    },
+)
+async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
+    """Each time of each booking, also of repeated ones."""
+    found = make_calendar(call.service, query, call.kernel.clock.now_ns())
+    await call.kernel.flush()
+    return found
+
+
+@Operation(
+    route="GET /calendar.ics",
+    client=Method("calendar_file", "target", without=("token",)),
+    answer=bytes,
+    media=(MEDIA_TYPE,),
+    summary="The calendar for calendar programs",
+    needs="viewer",
+    by_link=True,
+    problems=("not_found",),
+)
+async def export_calendar(call: Call, query: LinkQuery) -> Response:
+    """All bookings as iCalendar (RFC 5545). A calendar program subscribes to it with a token of scope
+    `viewer` in the address."""
+    from labos.services.ical import encode_ical  # a large library, which few labs need
+
+    bookings = select_bookings(call.service, query.target)
+    await call.kernel.flush()
+    named = list_references("\n".join(booking.why for booking in bookings).encode())
+    texts = await asyncio.to_thread(read_texts, call.service.parts.store, named)
+    shown = [msgspec.structs.replace(each, why=put_into_text(each.why, texts)) for each in bookings]
+    found = encode_ical(call.kernel.state, shown)
+    headers = {"cache-control": "private, max-age=300"}
+    return Response(found, media_type=MEDIA_TYPE, headers=headers)
+
+
+OPERATIONS = list_operations(globals(), "bookings")

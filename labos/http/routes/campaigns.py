@@ -38,13 +38,28 @@ from labos.http.campaigns import CampaignView, amend_terms, make_view, submit_ca
 from labos.http.cloning import clone_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfCampaign
 from labos.services.proposals import describe_waiting
 from labos.services.shares import make_ledger
 from labos.spec.shares import parse_shares
 
+_WORKFLOW = (
+    "labos: 1\nname: seal\nsteps:\n"
+    "  - {name: seal, module: sealer, action: seal, args: {time: payload.time}}\n"
+)
+_CAMPAIGN = (
+    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
+)
+_SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {}}}\n"
 
+
+@Operation(
+    route="GET /campaigns",
+    client=Method("campaigns", take="campaigns"),
+    summary="List the campaigns that have not been completed",
+    needs="viewer",
+)
 async def list_campaigns(call: Call) -> Campaigns:
     state = call.kernel.state
     found = [make_view(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden]
@@ -52,12 +67,24 @@ async def list_campaigns(call: Call) -> Campaigns:
     return Campaigns(found)
 
 
-async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
-    found = make_view(call.kernel.state, _open_campaign(call, path))
-    await call.kernel.flush()
-    return found
-
-
+@Operation(
+    route="POST /campaigns",
+    client=Method("_submit_campaign_file", "text, workflow, user", key="given", timeout_s=900.0),
+    summary="Check a campaign and submit it",
+    needs="submitter",
+    status=201,
+    other_statuses={200: "It was only checked (`dry_run`)"},
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    logs_key=True,
+    example={
+        "text": _CAMPAIGN,
+        "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
+        "user": "ada",
+        "dry_run": True,
+    },
+    answer=CampaignSubmission,
+    largest_body=LARGEST_BODY,
+)
 async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     """The campaign is checked row by row. If a row cannot be carried out, nothing is submitted, and `details`
     of the problem lists each fault with its row."""
@@ -66,6 +93,27 @@ async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     return wire.answer(told, 200 if body.dry_run else 201)
 
 
+@Operation(
+    route="GET /campaigns/{campaign}",
+    client=Method("campaign"),
+    summary="Show the progress and the terms of a campaign that has not been completed",
+    needs="viewer",
+)
+async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
+    found = make_view(call.kernel.state, _open_campaign(call, path))
+    await call.kernel.flush()
+    return found
+
+
+@Operation(
+    route="POST /campaigns/{campaign}/pause",
+    client=Method("pause_campaign", take=None, repeat=True),
+    summary="Pause a campaign: no further row is submitted",
+    needs="submitter",
+    problems=("refused",),
+    example={"by": "ada", "why": "lunch"},
+    example_answer={"campaign": "C1"},
+)
 async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> CampaignReference:
     """Its waiting runs are paused; runs that have started continue."""
     name = _open_campaign(call, path).id
@@ -73,12 +121,30 @@ async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> C
     return CampaignReference(name)
 
 
+@Operation(
+    route="POST /campaigns/{campaign}/resume",
+    client=Method("resume_campaign", take=None, repeat=True),
+    summary="Resume a paused campaign",
+    needs="submitter",
+    problems=("refused",),
+    example={"by": "ada"},
+    example_answer={"campaign": "C1"},
+)
 async def resume_campaign(call: Call, path: OfCampaign, body: By) -> CampaignReference:
     name = _open_campaign(call, path).id
     await call.kernel.execute(ResumeCampaign(name), body.by)
     return CampaignReference(name)
 
 
+@Operation(
+    route="POST /campaigns/{campaign}/cancel",
+    client=Method("cancel_campaign", take=None, repeat=True),
+    summary="Cancel a campaign",
+    needs="submitter",
+    problems=("refused",),
+    example={"by": "ada", "why": "wrong plates"},
+    example_answer={"campaign": "C1"},
+)
 async def cancel_campaign(call: Call, path: OfCampaign, body: CampaignCancel) -> CampaignReference:
     """No further row is submitted, and its runs are cancelled."""
     name = _open_campaign(call, path).id
@@ -86,6 +152,14 @@ async def cancel_campaign(call: Call, path: OfCampaign, body: CampaignCancel) ->
     return CampaignReference(name)
 
 
+@Operation(
+    route="POST /campaigns/{campaign}/amend",
+    client=Method("_amend_campaign", repeat=True),
+    summary="Change the terms of a campaign",
+    needs="submitter",
+    problems=("refused", "spec_error"),
+    example={"by": "ada", "priority": 5, "runs": 100},
+)
 async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> CampaignTerms:
     """Fields that are left out do not change. A change that allows the campaign more may need an approval;
     until then, the terms in the answer are valid."""
@@ -95,6 +169,18 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
     return CampaignTerms(campaign.id, campaign.terms, describe_waiting(call.kernel.state, campaign.id))
 
 
+@Operation(
+    route="POST /campaigns/{campaign}/clone",
+    client=Method("_clone_a_campaign", key="given", timeout_s=900.0),
+    summary="Submit a copy of a campaign",
+    needs="submitter",
+    status=201,
+    other_statuses={200: "It was only checked (`dry_run`)"},
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    logs_key=True,
+    example={"by": "ada", "name": "sealing times, again", "deadline": "36h", "dry_run": True},
+    answer=CampaignSubmission,
+)
 async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Response:
     """The copy has the same rows and the same workflow, and is checked like a new campaign. It belongs to the
     user who asks. A campaign that has ended can be copied too. Fields that are left out are as in the
@@ -105,6 +191,15 @@ async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Respons
     return wire.answer(told, 200 if body.dry_run else 201)
 
 
+@Operation(
+    route="POST /campaigns/{campaign}/archive",
+    client=Method("archive_campaign", take=None, repeat=True),
+    summary="Hide a campaign that has ended from lists",
+    needs="submitter",
+    problems=("not_found", "refused"),
+    example={"by": "ada"},
+    example_answer={"campaign": "C1"},
+)
 async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> CampaignReference:
     """Nothing is deleted."""
     call.expect_seen(path.campaign)
@@ -112,12 +207,27 @@ async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> Cam
     return CampaignReference(path.campaign)
 
 
+@Operation(
+    route="GET /shares",
+    client=Method("shares", take="accounts"),
+    summary="Show each user's share of the lab, and the use so far",
+    needs="viewer",
+)
 async def list_shares(call: Call) -> Shares:
     accounts = make_ledger(call.kernel.state, call.kernel.clock.now_ns())
     await call.kernel.flush()
     return Shares(accounts)
 
 
+@Operation(
+    route="POST /shares",
+    client=Method("apply_shares", "text, file=name, by", take=None, repeat=True),
+    summary="Apply a shares file with weights and quotas",
+    needs="admin",
+    problems=("refused", "spec_error", "spec_errors"),
+    example={"text": _SHARES, "by": "ada", "name": "shares.yaml"},
+    example_answer={"digest": "ab" * 32},
+)
 async def apply_shares(call: Call, body: SharesFile) -> SharesReference:
     found = await call.service.run_beside(len(body.text), parse_shares, body.text, body.name)
     await call.kernel.execute(ApplyShares(found.digest, found.groups, found.users), body.by)
@@ -135,127 +245,4 @@ def _open_campaign(call: Call, path: OfCampaign) -> Campaign:
     return known
 
 
-_WORKFLOW = (
-    "labos: 1\nname: seal\nsteps:\n"
-    "  - {name: seal, module: sealer, action: seal, args: {time: payload.time}}\n"
-)
-_CAMPAIGN = (
-    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
-)
-_SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {}}}\n"
-
-OPERATIONS = declare(
-    "campaigns",
-    Operation(
-        route="GET /campaigns",
-        handler=list_campaigns,
-        client=Method("campaigns", take="campaigns"),
-        summary="List the campaigns that have not been completed",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /campaigns",
-        handler=submit_campaign_file,
-        client=Method("_submit_campaign_file", "text, workflow, user", key="given", timeout_s=900.0),
-        summary="Check a campaign and submit it",
-        needs="submitter",
-        status=201,
-        other_statuses={200: "It was only checked (`dry_run`)"},
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        logs_key=True,
-        example={
-            "text": _CAMPAIGN,
-            "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
-            "user": "ada",
-            "dry_run": True,
-        },
-        answer=CampaignSubmission,
-        largest_body=LARGEST_BODY,
-    ),
-    Operation(
-        route="GET /campaigns/{campaign}",
-        handler=get_campaign,
-        client=Method("campaign"),
-        summary="Show the progress and the terms of a campaign that has not been completed",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /campaigns/{campaign}/pause",
-        handler=pause_campaign,
-        client=Method("pause_campaign", take=None, repeat=True),
-        summary="Pause a campaign: no further row is submitted",
-        needs="submitter",
-        problems=("refused",),
-        example={"by": "ada", "why": "lunch"},
-        example_answer={"campaign": "C1"},
-    ),
-    Operation(
-        route="POST /campaigns/{campaign}/resume",
-        handler=resume_campaign,
-        client=Method("resume_campaign", take=None, repeat=True),
-        summary="Resume a paused campaign",
-        needs="submitter",
-        problems=("refused",),
-        example={"by": "ada"},
-        example_answer={"campaign": "C1"},
-    ),
-    Operation(
-        route="POST /campaigns/{campaign}/cancel",
-        handler=cancel_campaign,
-        client=Method("cancel_campaign", take=None, repeat=True),
-        summary="Cancel a campaign",
-        needs="submitter",
-        problems=("refused",),
-        example={"by": "ada", "why": "wrong plates"},
-        example_answer={"campaign": "C1"},
-    ),
-    Operation(
-        route="POST /campaigns/{campaign}/amend",
-        handler=amend_campaign,
-        client=Method("_amend_campaign", repeat=True),
-        summary="Change the terms of a campaign",
-        needs="submitter",
-        problems=("refused", "spec_error"),
-        example={"by": "ada", "priority": 5, "runs": 100},
-    ),
-    Operation(
-        route="POST /campaigns/{campaign}/clone",
-        handler=clone_a_campaign,
-        client=Method("_clone_a_campaign", key="given", timeout_s=900.0),
-        summary="Submit a copy of a campaign",
-        needs="submitter",
-        status=201,
-        other_statuses={200: "It was only checked (`dry_run`)"},
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        logs_key=True,
-        example={"by": "ada", "name": "sealing times, again", "deadline": "36h", "dry_run": True},
-        answer=CampaignSubmission,
-    ),
-    Operation(
-        route="POST /campaigns/{campaign}/archive",
-        handler=archive_campaign,
-        client=Method("archive_campaign", take=None, repeat=True),
-        summary="Hide a campaign that has ended from lists",
-        needs="submitter",
-        problems=("not_found", "refused"),
-        example={"by": "ada"},
-        example_answer={"campaign": "C1"},
-    ),
-    Operation(
-        route="GET /shares",
-        handler=list_shares,
-        client=Method("shares", take="accounts"),
-        summary="Show each user's share of the lab, and the use so far",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /shares",
-        handler=apply_shares,
-        client=Method("apply_shares", "text, file=name, by", take=None, repeat=True),
-        summary="Apply a shares file with weights and quotas",
-        needs="admin",
-        problems=("refused", "spec_error", "spec_errors"),
-        example={"text": _SHARES, "by": "ada", "name": "shares.yaml"},
-        example_answer={"digest": "ab" * 32},
-    ),
-)
+OPERATIONS = list_operations(globals(), "campaigns")

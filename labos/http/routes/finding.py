@@ -11,7 +11,7 @@ from labos.core.structs import make_from
 from labos.errors import Refused
 from labos.http.limits import Line, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import Several
 
 
@@ -46,6 +46,13 @@ class FindQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     )
 
 
+@Operation(
+    route="GET /find",
+    client=Method("find", "words", timeout_s=90.0),
+    summary="Search experiments, runs, samples, files and results by words",
+    needs="viewer",
+    problems=("refused",),
+)
 async def find_entries(call: Call, query: FindQuery) -> SearchResult:
     """Finds experiments, runs, samples, images, files, results and publications by words and filters. Entries
     whose name holds the words come first, then the newest. A separate process keeps the search index;
@@ -70,14 +77,4 @@ async def find_entries(call: Call, query: FindQuery) -> SearchResult:
     )
 
 
-OPERATIONS = declare(
-    "log",
-    Operation(
-        route="GET /find",
-        handler=find_entries,
-        client=Method("find", "words", timeout_s=90.0),
-        summary="Search experiments, runs, samples, files and results by words",
-        needs="viewer",
-        problems=("refused",),
-    ),
-)
+OPERATIONS = list_operations(globals(), "log")

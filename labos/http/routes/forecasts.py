@@ -13,7 +13,7 @@ from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.placing import make_loads
 from labos.planning.lab_forecast import LabForecast
 from labos.services.times import parse_due
@@ -41,6 +41,23 @@ class CampaignForecast(msgspec.Struct, frozen=True):
     forecast: LabForecast
 
 
+_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+_TIMED = _WORKFLOW.replace("action: seal}", "action: seal, args: {time: payload.time}}")
+_CAMPAIGN = (
+    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
+)
+
+FORECAST_S = 180.0
+"""How many seconds the lab may take for a forecast."""
+
+
+@Operation(
+    route="GET /forecast",
+    client=Method("forecast", timeout_s=FORECAST_S),
+    summary="Forecast when runs start and end, and when a person is needed",
+    needs="viewer",
+    problems=("refused",),
+)
 async def get_forecast(call: Call) -> Forecast:
     """LabOS simulates the lab in virtual time with durations from its log. The simulation assumes that
     nothing fails and nobody refills a resource. The ranges are as wide as the errors of earlier forecasts. It
@@ -50,6 +67,15 @@ async def get_forecast(call: Call) -> Forecast:
     return Forecast(hide_others(forecast, call), find_drifts(state.lengths, state.lab.pace))
 
 
+@Operation(
+    route="POST /runs/forecast",
+    client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
+    summary="Forecast when a run would start and end, without submitting it",
+    needs="submitter",
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
+    largest_body=LARGEST_BODY,
+)
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     """Nothing is submitted or stored. The run counts as approved."""
     service = call.service
@@ -71,6 +97,20 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     return RunForecast(hide_others(forecast, call), compiled.findings)
 
 
+@Operation(
+    route="POST /campaigns/forecast",
+    client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
+    summary="Forecast a campaign and its needs, without submitting it",
+    tag="campaigns",
+    needs="submitter",
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    example={
+        "text": _CAMPAIGN,
+        "workflow": {"text": _TIMED, "name": "seal.yaml"},
+        "user": "ada",
+    },
+    largest_body=LARGEST_BODY,
+)
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
     """The campaign is checked row by row. Nothing is submitted or stored. It counts as approved."""
     estimate, forecast = await forecast_campaign(call.service, body)
@@ -93,49 +133,4 @@ def hide_others(forecast: LabForecast, call: Call) -> LabForecast:
     )
 
 
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
-_TIMED = _WORKFLOW.replace("action: seal}", "action: seal, args: {time: payload.time}}")
-_CAMPAIGN = (
-    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
-)
-
-FORECAST_S = 180.0
-"""How many seconds the lab may take for a forecast."""
-
-OPERATIONS = (
-    Operation(
-        route="GET /forecast",
-        handler=get_forecast,
-        client=Method("forecast", timeout_s=FORECAST_S),
-        summary="Forecast when runs start and end, and when a person is needed",
-        tag="runs",
-        needs="viewer",
-        problems=("refused",),
-    ),
-    Operation(
-        route="POST /runs/forecast",
-        handler=forecast_run,
-        client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
-        summary="Forecast when a run would start and end, without submitting it",
-        tag="runs",
-        needs="submitter",
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
-        largest_body=LARGEST_BODY,
-    ),
-    Operation(
-        route="POST /campaigns/forecast",
-        handler=forecast_campaign_file,
-        client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
-        summary="Forecast a campaign and its needs, without submitting it",
-        tag="campaigns",
-        needs="submitter",
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        example={
-            "text": _CAMPAIGN,
-            "workflow": {"text": _TIMED, "name": "seal.yaml"},
-            "user": "ada",
-        },
-        largest_body=LARGEST_BODY,
-    ),
-)
+OPERATIONS = list_operations(globals(), "runs")

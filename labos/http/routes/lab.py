@@ -13,14 +13,25 @@ from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
 from labos.runtime.stop import StopReport
 from labos.services.inventory import Inventory, count_inventory
 from labos.services.times import iso_time
 
+_NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
+_CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
+_CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
 
+
+@Operation(
+    route="GET /health",
+    client=Method("health"),
+    at_kernel=True,
+    summary="Show whether the kernel works",
+    needs="viewer",
+)
 async def get_health(call: Call) -> Health:
     """Probes can use `/health`, which answers `{"status": …}` and needs no user."""
     kernel, parts = call.kernel, call.service.parts
@@ -39,11 +50,24 @@ async def get_health(call: Call) -> Health:
     )
 
 
+@Operation(
+    route="GET /state",
+    client=Method("state"),
+    answer=LabView,
+    summary="Show the present state of the lab",
+    needs="viewer",
+)
 async def get_state(call: Call, query: StateQuery) -> Response:
     """Requests at the same time share one answer, which is newer than each of them."""
     return wire.answer_encoded(await call.api.state_for(call.viewer, waits=query.waits).get())
 
 
+@Operation(
+    route="GET /inventory",
+    client=Method("inventory"),
+    summary="Show the resources that are left, and when they run out",
+    needs="viewer",
+)
 async def get_inventory(call: Call) -> Inventory:
     """Levels and lots of all resources, the content of stacks, the room in waste stations, and in `runs_out`
     the first run that would have too little. Times are in UTC nanoseconds."""
@@ -53,6 +77,13 @@ async def get_inventory(call: Call) -> Inventory:
     return found
 
 
+@Operation(
+    route="GET /nodes",
+    client=Method("_list_nodes", take="modules"),
+    summary="Ask the nodes of modules for their present state",
+    needs="viewer",
+    example_answer={"modules": [_NODE]},
+)
 async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:
     """The lab asks the modules' nodes over the bus and waits at most two seconds. Nothing moves."""
     found = await ask_nodes(call.service, query.module, check=query.check)
@@ -60,27 +91,47 @@ async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:
     return NodeAnswers(found)
 
 
+@Operation(
+    route="POST /control/pause",
+    client=Method("_pause_target", repeat=True),
+    summary="Pause a run, an experiment, a module, a workcell or the lab",
+    needs="submitter",
+    problems=("not_found", "refused"),
+    example=_CONTROL,
+    example_answer=_CONTROLLED,
+)
 async def pause(call: Call, body: ControlRequest) -> ControlResult:
     """Nothing more starts there except resets; actions under way continue to their end."""
     return await control(call.kernel, "pause", body)
 
 
+@Operation(
+    route="POST /control/resume",
+    client=Method("_resume_target", repeat=True),
+    summary="Resume a paused run, experiment, module, workcell or lab",
+    needs="submitter",
+    problems=("not_found", "refused"),
+    example={"target": "rpl/ot2_pcr_alpha", "by": "ada"},
+    example_answer=_CONTROLLED,
+)
 async def resume(call: Call, body: ControlRequest) -> ControlResult:
     return await control(call.kernel, "resume", body)
 
 
+@Operation(
+    route="POST /control/cancel",
+    client=Method("_cancel_target", repeat=True),
+    summary="Cancel a run, an experiment, or the runs of a module, a workcell or the lab",
+    needs="submitter",
+    problems=("not_found", "refused"),
+    example={"target": "R1", "by": "ada", "why": "wrong plate"},
+    example_answer={"kind": "run", "target": "R1", "runs": ["R1"]},
+)
 async def cancel(call: Call, body: ControlRequest) -> ControlResult:
     """With a module, the started runs that still need it are cancelled; with a workcell or the lab, all runs,
     also those that wait. A cancelled experiment accepts no more runs and closes when its runs have ended.
     Closing workflows continue, because they clear labware away."""
     return await control(call.kernel, "cancel", body)
-
-
-async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
-    """The stop does not wait for the log; it is logged afterwards. It is not a safety function. `stopped` are
-    the modules that confirmed the stop, with the time (UTC nanoseconds); `silent` are the others. A stopped
-    module is in the state ERROR until a run of its action `reset`, which `labos reset` submits."""
-    return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
 
 
 def recall_stop(events: list[Event]) -> StopReport:
@@ -89,86 +140,25 @@ def recall_stop(events: list[Event]) -> StopReport:
     return StopReport(told.stopped, told.silent)
 
 
-_NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
-_CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
-_CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
-
-OPERATIONS = declare(
-    "lab",
-    Operation(
-        route="GET /health",
-        handler=get_health,
-        client=Method("health"),
-        at_kernel=True,
-        summary="Show whether the kernel works",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /state",
-        handler=get_state,
-        client=Method("state"),
-        answer=LabView,
-        summary="Show the present state of the lab",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /inventory",
-        handler=get_inventory,
-        client=Method("inventory"),
-        summary="Show the resources that are left, and when they run out",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /nodes",
-        handler=list_nodes,
-        client=Method("_list_nodes", take="modules"),
-        summary="Ask the nodes of modules for their present state",
-        needs="viewer",
-        example_answer={"modules": [_NODE]},
-    ),
-    Operation(
-        route="POST /control/pause",
-        handler=pause,
-        client=Method("_pause_target", repeat=True),
-        summary="Pause a run, an experiment, a module, a workcell or the lab",
-        needs="submitter",
-        problems=("not_found", "refused"),
-        example=_CONTROL,
-        example_answer=_CONTROLLED,
-    ),
-    Operation(
-        route="POST /control/resume",
-        handler=resume,
-        client=Method("_resume_target", repeat=True),
-        summary="Resume a paused run, experiment, module, workcell or lab",
-        needs="submitter",
-        problems=("not_found", "refused"),
-        example={"target": "rpl/ot2_pcr_alpha", "by": "ada"},
-        example_answer=_CONTROLLED,
-    ),
-    Operation(
-        route="POST /control/cancel",
-        handler=cancel,
-        client=Method("_cancel_target", repeat=True),
-        summary="Cancel a run, an experiment, or the runs of a module, a workcell or the lab",
-        needs="submitter",
-        problems=("not_found", "refused"),
-        example={"target": "R1", "by": "ada", "why": "wrong plate"},
-        example_answer={"kind": "run", "target": "R1", "runs": ["R1"]},
-    ),
-    Operation(
-        route="POST /estop",
-        handler=stop_modules,
-        recall=recall_stop,
-        client=Method("emergency_stop", "target, by='somebody'", repeat=True, timeout_s=5.0),
-        summary="Stop modules at once, in an emergency",
-        needs="submitter",
-        by_home=True,
-        problems=("not_found",),
-        example={"target": "*", "by": "ada"},
-        example_answer={
-            "stopped": {"rpl/pf400": 1767225600000000000},
-            "silent": {"rpl/ur5": "no node answers for it"},
-        },
-    ),
+@Operation(
+    route="POST /estop",
+    recall=recall_stop,
+    client=Method("emergency_stop", "target, by='somebody'", repeat=True, timeout_s=5.0),
+    summary="Stop modules at once, in an emergency",
+    needs="submitter",
+    by_home=True,
+    problems=("not_found",),
+    example={"target": "*", "by": "ada"},
+    example_answer={
+        "stopped": {"rpl/pf400": 1767225600000000000},
+        "silent": {"rpl/ur5": "no node answers for it"},
+    },
 )
+async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
+    """The stop does not wait for the log; it is logged afterwards. It is not a safety function. `stopped` are
+    the modules that confirmed the stop, with the time (UTC nanoseconds); `silent` are the others. A stopped
+    module is in the state ERROR until a run of its action `reset`, which `labos reset` submits."""
+    return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
+
+
+OPERATIONS = list_operations(globals(), "lab")

@@ -13,7 +13,7 @@ from labos.http.answers import EventPage
 from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
 from labos.http.viewers import Follow
@@ -24,6 +24,13 @@ CONNECTION = "labos.connection"
 """The key in a request's scope with its connection."""
 
 
+@Operation(
+    route="GET /events",
+    client=Method("events", by_hand=True),
+    answer=EventPage,
+    summary="Committed events in order",
+    needs="viewer",
+)
 async def list_events(call: Call, query: EventsQuery) -> Response:
     """One page, at most 1000 events. For the next page, ask with `after` = `position` of the answer."""
 
@@ -46,6 +53,15 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
     )
 
 
+@Operation(
+    route="GET /events/stream",
+    client=Method("events", by_hand=True),
+    answer=str,
+    media=(STREAM_TYPE,),
+    headers=("Last-Event-ID",),
+    summary="Committed events as they come",
+    needs="viewer",
+)
 async def follow_events(call: Call, query: EventFilter) -> Response:
     """A stream of server-sent events without end: `id` is the position, `data` is the event. The header
     `Last-Event-ID` takes precedence over `after`, because a browser that connects again repeats its first
@@ -75,6 +91,17 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
             call.api.ends.forget_stream(shown, end)
 
 
+@Operation(
+    route="GET /files/{sha256}",
+    client=Method("file", by_hand=True),
+    answer=bytes,
+    media=("application/octet-stream",),
+    headers=("Range", "If-Range", "If-None-Match"),
+    other_statuses={206: "The part that was asked for", 304: "It is the file that you have"},
+    problems=("range_not_satisfiable", "log_damaged"),
+    summary="The content of a file",
+    needs="viewer",
+)
 async def get_file(call: Call, path: OfFile) -> Response:
     """A file that a result names (`{"file": "plate.png", "sha256": …, "bytes": …}`). With `Range:
     bytes=0-1023` (or `1024-`, or `-512` for the end), only this part. The content never changes; its SHA-256
@@ -97,36 +124,4 @@ def _make_log_query(query: EventFilter) -> LogQuery:
     return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream))
 
 
-OPERATIONS = declare(
-    "log",
-    Operation(
-        route="GET /events",
-        handler=list_events,
-        client=Method("events", by_hand=True),
-        answer=EventPage,
-        summary="Committed events in order",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /events/stream",
-        handler=follow_events,
-        client=Method("events", by_hand=True),
-        answer=str,
-        media=(STREAM_TYPE,),
-        headers=("Last-Event-ID",),
-        summary="Committed events as they come",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /files/{sha256}",
-        handler=get_file,
-        client=Method("file", by_hand=True),
-        answer=bytes,
-        media=("application/octet-stream",),
-        headers=("Range", "If-Range", "If-None-Match"),
-        other_statuses={206: "The part that was asked for", 304: "It is the file that you have"},
-        problems=("range_not_satisfiable", "log_damaged"),
-        summary="The content of a file",
-        needs="viewer",
-    ),
-)
+OPERATIONS = list_operations(globals(), "log")

@@ -29,13 +29,24 @@ from labos.http.bodies import (
 from labos.http.calibrating import calibrate
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, replenish
 from labos.http.teaching import make_locations, teach
 from labos.http.workcells import WorkcellChange, apply_workcell
 
+_CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
 
+
+@Operation(
+    route="POST /modules/{module}/out-of-service",
+    client=Method("take_out", "module, why, by, until_ns=until", take=None),
+    summary="Take a module out of service",
+    needs="operator",
+    problems=("refused",),
+    example={"why": "new foil", "by": "ada"},
+    example_answer={"module": "rpl/sealer"},
+)
 async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) -> ModuleReference:
     """Actions under way continue to their end; nothing more starts there."""
     if not body.why.strip():
@@ -44,11 +55,29 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     return ModuleReference(path.module)
 
 
+@Operation(
+    route="POST /modules/{module}/in-service",
+    client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
+    summary="Put a module back in service",
+    needs="operator",
+    problems=("refused",),
+    example={"by": "ada"},
+    example_answer={"module": "rpl/sealer"},
+)
 async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReference:
     await call.service.put_back(path.module, body.by)
     return ModuleReference(path.module)
 
 
+@Operation(
+    route="POST /modules/{module}/trace",
+    client=Method("trace", "module, by='somebody'", take="file", repeat=True),
+    summary="Start or stop the transcript of a device's links",
+    needs="operator",
+    problems=("refused",),
+    example={"by": "ada", "on": True},
+    example_answer={"module": "rpl/sealer", "file": "/lab/traces/sealer.jsonl"},
+)
 async def trace_wires(call: Call, path: OfModule, body: WireTrace) -> TraceFile:
     """The module's node records every byte on the links to its device, or stops doing so
     ([links](../links.md))."""
@@ -57,29 +86,84 @@ async def trace_wires(call: Call, path: OfModule, body: WireTrace) -> TraceFile:
     return TraceFile(module, await switch_trace(call.service, module, body.on))
 
 
+@Operation(
+    route="POST /modules/{module}/replenish",
+    client=Method("replenish", take="amount"),
+    summary="Report that a resource was refilled",
+    needs="operator",
+    problems=("refused", "spec_error"),
+    example={"resource": "foil", "by": "ada", "amount": 96, "lot": "F7"},
+    example_answer={"module": "rpl/sealer", "resource": "foil", "amount": 96},
+)
 async def replenish_resource(call: Call, path: OfModule, body: Replenishment) -> ReplenishResult:
     """An amount larger than the free room is refused."""
     amount = await replenish(call.service, path.module, body, body.by)
     return ReplenishResult(path.module, body.resource, amount)
 
 
+@Operation(
+    route="GET /modules/{module}/locations",
+    client=Method("locations", take="locations"),
+    summary="Show the poses of a manipulator by station",
+    needs="viewer",
+    example_answer={
+        "locations": {"sealer.default": {"pose": [190.1], "version": 2, "proven": True, "types": {}}}
+    },
+)
 async def list_locations(call: Call, path: OfModule) -> Locations:
     """Version 0 is the pose of the workcell file. Poses for particular labware types are under `types`."""
     name = call.service.module(path.module)
     return Locations(make_locations(call.kernel.state.modules.by_name[name]))
 
 
+@Operation(
+    route="POST /modules/{module}/locations",
+    client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
+    summary="Teach a manipulator the pose for a station",
+    needs="operator",
+    status=201,
+    problems=("refused",),
+    example={"station": "sealer.default", "pose": [190.1], "by": "ada", "why": "moved"},
+    example_answer={"version": 3},
+)
 async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersion:
     """The node restarts with the new pose."""
     return PoseVersion(await teach(call.service, path.module, body, body.by))
 
 
+@Operation(
+    route="POST /modules/{module}/calibrations",
+    client=Method("calibrate", "module, by", key="new"),
+    summary="Record a calibration of a module",
+    needs="operator",
+    status=201,
+    problems=("refused",),
+    example={"by": "ada", "what": "volume", "certificate": "K-2041", "until": "2027-01-01"},
+    example_answer={
+        "module": "rpl/ot2_cp_gamma",
+        "what": "volume",
+        "certificate": "K-2041",
+        "file": "",
+        "until": "2027-01-01",
+    },
+    largest_body=LARGEST_BODY,
+)
 async def calibrate_module(call: Call, path: OfModule, body: NewCalibration) -> CalibrationRecord:
     """A later calibration of the same `what` replaces it. No run waits for a calibration, and none stops
     because a calibration has expired. `/files/{sha256}` returns the report."""
     return await calibrate(call.service, path.module, body, body.by)
 
 
+@Operation(
+    route="POST /workcells",
+    client=Method("_change_workcell", "text, by", repeat=True),
+    summary="Apply a workcell file",
+    tag="workcells",
+    needs="admin",
+    problems=("refused", "spec_error", "spec_errors"),
+    example={"text": _CELL, "by": "ada", "name": "bench.yaml", "dry_run": True},
+    largest_body=LARGEST_BODY,
+)
 async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
     """The answer has the differences (`modules`, `stations`, `poses`, `labware`), the changed fields of each
     module (`details`), the `blockers`, the warnings about its files (`findings`), and whether it was
@@ -89,6 +173,17 @@ async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
     return await apply_workcell(call.service, body, body.by)
 
 
+@Operation(
+    route="POST /workcells/{workcell}/access",
+    client=Method("enter", "workcell, by, why", take="parking", repeat=True),
+    summary="Ask for access to a workcell",
+    tag="workcells",
+    needs="operator",
+    status=201,
+    problems=("refused",),
+    example={"by": "ada", "why": "a plate is askew"},
+    example_answer={"workcell": "rpl", "parking": ["R7"]},
+)
 async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequest) -> AccessResult:
     """Nothing more starts there. `lab.access` in the state shows when access is `granted`, and which modules
     may still be moving because the outcome of their action is unknown (`perhaps_moving`)."""
@@ -96,133 +191,20 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
     return AccessResult(path.workcell, runs)
 
 
+@Operation(
+    route="POST /workcells/{workcell}/access/end",
+    client=Method("_end_workcell_access", take=None),
+    summary="End the access to a workcell",
+    tag="workcells",
+    needs="operator",
+    problems=("refused",),
+    example={"by": "ada", "changed": [{"station": "sealer.default", "what": "empty"}]},
+    example_answer={"workcell": "rpl"},
+)
 async def end_workcell_access(call: Call, path: OfWorkcell, body: AccessEnd) -> WorkcellReference:
     """Nobody reaches into the workcell any more, and it continues."""
     await end_access(call.service, path.workcell, body.by, body.note, body.changed)
     return WorkcellReference(path.workcell)
 
 
-_CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
-
-OPERATIONS = (
-    Operation(
-        route="POST /modules/{module}/out-of-service",
-        handler=take_out_of_service,
-        client=Method("take_out", "module, why, by, until_ns=until", take=None),
-        summary="Take a module out of service",
-        tag="modules",
-        needs="operator",
-        problems=("refused",),
-        example={"why": "new foil", "by": "ada"},
-        example_answer={"module": "rpl/sealer"},
-    ),
-    Operation(
-        route="POST /modules/{module}/in-service",
-        handler=put_in_service,
-        client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
-        summary="Put a module back in service",
-        tag="modules",
-        needs="operator",
-        problems=("refused",),
-        example={"by": "ada"},
-        example_answer={"module": "rpl/sealer"},
-    ),
-    Operation(
-        route="POST /modules/{module}/trace",
-        handler=trace_wires,
-        client=Method("trace", "module, by='somebody'", take="file", repeat=True),
-        summary="Start or stop the transcript of a device's links",
-        tag="modules",
-        needs="operator",
-        problems=("refused",),
-        example={"by": "ada", "on": True},
-        example_answer={"module": "rpl/sealer", "file": "/lab/traces/sealer.jsonl"},
-    ),
-    Operation(
-        route="POST /modules/{module}/replenish",
-        handler=replenish_resource,
-        client=Method("replenish", take="amount"),
-        summary="Report that a resource was refilled",
-        tag="modules",
-        needs="operator",
-        problems=("refused", "spec_error"),
-        example={"resource": "foil", "by": "ada", "amount": 96, "lot": "F7"},
-        example_answer={"module": "rpl/sealer", "resource": "foil", "amount": 96},
-    ),
-    Operation(
-        route="GET /modules/{module}/locations",
-        handler=list_locations,
-        client=Method("locations", take="locations"),
-        summary="Show the poses of a manipulator by station",
-        tag="modules",
-        needs="viewer",
-        example_answer={
-            "locations": {"sealer.default": {"pose": [190.1], "version": 2, "proven": True, "types": {}}}
-        },
-    ),
-    Operation(
-        route="POST /modules/{module}/locations",
-        handler=teach_location,
-        client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
-        summary="Teach a manipulator the pose for a station",
-        tag="modules",
-        needs="operator",
-        status=201,
-        problems=("refused",),
-        example={"station": "sealer.default", "pose": [190.1], "by": "ada", "why": "moved"},
-        example_answer={"version": 3},
-    ),
-    Operation(
-        route="POST /modules/{module}/calibrations",
-        handler=calibrate_module,
-        client=Method("calibrate", "module, by", key="new"),
-        summary="Record a calibration of a module",
-        tag="modules",
-        needs="operator",
-        status=201,
-        problems=("refused",),
-        example={"by": "ada", "what": "volume", "certificate": "K-2041", "until": "2027-01-01"},
-        example_answer={
-            "module": "rpl/ot2_cp_gamma",
-            "what": "volume",
-            "certificate": "K-2041",
-            "file": "",
-            "until": "2027-01-01",
-        },
-        largest_body=LARGEST_BODY,
-    ),
-    Operation(
-        route="POST /workcells",
-        handler=change_workcell,
-        client=Method("_change_workcell", "text, by", repeat=True),
-        summary="Apply a workcell file",
-        tag="workcells",
-        needs="admin",
-        problems=("refused", "spec_error", "spec_errors"),
-        example={"text": _CELL, "by": "ada", "name": "bench.yaml", "dry_run": True},
-        largest_body=LARGEST_BODY,
-    ),
-    Operation(
-        route="POST /workcells/{workcell}/access",
-        handler=request_workcell_access,
-        client=Method("enter", "workcell, by, why", take="parking", repeat=True),
-        summary="Ask for access to a workcell",
-        tag="workcells",
-        needs="operator",
-        status=201,
-        problems=("refused",),
-        example={"by": "ada", "why": "a plate is askew"},
-        example_answer={"workcell": "rpl", "parking": ["R7"]},
-    ),
-    Operation(
-        route="POST /workcells/{workcell}/access/end",
-        handler=end_workcell_access,
-        client=Method("_end_workcell_access", take=None),
-        summary="End the access to a workcell",
-        tag="workcells",
-        needs="operator",
-        problems=("refused",),
-        example={"by": "ada", "changed": [{"station": "sealer.default", "what": "empty"}]},
-        example_answer={"workcell": "rpl"},
-    ),
-)
+OPERATIONS = list_operations(globals(), "modules")

@@ -17,7 +17,7 @@ from labos.core.decide.users import (
 from labos.errors import Forbidden
 from labos.http.bodies import By
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.people import (
     Grant,
     GrantView,
@@ -36,7 +36,24 @@ from labos.http.people import (
 )
 from labos.http.queries import OfGroup, OfUser
 
+_USER = {
+    "id": "ada",
+    "kind": "person",
+    "disabled": False,
+    "since": 1_700_000_000_000_000_000,
+    "group": "chemistry",
+    "roles": {"rpl": "operator"},
+}
+_GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*": "submitter"}}
 
+
+@Operation(
+    route="GET /users",
+    client=Method("users", take="users"),
+    summary="List the users and their roles",
+    needs="viewer",
+    example_answer={"users": [_USER], "open": False},
+)
 async def list_users(call: Call) -> UserList:
     state = call.kernel.state
     found = UserList(list_user_views(state), state.users.is_open)
@@ -44,12 +61,16 @@ async def list_users(call: Call) -> UserList:
     return found
 
 
-async def get_user(call: Call, path: OfUser) -> UserView:
-    found = make_user_view(call.kernel.state, path.user)
-    await call.kernel.flush()
-    return found
-
-
+@Operation(
+    route="POST /users",
+    client=Method("add_user", take=None),
+    summary="Add a user: a person or a program",
+    needs="admin",
+    status=201,
+    problems=("refused",),
+    example={"user": "bo", "by": "ada"},
+    example_answer={**_USER, "id": "bo", "roles": {}},
+)
 async def add_user(call: Call, body: NewUser) -> UserView:
     """As soon as there is one user, only users may do anything. The first user becomes admin of the whole
     lab. The owner of the lab's folder adds the first user, with the content of `home.key` as the token."""
@@ -62,11 +83,42 @@ async def add_user(call: Call, body: NewUser) -> UserView:
     return await _change_user(call, AddUser(body.user, body.kind, body.role, body.scope), body.by)
 
 
+@Operation(
+    route="GET /users/{user}",
+    client=Method("user"),
+    summary="Show a user and the user's roles",
+    needs="viewer",
+    example_answer=_USER,
+)
+async def get_user(call: Call, path: OfUser) -> UserView:
+    found = make_user_view(call.kernel.state, path.user)
+    await call.kernel.flush()
+    return found
+
+
+@Operation(
+    route="POST /users/{user}/disable",
+    client=Method("disable_user", take=None, repeat=True),
+    summary="Disable a user",
+    needs="admin",
+    problems=("refused",),
+    example={"by": "ada"},
+    example_answer={**_USER, "disabled": True},
+)
 async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
     """The user may no longer do anything. The user's runs continue; the user's campaigns are paused."""
     return await _change_user(call, DisableUser(path.user), body.by)
 
 
+@Operation(
+    route="POST /users/{user}/enable",
+    client=Method("enable_user", take=None, repeat=True),
+    summary="Enable a disabled user",
+    needs="admin",
+    problems=("refused",),
+    example={"by": "ada"},
+    example_answer=_USER,
+)
 async def enable_user(call: Call, path: OfUser, body: By) -> UserView:
     return await _change_user(call, EnableUser(path.user), body.by)
 
@@ -76,28 +128,72 @@ async def _change_user(call: Call, command: AddUser | DisableUser | EnableUser, 
     return make_user_view(call.kernel.state, command.user)
 
 
+@Operation(
+    route="GET /groups",
+    client=Method("groups", take="groups"),
+    summary="Groups, their members and their roles",
+    needs="viewer",
+    example_answer={"groups": [_GROUP]},
+)
 async def list_groups(call: Call) -> GroupList:
     found = GroupList(list_group_views(call.kernel.state))
     await call.kernel.flush()
     return found
 
 
+@Operation(
+    route="POST /groups",
+    client=Method("add_group", take=None),
+    summary="Add a group",
+    needs="admin",
+    status=201,
+    problems=("refused",),
+    example={"group": "chemistry", "by": "ada"},
+    example_answer={**_GROUP, "members": [], "roles": {}},
+)
 async def add_group(call: Call, body: NewGroup) -> GroupView:
     """The group has weight 1; a shares file may set another weight."""
     return await _change_group(call, AddGroup(body.group), body.group, body.by)
 
 
+@Operation(
+    route="POST /groups/{group}/remove",
+    client=Method("remove_group", take=None),
+    summary="Remove a group",
+    needs="admin",
+    problems=("refused",),
+    example={"by": "ada"},
+    example_answer={"groups": []},
+)
 async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
     """Its members are then in no group, and its roles are removed. The answer lists the remaining groups."""
     await call.kernel.execute(RemoveGroup(path.group), body.by)
     return GroupList(list_group_views(call.kernel.state))
 
 
+@Operation(
+    route="POST /groups/{group}/members",
+    client=Method("add_member", take=None, repeat=True),
+    summary="Add a user to a group",
+    needs="admin",
+    problems=("refused",),
+    example={"user": "ada", "by": "ada"},
+    example_answer=_GROUP,
+)
 async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
     """A user can be in only one group."""
     return await _change_group(call, AddMember(path.group, body.user), path.group, body.by)
 
 
+@Operation(
+    route="POST /groups/{group}/members/remove",
+    client=Method("remove_member", take=None, repeat=True),
+    summary="Take a user out of a group",
+    needs="admin",
+    problems=("refused",),
+    example={"user": "ada", "by": "ada"},
+    example_answer={**_GROUP, "members": []},
+)
 async def remove_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
     return await _change_group(call, RemoveMember(path.group, body.user), path.group, body.by)
 
@@ -107,144 +203,34 @@ async def _change_group(call: Call, command: Command, group: str, by: str) -> Gr
     return make_group_view(call.kernel.state, group)
 
 
+@Operation(
+    route="POST /roles/grant",
+    client=Method("grant_role", take=None, repeat=True),
+    summary="Give a user or a group a role",
+    needs="admin",
+    problems=("refused",),
+    example={"subject": "user:ada", "role": "operator", "scope": "rpl", "by": "ada"},
+    example_answer={"subject": "user:ada", "scope": "rpl", "role": "operator"},
+)
 async def grant_role(call: Call, body: Grant) -> GrantView:
     """It replaces the role that the user or group has there."""
     await call.kernel.execute(GrantRole(body.subject, body.role, body.scope), body.by)
     return GrantView(body.subject, body.scope, body.role)
 
 
+@Operation(
+    route="POST /roles/revoke",
+    client=Method("revoke_role", take=None, repeat=True),
+    summary="Take a role away",
+    needs="admin",
+    problems=("refused",),
+    example={"subject": "user:ada", "scope": "rpl", "by": "ada"},
+    example_answer={"subject": "user:ada", "scope": "rpl", "role": ""},
+)
 async def revoke_role(call: Call, body: Revocation) -> GrantView:
     """A user without a role may only look."""
     await call.kernel.execute(RevokeRole(body.subject, body.scope), body.by)
     return GrantView(body.subject, body.scope, "")
 
 
-_USER = {
-    "id": "ada",
-    "kind": "person",
-    "disabled": False,
-    "since": 1_700_000_000_000_000_000,
-    "group": "chemistry",
-    "roles": {"rpl": "operator"},
-}
-_GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*": "submitter"}}
-
-OPERATIONS = declare(
-    "people",
-    Operation(
-        route="GET /users",
-        handler=list_users,
-        client=Method("users", take="users"),
-        summary="List the users and their roles",
-        needs="viewer",
-        example_answer={"users": [_USER], "open": False},
-    ),
-    Operation(
-        route="POST /users",
-        handler=add_user,
-        client=Method("add_user", take=None),
-        summary="Add a user: a person or a program",
-        needs="admin",
-        status=201,
-        problems=("refused",),
-        example={"user": "bo", "by": "ada"},
-        example_answer={**_USER, "id": "bo", "roles": {}},
-    ),
-    Operation(
-        route="GET /users/{user}",
-        handler=get_user,
-        client=Method("user"),
-        summary="Show a user and the user's roles",
-        needs="viewer",
-        example_answer=_USER,
-    ),
-    Operation(
-        route="POST /users/{user}/disable",
-        handler=disable_user,
-        client=Method("disable_user", take=None, repeat=True),
-        summary="Disable a user",
-        needs="admin",
-        problems=("refused",),
-        example={"by": "ada"},
-        example_answer={**_USER, "disabled": True},
-    ),
-    Operation(
-        route="POST /users/{user}/enable",
-        handler=enable_user,
-        client=Method("enable_user", take=None, repeat=True),
-        summary="Enable a disabled user",
-        needs="admin",
-        problems=("refused",),
-        example={"by": "ada"},
-        example_answer=_USER,
-    ),
-    Operation(
-        route="GET /groups",
-        handler=list_groups,
-        client=Method("groups", take="groups"),
-        summary="Groups, their members and their roles",
-        needs="viewer",
-        example_answer={"groups": [_GROUP]},
-    ),
-    Operation(
-        route="POST /groups",
-        handler=add_group,
-        client=Method("add_group", take=None),
-        summary="Add a group",
-        needs="admin",
-        status=201,
-        problems=("refused",),
-        example={"group": "chemistry", "by": "ada"},
-        example_answer={**_GROUP, "members": [], "roles": {}},
-    ),
-    Operation(
-        route="POST /groups/{group}/remove",
-        handler=remove_group,
-        client=Method("remove_group", take=None),
-        summary="Remove a group",
-        needs="admin",
-        problems=("refused",),
-        example={"by": "ada"},
-        example_answer={"groups": []},
-    ),
-    Operation(
-        route="POST /groups/{group}/members",
-        handler=add_member,
-        client=Method("add_member", take=None, repeat=True),
-        summary="Add a user to a group",
-        needs="admin",
-        problems=("refused",),
-        example={"user": "ada", "by": "ada"},
-        example_answer=_GROUP,
-    ),
-    Operation(
-        route="POST /groups/{group}/members/remove",
-        handler=remove_member,
-        client=Method("remove_member", take=None, repeat=True),
-        summary="Take a user out of a group",
-        needs="admin",
-        problems=("refused",),
-        example={"user": "ada", "by": "ada"},
-        example_answer={**_GROUP, "members": []},
-    ),
-    Operation(
-        route="POST /roles/grant",
-        handler=grant_role,
-        client=Method("grant_role", take=None, repeat=True),
-        summary="Give a user or a group a role",
-        needs="admin",
-        problems=("refused",),
-        example={"subject": "user:ada", "role": "operator", "scope": "rpl", "by": "ada"},
-        example_answer={"subject": "user:ada", "scope": "rpl", "role": "operator"},
-    ),
-    Operation(
-        route="POST /roles/revoke",
-        handler=revoke_role,
-        client=Method("revoke_role", take=None, repeat=True),
-        summary="Take a role away",
-        needs="admin",
-        problems=("refused",),
-        example={"subject": "user:ada", "scope": "rpl", "by": "ada"},
-        example_answer={"subject": "user:ada", "scope": "rpl", "role": ""},
-    ),
-)
+OPERATIONS = list_operations(globals(), "people")

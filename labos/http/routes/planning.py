@@ -20,7 +20,7 @@ from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.placing import make_loads
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
@@ -93,6 +93,16 @@ class CheckedRun(msgspec.Struct, frozen=True):
     warnings: tuple[Finding, ...]
 
 
+_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+
+
+@Operation(
+    route="GET /modules/{module}/actions",
+    client=Method("actions"),
+    summary="List the actions of a module",
+    tag="modules",
+    needs="viewer",
+)
 async def list_actions(call: Call, path: OfModule) -> ActionList:
     """The actions and their arguments, as a step of a workflow uses them."""
     name = call.service.module(path.module)
@@ -111,6 +121,88 @@ async def list_actions(call: Call, path: OfModule) -> ActionList:
     return ActionList(name, spec.driver, found.description, actions)
 
 
+@Operation(
+    route="GET /workcells/{workcell}/order",
+    client=Method("suggested_order"),
+    summary="Show the order that a planner suggests for the next steps of a workcell",
+    needs="viewer",
+    problems=("not_found",),
+)
+async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
+    """Steps that have started, or whose run has ended, are not in the answer."""
+    state = call.kernel.state
+    if path.workcell not in state.lab.workcells:
+        raise NotFound(
+            f"There is no workcell {path.workcell!r}.",
+            remedy=f"Name one of these: {', '.join(sorted(state.lab.workcells)) or 'none'}.",
+        )
+    order = state.suggestions.orders.get(path.workcell)
+    if order is None or order.until <= call.kernel.clock.now_ns():
+        return SuggestedOrder(path.workcell, "", 0, [])
+    steps = []
+    for one in order.steps:
+        run = state.runs.get(one.run)
+        if run is not None and is_pending(run, one.step):
+            steps.append(OrderedStep(one.run, one.step, one.start))
+    return SuggestedOrder(path.workcell, order.by, order.until, steps)
+
+
+class OrderedStep(msgspec.Struct, frozen=True):
+    """A step that should start at ``start`` (UTC ns)."""
+
+    run: str
+    step: int
+    start: int
+
+
+class SuggestedOrder(msgspec.Struct, frozen=True):
+    """The order that ``by`` suggests for a workcell, the earliest step first. It is valid until ``until``
+    (UTC ns; 0: no suggestion)."""
+
+    workcell: str
+    by: str
+    until: int
+    steps: list[OrderedStep]
+
+
+@Operation(
+    route="POST /workcells/{workcell}/order",
+    client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
+    summary="Suggest an order for the next steps of a workcell",
+    needs="operator",
+    problems=("not_found", "refused"),
+    example={
+        "by": "ada",
+        "steps": [{"run": "R1", "step": 2, "start": 1_790_000_000_000_000_000}],
+        "until": 1_790_000_600_000_000_000,
+    },
+    example_answer={"steps": 1},
+)
+async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
+    """It replaces the previous suggestion. Steps of ended runs are ignored. A suggestion never starts a step
+    that could not start without it."""
+    steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
+    asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
+    events = await call.kernel.execute(asked, body.by)
+    return StepsLeft(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
+
+
+class StepsLeft(msgspec.Struct, frozen=True):
+    """The number of suggested steps that have not started."""
+
+    steps: int
+
+
+@Operation(
+    route="POST /runs/check",
+    client=Method("_check_run", "workflow, user=''", repeat=True),
+    summary="Check a run of a workflow without submitting it",
+    tag="runs",
+    needs="submitter",
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
+    largest_body=LARGEST_BODY,
+)
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted or stored."""
     service, state = call.service, call.kernel.state
@@ -157,102 +249,4 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
     )
 
 
-class OrderedStep(msgspec.Struct, frozen=True):
-    """A step that should start at ``start`` (UTC ns)."""
-
-    run: str
-    step: int
-    start: int
-
-
-class SuggestedOrder(msgspec.Struct, frozen=True):
-    """The order that ``by`` suggests for a workcell, the earliest step first. It is valid until ``until``
-    (UTC ns; 0: no suggestion)."""
-
-    workcell: str
-    by: str
-    until: int
-    steps: list[OrderedStep]
-
-
-async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
-    """Steps that have started, or whose run has ended, are not in the answer."""
-    state = call.kernel.state
-    if path.workcell not in state.lab.workcells:
-        raise NotFound(
-            f"There is no workcell {path.workcell!r}.",
-            remedy=f"Name one of these: {', '.join(sorted(state.lab.workcells)) or 'none'}.",
-        )
-    order = state.suggestions.orders.get(path.workcell)
-    if order is None or order.until <= call.kernel.clock.now_ns():
-        return SuggestedOrder(path.workcell, "", 0, [])
-    steps = []
-    for one in order.steps:
-        run = state.runs.get(one.run)
-        if run is not None and is_pending(run, one.step):
-            steps.append(OrderedStep(one.run, one.step, one.start))
-    return SuggestedOrder(path.workcell, order.by, order.until, steps)
-
-
-class StepsLeft(msgspec.Struct, frozen=True):
-    """The number of suggested steps that have not started."""
-
-    steps: int
-
-
-async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
-    """It replaces the previous suggestion. Steps of ended runs are ignored. A suggestion never starts a step
-    that could not start without it."""
-    steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
-    asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
-    events = await call.kernel.execute(asked, body.by)
-    return StepsLeft(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
-
-
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
-
-OPERATIONS = (
-    Operation(
-        route="GET /modules/{module}/actions",
-        handler=list_actions,
-        client=Method("actions"),
-        summary="List the actions of a module",
-        tag="modules",
-        needs="viewer",
-    ),
-    Operation(
-        route="GET /workcells/{workcell}/order",
-        handler=show_order,
-        client=Method("suggested_order"),
-        summary="Show the order that a planner suggests for the next steps of a workcell",
-        tag="workcells",
-        needs="viewer",
-        problems=("not_found",),
-    ),
-    Operation(
-        route="POST /workcells/{workcell}/order",
-        handler=suggest_order,
-        client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
-        summary="Suggest an order for the next steps of a workcell",
-        tag="workcells",
-        needs="operator",
-        problems=("not_found", "refused"),
-        example={
-            "by": "ada",
-            "steps": [{"run": "R1", "step": 2, "start": 1_790_000_000_000_000_000}],
-            "until": 1_790_000_600_000_000_000,
-        },
-        example_answer={"steps": 1},
-    ),
-    Operation(
-        route="POST /runs/check",
-        handler=check_run,
-        client=Method("_check_run", "workflow, user=''", repeat=True),
-        summary="Check a run of a workflow without submitting it",
-        tag="runs",
-        needs="submitter",
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
-        largest_body=LARGEST_BODY,
-    ),
-)
+OPERATIONS = list_operations(globals(), "workcells")

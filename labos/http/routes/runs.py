@@ -34,12 +34,27 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
 
+_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+_TIMED = _WORKFLOW.replace("seal}", "seal, args: {time: payload.time}}")
+_PAYLOADS = [{"time": 2}, {"time": 4}]
+_RUN = {
+    "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
+    "user": "ada",
+    "place": [{"station": "sealer.default", "labware": "plate96"}],
+}
 
+
+@Operation(
+    route="GET /runs",
+    client=Method("runs", "after"),
+    summary="List the runs that have not ended, and the last ended ones",
+    needs="viewer",
+)
 async def list_runs(call: Call, query: RunsQuery) -> Runs:
     """A page of the runs that have not ended, in the order of their submission. While there are `more`, ask
     for the next page with `after` = `position`. With `ended`, also runs that have ended, the latest first;
@@ -68,13 +83,18 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
     return await asyncio.to_thread(lambda: list(islice(read(wanted), query.ended)))
 
 
-async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
-    story = await call.service.read_story(path.run, query.wait)
-    if story.campaign in call.hidden:
-        raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
-    return make_from(RunDetail, story)
-
-
+@Operation(
+    route="POST /runs",
+    client=Method("_submit_run", "workflow, user", key="given"),
+    summary="Queue a run of a workflow",
+    needs="submitter",
+    status=201,
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    logs_key=True,
+    example=_RUN,
+    example_answer={"run": "R1", "warnings": []},
+    largest_body=LARGEST_BODY,
+)
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
     run, findings = await call.service.submit(
         body.workflow,
@@ -91,6 +111,18 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
     return RunSubmission(run, findings, describe_waiting(call.kernel.state, run))
 
 
+@Operation(
+    route="POST /runs/batch",
+    client=Method("_submit_runs", "workflow, payloads, user", key="given"),
+    summary="Queue a run of a workflow for each payload, all of them or none",
+    needs="submitter",
+    status=201,
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    logs_key=True,
+    example={"workflow": {"text": _TIMED, "name": "seal.yaml"}, "user": "ada", "payloads": _PAYLOADS},
+    example_answer={"runs": ["R1", "R2"], "warnings": []},
+    largest_body=LARGEST_BODY,
+)
 async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
     """The runs are queued in one step: all of them, or none. So the first one starts when the lab knows the
     last one."""
@@ -99,6 +131,28 @@ async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
     return RunsSubmission(runs, findings, tuple(filter(None, approvals)))
 
 
+@Operation(
+    route="GET /runs/{run}",
+    client=Method("_get_run"),
+    summary="Show a run with its steps, or its end",
+    needs="viewer",
+)
+async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
+    story = await call.service.read_story(path.run, query.wait)
+    if story.campaign in call.hidden:
+        raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
+    return make_from(RunDetail, story)
+
+
+@Operation(
+    route="POST /runs/{run}/cancel",
+    client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
+    summary="Cancel a run",
+    needs="submitter",
+    problems=("refused",),
+    example={"by": "ada", "why": "wrong plate"},
+    example_answer={"run": "R1"},
+)
 async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     """The run ends as soon as its actions under way have ended. If its workflow has steps under `on_cancel`,
     they then clear its labware away (the status is `leaving` during that time); otherwise the labware stays
@@ -108,18 +162,49 @@ async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     return RunReference(path.run)
 
 
+@Operation(
+    route="POST /runs/{run}/pause",
+    client=Method("pause", "run, by='somebody'", take=None, repeat=True),
+    summary="Pause a run: no further step starts",
+    needs="submitter",
+    problems=("refused",),
+    example={"by": "ada", "why": "lunch"},
+    example_answer={"run": "R1"},
+)
 async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
     call.expect_run_seen(path.run)
     await call.service.change(path.run, "pause", body.by, why=body.why)
     return RunReference(path.run)
 
 
+@Operation(
+    route="POST /runs/{run}/resume",
+    client=Method("resume", "run, by='somebody'", take=None, repeat=True),
+    summary="Resume a paused run",
+    needs="submitter",
+    problems=("refused",),
+    example={"by": "ada"},
+    example_answer={"run": "R1"},
+)
 async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
     call.expect_run_seen(path.run)
     await call.service.change(path.run, "resume", body.by)
     return RunReference(path.run)
 
 
+@Operation(
+    route="POST /experiments",
+    client=Method("_start_experiment", "name, user", key="given"),
+    summary="Start an experiment",
+    tag="experiments",
+    needs="submitter",
+    status=201,
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    logs_key=True,
+    example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
+    example_answer={"experiment": "E1"},
+    largest_body=LARGEST_BODY,
+)
 async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
     """An application starts. From now on it has to send a note or a heartbeat at least every 30 s; otherwise
     LabOS asks a person. A run of the experiment is refused if it would leave labware anywhere except at the
@@ -138,6 +223,17 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
     return ExperimentReference(experiment, describe_waiting(call.kernel.state, experiment))
 
 
+@Operation(
+    route="POST /experiments/{experiment}/resume",
+    client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
+    summary="Resume an experiment",
+    tag="experiments",
+    needs="submitter",
+    problems=("refused",),
+    headers=("LabOS-User",),
+    example={"name": "color picker"},
+    example_answer={"experiment": "E1"},
+)
 async def resume_experiment(
     call: Call, path: OfExperiment, body: ExperimentResumption
 ) -> ExperimentReference:
@@ -147,17 +243,53 @@ async def resume_experiment(
     return ExperimentReference(path.experiment)
 
 
+@Operation(
+    route="POST /experiments/{experiment}/end",
+    client=Method("end_experiment", "experiment, why, user", take=None, repeat=True),
+    summary="End an experiment",
+    tag="experiments",
+    needs="submitter",
+    problems=("refused",),
+    headers=("LabOS-User",),
+    example={"why": "ended"},
+    example_answer={"experiment": "E1"},
+)
 async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) -> ExperimentReference:
     """The application has ended. A repeated request has no further effect."""
     await call.service.end_experiment(path.experiment, body.why, call.user)
     return ExperimentReference(path.experiment)
 
 
+@Operation(
+    route="POST /experiments/{experiment}/notes",
+    client=Method("note", "experiment, kind, name, facts, user", take=None),
+    summary="Log a note of the application",
+    tag="experiments",
+    needs="submitter",
+    status=201,
+    problems=("refused",),
+    headers=("LabOS-User",),
+    example={"kind": "decision", "name": "next colors", "facts": {"colors": [1, 2, 3]}},
+    example_answer={"experiment": "E1"},
+)
 async def note_experiment(call: Call, path: OfExperiment, body: ExperimentNote) -> ExperimentReference:
     await call.service.note(path.experiment, body.kind, body.name, body.facts, call.user, body.key)
     return ExperimentReference(path.experiment)
 
 
+@Operation(
+    route="POST /experiments/{experiment}/files",
+    client=Method("keep_file", "experiment, content, user", take="sha256", repeat=True),
+    summary="Store a file of an experiment",
+    tag="experiments",
+    needs="submitter",
+    status=201,
+    problems=("not_found",),
+    headers=("LabOS-User",),
+    largest_body=LARGEST_BODY,
+    example={"content": "aGVsbG8="},
+    example_answer={"sha256": "2cf24dba5fb0a30e26e83b2ac5b9e29e1b161e5c1fa7425e73043362938b9824"},
+)
 async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileReference:
     """Stores a file of an experiment that has not ended, such as the result of a computation.
     `/files/{sha256}` returns it. A repeated request has no further effect."""
@@ -167,173 +299,20 @@ async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileRefere
     return FileReference(await asyncio.to_thread(call.service.parts.blobs.put, body.content))
 
 
+@Operation(
+    route="POST /experiments/{experiment}/heartbeat",
+    client=Method("heartbeat", "experiment, user", take=None, repeat=True),
+    at_kernel=True,
+    summary="Report that the application is running",
+    tag="experiments",
+    needs="submitter",
+    headers=("LabOS-User",),
+    example_answer={},
+)
 async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
     """The application is running."""
     call.service.hear(path.experiment, call.user)
     return HeartbeatReply()
 
 
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
-_TIMED = _WORKFLOW.replace("seal}", "seal, args: {time: payload.time}}")
-_PAYLOADS = [{"time": 2}, {"time": 4}]
-_RUN = {
-    "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
-    "user": "ada",
-    "place": [{"station": "sealer.default", "labware": "plate96"}],
-}
-
-OPERATIONS = (
-    Operation(
-        route="GET /runs",
-        handler=list_runs,
-        client=Method("runs", "after"),
-        summary="List the runs that have not ended, and the last ended ones",
-        tag="runs",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /runs",
-        handler=submit_run,
-        client=Method("_submit_run", "workflow, user", key="given"),
-        summary="Queue a run of a workflow",
-        tag="runs",
-        needs="submitter",
-        status=201,
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        logs_key=True,
-        example=_RUN,
-        example_answer={"run": "R1", "warnings": []},
-        largest_body=LARGEST_BODY,
-    ),
-    Operation(
-        route="POST /runs/batch",
-        handler=submit_runs,
-        client=Method("_submit_runs", "workflow, payloads, user", key="given"),
-        summary="Queue a run of a workflow for each payload, all of them or none",
-        tag="runs",
-        needs="submitter",
-        status=201,
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        logs_key=True,
-        example={"workflow": {"text": _TIMED, "name": "seal.yaml"}, "user": "ada", "payloads": _PAYLOADS},
-        example_answer={"runs": ["R1", "R2"], "warnings": []},
-        largest_body=LARGEST_BODY,
-    ),
-    Operation(
-        route="GET /runs/{run}",
-        handler=get_run,
-        client=Method("_get_run"),
-        summary="Show a run with its steps, or its end",
-        tag="runs",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /runs/{run}/cancel",
-        handler=cancel_run,
-        client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
-        summary="Cancel a run",
-        tag="runs",
-        needs="submitter",
-        problems=("refused",),
-        example={"by": "ada", "why": "wrong plate"},
-        example_answer={"run": "R1"},
-    ),
-    Operation(
-        route="POST /runs/{run}/pause",
-        handler=pause_run,
-        client=Method("pause", "run, by='somebody'", take=None, repeat=True),
-        summary="Pause a run: no further step starts",
-        tag="runs",
-        needs="submitter",
-        problems=("refused",),
-        example={"by": "ada", "why": "lunch"},
-        example_answer={"run": "R1"},
-    ),
-    Operation(
-        route="POST /runs/{run}/resume",
-        handler=resume_run,
-        client=Method("resume", "run, by='somebody'", take=None, repeat=True),
-        summary="Resume a paused run",
-        tag="runs",
-        needs="submitter",
-        problems=("refused",),
-        example={"by": "ada"},
-        example_answer={"run": "R1"},
-    ),
-    Operation(
-        route="POST /experiments",
-        handler=start_experiment,
-        client=Method("_start_experiment", "name, user", key="given"),
-        summary="Start an experiment",
-        tag="experiments",
-        needs="submitter",
-        status=201,
-        problems=("not_found", "refused", "spec_error", "spec_errors"),
-        logs_key=True,
-        example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
-        example_answer={"experiment": "E1"},
-        largest_body=LARGEST_BODY,
-    ),
-    Operation(
-        route="POST /experiments/{experiment}/resume",
-        handler=resume_experiment,
-        client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
-        summary="Resume an experiment",
-        tag="experiments",
-        needs="submitter",
-        problems=("refused",),
-        headers=("LabOS-User",),
-        example={"name": "color picker"},
-        example_answer={"experiment": "E1"},
-    ),
-    Operation(
-        route="POST /experiments/{experiment}/end",
-        handler=end_experiment,
-        client=Method("end_experiment", "experiment, why, user", take=None, repeat=True),
-        summary="End an experiment",
-        tag="experiments",
-        needs="submitter",
-        problems=("refused",),
-        headers=("LabOS-User",),
-        example={"why": "ended"},
-        example_answer={"experiment": "E1"},
-    ),
-    Operation(
-        route="POST /experiments/{experiment}/notes",
-        handler=note_experiment,
-        client=Method("note", "experiment, kind, name, facts, user", take=None),
-        summary="Log a note of the application",
-        tag="experiments",
-        needs="submitter",
-        status=201,
-        problems=("refused",),
-        headers=("LabOS-User",),
-        example={"kind": "decision", "name": "next colors", "facts": {"colors": [1, 2, 3]}},
-        example_answer={"experiment": "E1"},
-    ),
-    Operation(
-        route="POST /experiments/{experiment}/files",
-        handler=keep_file,
-        client=Method("keep_file", "experiment, content, user", take="sha256", repeat=True),
-        summary="Store a file of an experiment",
-        tag="experiments",
-        needs="submitter",
-        status=201,
-        problems=("not_found",),
-        headers=("LabOS-User",),
-        largest_body=LARGEST_BODY,
-        example={"content": "aGVsbG8="},
-        example_answer={"sha256": "2cf24dba5fb0a30e26e83b2ac5b9e29e1b161e5c1fa7425e73043362938b9824"},
-    ),
-    Operation(
-        route="POST /experiments/{experiment}/heartbeat",
-        handler=record_heartbeat,
-        client=Method("heartbeat", "experiment, user", take=None, repeat=True),
-        at_kernel=True,
-        summary="Report that the application is running",
-        tag="experiments",
-        needs="submitter",
-        headers=("LabOS-User",),
-        example_answer={},
-    ),
-)
+OPERATIONS = list_operations(globals(), "runs")

@@ -2,48 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from typing import Any
 
 from labos.http.answers import Signatures
 from labos.http.bodies import RunSignature
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfCampaign, OfExperiment, OfRun
 from labos.http.signing_runs import list_signatures_under, sign
 from labos.services.signatures import Kind, Signature
-
-
-async def sign_run(call: Call, path: OfRun, body: RunSignature) -> Signature:
-    """The signature is an event and covers all records of the run. The user has to give the password again,
-    however they signed in."""
-    return await sign(call, path.run, "run", body)
-
-
-async def list_signatures(call: Call, path: OfRun) -> Signatures:
-    """They are in the order of the log. `holds`: the record is still the one that was signed."""
-    return Signatures(await list_signatures_under(call, path.run, "run"))
-
-
-async def sign_experiment(call: Call, path: OfExperiment, body: RunSignature) -> Signature:
-    """It works as for a run. The signature covers all records of the experiment and of all its runs."""
-    return await sign(call, path.experiment, "experiment", body)
-
-
-async def list_experiment_signatures(call: Call, path: OfExperiment) -> Signatures:
-    """They are in the order of the log. `holds`: the records are still those that were signed."""
-    return Signatures(await list_signatures_under(call, path.experiment, "experiment"))
-
-
-async def sign_campaign(call: Call, path: OfCampaign, body: RunSignature) -> Signature:
-    """It works as for a run. The signature covers all records of the campaign and of all its runs."""
-    return await sign(call, path.campaign, "campaign", body)
-
-
-async def list_campaign_signatures(call: Call, path: OfCampaign) -> Signatures:
-    """They are in the order of the log. `holds`: the records are still those that were signed."""
-    return Signatures(await list_signatures_under(call, path.campaign, "campaign"))
-
 
 _ASKED = {"meaning": "reviewed", "password": "four words of yours", "why": "checked"}
 _SIGNATURE = {
@@ -66,47 +33,77 @@ _EXPERIMENT = {**_SIGNATURE, "subject": "E1", "kind": "experiment", "run": "", "
 _CAMPAIGN = {**_EXPERIMENT, "subject": "C1", "kind": "campaign"}
 
 
-def _declare(
-    kind: Kind,
-    sign_it: Callable[..., Awaitable[Signature]],
-    list_its: Callable[..., Awaitable[Signatures]],
-    signatures: str,
-    example: dict[str, Any],
-) -> tuple[Operation, Operation]:
-    """The operations that sign such a record, and that list its signatures. ``signatures`` is the client's
-    method for the list."""
-    path = f"/{kind}s/{{{kind}}}/signatures"
-    record = f"the record of {'an' if kind == 'experiment' else 'a'} {kind}"
-    return (
-        Operation(
-            route=f"POST {path}",
-            handler=sign_it,
-            client=Method(f"sign_{kind}", repeat=True),
-            summary=f"Sign {record} that has ended",
-            tag=f"{kind}s",
-            needs="viewer",
-            secret=True,
-            problems=("refused", "not_found", "too_many_tries"),
-            example=_ASKED,
-            example_answer=example,
-        ),
-        Operation(
-            route=f"GET {path}",
-            handler=list_its,
-            client=Method(signatures, take="signatures"),
-            summary=f"List the signatures for {record}",
-            tag=f"{kind}s",
-            needs="viewer",
-            problems=("not_found",),
-            example_answer={"signatures": [example]},
-        ),
+def _sign(kind: Kind, example: dict[str, Any]) -> Operation:
+    """The operation that signs such a record."""
+    return Operation(
+        route=f"POST {_make_path(kind)}",
+        client=Method(f"sign_{kind}", repeat=True),
+        summary=f"Sign {_name_record(kind)} that has ended",
+        tag=f"{kind}s",
+        needs="viewer",
+        secret=True,
+        problems=("refused", "not_found", "too_many_tries"),
+        example=_ASKED,
+        example_answer=example,
     )
 
 
-OPERATIONS = (
-    *_declare("run", sign_run, list_signatures, "signatures", _SIGNATURE),
-    *_declare(
-        "experiment", sign_experiment, list_experiment_signatures, "experiment_signatures", _EXPERIMENT
-    ),
-    *_declare("campaign", sign_campaign, list_campaign_signatures, "campaign_signatures", _CAMPAIGN),
-)
+def _list(kind: Kind, signatures: str, example: dict[str, Any]) -> Operation:
+    """The operation that lists the signatures for such a record; ``signatures`` is the client's method."""
+    return Operation(
+        route=f"GET {_make_path(kind)}",
+        client=Method(signatures, take="signatures"),
+        summary=f"List the signatures for {_name_record(kind)}",
+        tag=f"{kind}s",
+        needs="viewer",
+        problems=("not_found",),
+        example_answer={"signatures": [example]},
+    )
+
+
+def _make_path(kind: Kind) -> str:
+    return f"/{kind}s/{{{kind}}}/signatures"
+
+
+def _name_record(kind: Kind) -> str:
+    return f"the record of {'an' if kind == 'experiment' else 'a'} {kind}"
+
+
+@_sign("run", _SIGNATURE)
+async def sign_run(call: Call, path: OfRun, body: RunSignature) -> Signature:
+    """The signature is an event and covers all records of the run. The user has to give the password again,
+    however they signed in."""
+    return await sign(call, path.run, "run", body)
+
+
+@_list("run", "signatures", _SIGNATURE)
+async def list_signatures(call: Call, path: OfRun) -> Signatures:
+    """They are in the order of the log. `holds`: the record is still the one that was signed."""
+    return Signatures(await list_signatures_under(call, path.run, "run"))
+
+
+@_sign("experiment", _EXPERIMENT)
+async def sign_experiment(call: Call, path: OfExperiment, body: RunSignature) -> Signature:
+    """It works as for a run. The signature covers all records of the experiment and of all its runs."""
+    return await sign(call, path.experiment, "experiment", body)
+
+
+@_list("experiment", "experiment_signatures", _EXPERIMENT)
+async def list_experiment_signatures(call: Call, path: OfExperiment) -> Signatures:
+    """They are in the order of the log. `holds`: the records are still those that were signed."""
+    return Signatures(await list_signatures_under(call, path.experiment, "experiment"))
+
+
+@_sign("campaign", _CAMPAIGN)
+async def sign_campaign(call: Call, path: OfCampaign, body: RunSignature) -> Signature:
+    """It works as for a run. The signature covers all records of the campaign and of all its runs."""
+    return await sign(call, path.campaign, "campaign", body)
+
+
+@_list("campaign", "campaign_signatures", _CAMPAIGN)
+async def list_campaign_signatures(call: Call, path: OfCampaign) -> Signatures:
+    """They are in the order of the log. `holds`: the records are still those that were signed."""
+    return Signatures(await list_signatures_under(call, path.campaign, "campaign"))
+
+
+OPERATIONS = list_operations(globals(), "runs")

@@ -13,7 +13,7 @@ from labos.errors import NotFound
 from labos.http.erasing import ErasureDone, erase
 from labos.http.limits import Asker, Name, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, declare
+from labos.http.operation import Call, Operation, list_operations
 
 _CODES = ", ".join(f"`{code}` ({why})" for code, why in REASONS.items())
 
@@ -61,6 +61,15 @@ class ErasureReference(msgspec.Struct, frozen=True):
     erasure: str
 
 
+_DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
+
+
+@Operation(
+    route="GET /words/erasures",
+    client=Method("erasures", take="erasures"),
+    summary="List the erasures that wait for a second person",
+    needs="viewer",
+)
 async def list_erasures(call: Call) -> Erasures:
     waiting = call.kernel.state.erasures.open
     found = Erasures([_make_view(name, each) for name, each in waiting.items()])
@@ -68,6 +77,16 @@ async def list_erasures(call: Call) -> Erasures:
     return found
 
 
+@Operation(
+    route="POST /words/erasures",
+    client=Method("erase_words"),
+    summary="Erase what people wrote into events",
+    needs="admin",
+    at_kernel=True,
+    problems=("not_found", "refused"),
+    example={"records": [120], "because": "personal", "by": "ada"},
+    example_answer=_DONE,
+)
 async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
     """The texts and the salts of their digests are deleted. The events stay, and the log still verifies. Each
     text is then shown as `(erased)`. An event records the erasure, the user and the reason. If the policy has
@@ -75,12 +94,31 @@ async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
     return await erase(call, body.because, body.by, body.records, body.user)
 
 
+@Operation(
+    route="POST /words/erasures/{erasure}/approve",
+    client=Method("approve_erasure"),
+    summary="Agree to an erasure, as the second person",
+    needs="admin",
+    at_kernel=True,
+    problems=("refused",),
+    example={"by": "olga"},
+    example_answer=_DONE,
+)
 async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureDone:
     """The user who asked for the erasure cannot agree to it. The present words at these events are erased."""
     asked = _find_erasure(call, path.erasure)
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
+@Operation(
+    route="POST /words/erasures/{erasure}/refuse",
+    client=Method("refuse_erasure", take="erasure", repeat=True),
+    summary="Refuse an erasure that waits for a second person",
+    needs="admin",
+    problems=("refused",),
+    example={"by": "olga"},
+    example_answer={"erasure": "X1"},
+)
 async def refuse_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureReference:
     """Nothing is erased. The user who asked can withdraw the request in this way."""
     _find_erasure(call, path.erasure)
@@ -100,47 +138,4 @@ def _make_view(name: str, asked: Erasure) -> ErasureView:
     return make_from(ErasureView, asked, erasure=name)
 
 
-_DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
-
-OPERATIONS = declare(
-    "log",
-    Operation(
-        route="GET /words/erasures",
-        handler=list_erasures,
-        client=Method("erasures", take="erasures"),
-        summary="List the erasures that wait for a second person",
-        needs="viewer",
-    ),
-    Operation(
-        route="POST /words/erasures",
-        handler=erase_words,
-        client=Method("erase_words"),
-        summary="Erase what people wrote into events",
-        needs="admin",
-        at_kernel=True,
-        problems=("not_found", "refused"),
-        example={"records": [120], "because": "personal", "by": "ada"},
-        example_answer=_DONE,
-    ),
-    Operation(
-        route="POST /words/erasures/{erasure}/approve",
-        handler=approve_erasure,
-        client=Method("approve_erasure"),
-        summary="Agree to an erasure, as the second person",
-        needs="admin",
-        at_kernel=True,
-        problems=("refused",),
-        example={"by": "olga"},
-        example_answer=_DONE,
-    ),
-    Operation(
-        route="POST /words/erasures/{erasure}/refuse",
-        handler=refuse_erasure,
-        client=Method("refuse_erasure", take="erasure", repeat=True),
-        summary="Refuse an erasure that waits for a second person",
-        needs="admin",
-        problems=("refused",),
-        example={"by": "olga"},
-        example_answer={"erasure": "X1"},
-    ),
-)
+OPERATIONS = list_operations(globals(), "log")
