@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -22,6 +22,8 @@ RUNS_OFFERED = 200
 
 PATIENCE_S = 0.5
 """How long a running lab may take to answer before its log is read instead."""
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 Completer = Callable[[click.Context, click.Parameter, str], "list[CompletionItem]"]
 
@@ -44,6 +46,13 @@ def make_completer(*kinds: str) -> Completer:
         return found
 
     return complete
+
+
+def name_option(kind: str, metavar: str, help: str) -> Callable[[F], F]:
+    """The option ``--KIND``, which takes a name of this kind; empty if it is not given."""
+    return click.option(
+        f"--{kind}", shell_complete=make_completer(kind), default="", metavar=metavar, help=help
+    )
 
 
 def _iterate_names(kinds: Iterable[str], context: click.Context) -> Iterator[str]:

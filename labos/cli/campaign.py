@@ -36,6 +36,14 @@ from labos.services.times import show_span, show_time
 _campaign = click.argument("campaign", metavar="ID")
 
 
+_request_option = click.option(
+    "--request",
+    default="",
+    metavar="KEY",
+    help="A key of the request: two requests with the same key create one campaign.",
+)
+
+
 @click.group("campaign", cls=Suggesting, short_help="Carry out a workflow for each row of a table.")
 def command() -> None:
     """Carry out a workflow once for each row of a table.
@@ -51,12 +59,7 @@ def command() -> None:
 
 @command.command("submit")
 @click.argument("file")
-@click.option(
-    "--request",
-    default="",
-    metavar="KEY",
-    help="A key of the request: two requests with the same key create one campaign.",
-)
+@_request_option
 @propose_option
 @asker_options
 def submit(file: str, asker: Asker, request: str, propose: bool) -> None:
@@ -274,12 +277,7 @@ def amend(campaign: str, asker: Asker, terms_wanted: dict[str, Any]) -> None:
 )
 @terms_options
 @click.option("--dry-run", is_flag=True, help="Only check the campaign; submit nothing.")
-@click.option(
-    "--request",
-    default="",
-    metavar="KEY",
-    help="A key of the request: two requests with the same key create one campaign.",
-)
+@_request_option
 @propose_option
 @asker_options
 def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from labos.cli._complete import make_completer
+from labos.cli._complete import name_option
 from labos.cli._liveness import say_if_dead
 from labos.cli._options import json_option_saying
 from labos.cli._query import Where, as_time, log_options, open_log
@@ -24,31 +24,11 @@ POLL_S = 0.25
 
 @click.command("log", short_help="Show what happened, event by event.")
 @click.option("--type", "types", multiple=True, metavar="T", help="A type or family: action, run.failed …")
-@click.option(
-    "--run", shell_complete=make_completer("run"), default="", metavar="R", help="Events of this run."
-)
-@click.option(
-    "--module",
-    shell_complete=make_completer("module"),
-    default="",
-    metavar="M",
-    help="Events of this module and its stations.",
-)
-@click.option(
-    "--labware",
-    shell_complete=make_completer("labware"),
-    default="",
-    metavar="P",
-    help="Events of this labware.",
-)
+@name_option("run", "R", "Events of this run.")
+@name_option("module", "M", "Events of this module and its stations.")
+@name_option("labware", "P", "Events of this labware.")
 @click.option("--user", default="", metavar="U", help="Events by this user and for this user.")
-@click.option(
-    "--experiment",
-    shell_complete=make_completer("experiment"),
-    default="",
-    metavar="E",
-    help="Events of this experiment and its runs.",
-)
+@name_option("experiment", "E", "Events of this experiment and its runs.")
 @click.option(
     "--since",
     "since_ns",

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from labos.cli._complete import make_completer
+from labos.cli._complete import make_completer, name_option
 from labos.cli._options import Asker, asker_options, propose_option, wait_option
 from labos.cli._payload import payload_option
 
@@ -18,13 +18,7 @@ from labos.cli._payload import payload_option
 @click.option(
     "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
 )
-@click.option(
-    "--experiment",
-    shell_complete=make_completer("experiment"),
-    default="",
-    metavar="ID",
-    help="The experiment to which the run belongs.",
-)
+@name_option("experiment", "ID", "The experiment to which the run belongs.")
 @click.option(
     "--request",
     default="",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import make_completer
+from labos.cli._complete import name_option
 from labos.cli._liveness import find_lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, open_log
@@ -18,23 +18,9 @@ RUNS_SHOWN = 20
 
 
 @click.command("twh", short_help="Show the time without human intervention.")
-@click.option(
-    "--run", shell_complete=make_completer("run"), default="", metavar="R", help="Show only this run."
-)
-@click.option(
-    "--experiment",
-    shell_complete=make_completer("experiment"),
-    default="",
-    metavar="E",
-    help="Show only this experiment.",
-)
-@click.option(
-    "--workcell",
-    shell_complete=make_completer("workcell"),
-    default="",
-    metavar="W",
-    help="Show only this workcell.",
-)
+@name_option("run", "R", "Show only this run.")
+@name_option("experiment", "E", "Show only this experiment.")
+@name_option("workcell", "W", "Show only this workcell.")
 @click.option(
     "--losses", is_flag=True, help="Show the causes of lost time, and when a person is needed next."
 )

@@ -207,6 +207,10 @@ class Actions(msgspec.Struct):
         """The open actions of a workcell's modules, in the order in which they were requested."""
         return [self.open[name] for name in self.in_cell.get(cell, ())]
 
+    def is_any_moving(self, cell: str) -> bool:
+        """Whether an action of a workcell's modules is under way whose outcome is not in doubt."""
+        return any(action.status != ActionStatus.UNKNOWN for action in self.list_in_cell(cell))
+
 
 CLOCK_SKEW_NS = 10_000_000_000
 """The times of a node are not used if its clock differs by more than this."""

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
-from labos.core.branches import sort_steps
+from labos.core.branches import main_steps, sort_steps
 from labos.core.effects import Needs, list_carried
 from labos.core.ids import experiment_owner
 from labos.core.leaving import BenchOfRun, carry_out, is_needed, look_at
-from labos.core.model import MAIN, Hold, Plan, PlanStep, Window
+from labos.core.model import Hold, Plan, PlanStep, Window
 from labos.core.open_experiments import Experiment
 from labos.core.state import LabState
 
@@ -27,14 +27,14 @@ def plan_closing(state: LabState, experiment: Experiment) -> Plan | None:
     chosen = choose(plan, scene, lambda module: any(m == module for m in scene.owner.values()))
     if not chosen:
         return None
-    return plan if len(chosen) == len(_main(plan)) or _is_tied(plan, chosen) else narrow(plan, chosen)
+    return plan if len(chosen) == len(main_steps(plan)) or _is_tied(plan, chosen) else narrow(plan, chosen)
 
 
 def choose(plan: Plan, scene: BenchOfRun, holds_labware: Callable[[str], bool]) -> list[int]:
     """The steps that are needed from a scene; none if no labware is cleared away. The scene is changed to the
     state after these steps."""
     found, clears = [], False
-    for index in sort_steps(plan, _main(plan)):
+    for index in sort_steps(plan, main_steps(plan)):
         step = plan.steps[index]
         works_on = bool(list_carried(step.effects)) or any(isinstance(e, Needs) for e in step.effects)
         if (not works_on and not holds_labware(step.module)) or is_needed(step, scene):
@@ -47,7 +47,7 @@ def choose(plan: Plan, scene: BenchOfRun, holds_labware: Callable[[str], bool]) 
 def narrow(plan: Plan, chosen: Sequence[int]) -> Plan:
     """The plan with these steps of the workflow only, and with the steps that serve them: recoveries, resets,
     and the ``on_cancel`` steps."""
-    main = set(_main(plan)) - set(chosen)
+    main = set(main_steps(plan)) - set(chosen)
     kept = [i for i, step in enumerate(plan.steps) if i not in main and step.serves not in main]
     number = {index: place for place, index in enumerate(kept)}
     return msgspec.structs.replace(
@@ -58,14 +58,10 @@ def narrow(plan: Plan, chosen: Sequence[int]) -> Plan:
     )
 
 
-def _main(plan: Plan) -> list[int]:
-    return [index for index, step in enumerate(plan.steps) if step.part == MAIN]
-
-
 def _is_tied(plan: Plan, chosen: Sequence[int]) -> bool:
     """Whether steps cannot be left out, because other steps read their results, or because the run keeps a
     module from one of them to another."""
-    left_out = set(_main(plan)) - set(chosen)
+    left_out = set(main_steps(plan)) - set(chosen)
     reads = bool(plan.feeds) or any(step.when is not None for step in plan.steps)
     cut = any((hold.first in left_out) != (hold.last in left_out) for hold in plan.holds)
     return reads or cut

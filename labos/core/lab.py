@@ -28,69 +28,55 @@ class KernelStarted(Event, frozen=True):
     version: str
 
 
+class WorkcellEvent(Event, frozen=True):
+    name: str
+
+    def stream(self) -> str:
+        return self.name
+
+
 @event("workcell.applied")
-class WorkcellApplied(Event, frozen=True):
+class WorkcellApplied(WorkcellEvent, frozen=True):
     """A workcell file (``digest``) was applied: its modules, the lab's own types of ``labware``, and the
     ``transfers`` for moves that name no module."""
 
-    name: str
     digest: str
     modules: tuple[ModuleSpec, ...]
     labware: tuple[LabwareSpec, ...] = ()
     transfers: tuple[TransferWay, ...] = ()
 
-    def stream(self) -> str:
-        return self.name
-
 
 @event("workcell.stations_applied")
-class StationsApplied(Event, frozen=True):
+class StationsApplied(WorkcellEvent, frozen=True):
     """Stations of a workcell were applied. A large workcell needs several of these events. Stations that were
     ``removed`` were empty."""
 
-    name: str
     stations: tuple[StationSpec, ...]
     removed: tuple[StationName, ...] = ()
 
-    def stream(self) -> str:
-        return self.name
-
 
 @event("workcell.access_requested")
-class AccessRequested(Event, frozen=True):
+class AccessRequested(WorkcellEvent, frozen=True):
     """A person asks for access to a workcell. Nothing starts there any more, except the runs of the plans
     ``parking``, which move arms out of the way."""
 
-    name: str
     by: str
     why: Words = ""
     parking: tuple[str, ...] = ()
 
-    def stream(self) -> str:
-        return self.name
-
 
 @event("workcell.access_granted")
-class AccessGranted(Event, frozen=True):
+class AccessGranted(WorkcellEvent, frozen=True):
     """The person may reach in: nothing moves in the workcell until the access has ended. The exception is a
     module whose action has an unknown outcome: it may still move."""
 
-    name: str
-
-    def stream(self) -> str:
-        return self.name
-
 
 @event("workcell.access_ended")
-class AccessEnded(Event, frozen=True):
+class AccessEnded(WorkcellEvent, frozen=True):
     """The access has ended. The changes that the person made follow as further events."""
 
-    name: str
     by: str
     note: Words = ""
-
-    def stream(self) -> str:
-        return self.name
 
 
 WHOLE_LAB = "*"
@@ -100,27 +86,26 @@ LEAP = 16
 another increase it by one."""
 
 
+class StartsEvent(Event, frozen=True):
+    target: str
+
+    def stream(self) -> str:
+        return self.target
+
+
 @event("starts.paused")
-class StartsPaused(Event, frozen=True):
+class StartsPaused(StartsEvent, frozen=True):
     """Nothing starts any more: of an experiment, on a module, in a workcell, or in the whole lab (``*``)."""
 
-    target: str
     by: str
     why: Words = ""
 
-    def stream(self) -> str:
-        return self.target
-
 
 @event("starts.resumed")
-class StartsResumed(Event, frozen=True):
+class StartsResumed(StartsEvent, frozen=True):
     """Starts are allowed there again."""
 
-    target: str
     by: str
-
-    def stream(self) -> str:
-        return self.target
 
 
 class Pause(msgspec.Struct):

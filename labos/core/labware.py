@@ -21,71 +21,57 @@ class LabwareEvent(Event, frozen=True):
         return self.run or self.labware
 
 
+class StationEvent(Event, frozen=True):
+    station: StationName
+
+    def stream(self) -> str:
+        return self.station
+
+
 @event("station.declared")
-class StationDeclared(Event, frozen=True):
+class StationDeclared(StationEvent, frozen=True):
     """A person reports the labware at a station: labware types, from bottom to top. Pieces of a stack have no
     id until they are taken."""
 
-    station: StationName
     contents: tuple[str, ...]
-
-    def stream(self) -> str:
-        return self.station
 
 
 @event("station.emptied")
-class WasteEmptied(Event, frozen=True):
+class WasteEmptied(StationEvent, frozen=True):
     """A person emptied a waste station, so all its room is free again. This event is no longer written;
     `station.unloaded` has replaced it."""
 
-    station: StationName
-
-    def stream(self) -> str:
-        return self.station
-
 
 @event("station.loaded")
-class StationLoaded(Event, frozen=True):
+class StationLoaded(StationEvent, frozen=True):
     """A person put labware of a lot on top of a stack. It has no id until it is taken. ``awaited`` lists the
     runs that waited for it."""
 
-    station: StationName
     type: str
     count: int
     lot: str = ""
     awaited: tuple[RunId, ...] = ()
 
-    def stream(self) -> str:
-        return self.station
-
 
 @event("station.unloaded")
-class StationUnloaded(Event, frozen=True):
+class StationUnloaded(StationEvent, frozen=True):
     """A person took labware without an id away: from the top of a stack, or out of a waste station.
     ``awaited`` lists the runs that waited for room."""
 
-    station: StationName
     count: int
     awaited: tuple[RunId, ...] = ()
 
-    def stream(self) -> str:
-        return self.station
-
 
 @event("station.observed")
-class StationObserved(Event, frozen=True):
+class StationObserved(StationEvent, frozen=True):
     """A sensor or a person observed a station. ``count`` is the number of pieces that stand there (0: it is
     empty; null: at least one). ``labware`` and ``type`` say what was recognised. ``by`` is the module or the
     person that observed. The resulting changes are events after this one."""
 
-    station: StationName
     by: str
     count: int | None = None
     labware: LabwareId = LabwareId("")
     type: str = ""
-
-    def stream(self) -> str:
-        return self.station
 
 
 @event("labware.placed")

@@ -71,13 +71,19 @@ def find_approval_wait(state: LabState, run: RunState) -> Wait:
     return Wait(reasons.NotApproved(run.id, why), (run_key(run.id),))
 
 
-def _check_own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wait | None:
+def find_person_wait(state: LabState, run: RunState) -> Wait | None:
+    """What a run waits for until a person approves or resumes it."""
     if run.unapproved:
         return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.held:
         return find_approval_wait(state, run)
-    if run.paused:
-        return Wait(reasons.Paused(run.id), (run_key(run.id),))
+    return Wait(reasons.Paused(run.id), (run_key(run.id),)) if run.paused else None
+
+
+def _check_own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wait | None:
+    wait = find_person_wait(state, run)
+    if wait is not None:
+        return wait
     if run.status == RunStatus.CANCELLING:
         return Wait(reasons.Cancelling(run.id), (run_key(run.id),))
     if not run.has_started:

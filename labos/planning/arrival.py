@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from labos.core import reasons
-from labos.core.actions import Action, ActionStatus
+from labos.core.actions import Action
 from labos.core.bench import Station
 from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import Owner, RunId, StationName, run_owner, workcell_of
@@ -36,7 +36,7 @@ def check_arrival(state: LabState, run: RunState, step: int, now: int, others: I
     """What a run waits for outside so that its labware does not block the place to which this first step
     brings it; None if it may be let in. ``others`` are plans of those who are inside or wait too."""
     plan = state.runs.plan_of(run)
-    if run.id in state.runs.windowed or not _is_moving(state, plan.workcell):
+    if run.id in state.runs.windowed or not state.actions.is_any_moving(plan.workcell):
         return None
     first = _find_first_stop(state, plan, step)
     if first is None:
@@ -50,10 +50,6 @@ def check_arrival(state: LabState, run: RunState, step: int, now: int, others: I
         return None
     why = reasons.WouldBlock(stop, onward, in_zone(free_at, "UTC"))
     return Wait(why, (cell_key(plan.workcell),), until=now + free_at - arrives)
-
-
-def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))
 
 
 def _find_first_stop(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from labos.core import reasons
-from labos.core.actions import ActionStatus
 from labos.core.decide import Command
 from labos.core.decide.actions import StartStep
 from labos.core.decide.together import StartTogether, find_planned_wish, find_wish
@@ -96,7 +95,7 @@ def check_for_others(
     room = sum(station.spec.capacity for station in stations)
     if now >= until or taken >= room or _has_clock(state, plan.workcell, step.module):
         return None
-    if not _is_moving(state, plan.workcell) or not _can_anybody_come(
+    if not state.actions.is_any_moving(plan.workcell) or not _can_anybody_come(
         state, members, plan, step, outside, now, until
     ):
         return None
@@ -120,10 +119,6 @@ def find_ready_time(state: LabState, run: RunState, index: int) -> int:
     """Since when nothing of its own run keeps a step from starting (UTC ns)."""
     ends = [run.steps[at].ended_at or 0 for at in state.runs.plan_of(run).steps[index].after]
     return max([run.submitted_at, *ends])
-
-
-def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))
 
 
 def _has_clock(state: LabState, cell: str, module: ModuleName) -> bool:

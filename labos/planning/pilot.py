@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from labos.core import reasons
-from labos.core.actions import ActionStatus
 from labos.core.reasons import AnyReason
 from labos.core.recurrence import in_zone
 from labos.core.runs import RunState
@@ -90,7 +89,7 @@ class Pilot:
                 plays.append((self._play(outline, base + number, step, witness), number))
         if not first.early and (not plays or plays[0][1]):
             return first  # the outline does not know how it can be let in
-        if outline.flying and _is_moving(state, cell):
+        if outline.flying and state.actions.is_any_moving(cell):
             later = outline.copy()
             later.advance()
             self.plays += 1
@@ -152,10 +151,6 @@ def _make_wait(state: LabState, outline: Outline, cell: str, why: AnyReason | No
     modules = {step.module: True for run in outline.runs for step in state.runs.plan_of(run).steps}
     on = (cell_key(cell), near_key(cell), *map(module_key, modules))
     return Wait(why or reasons.SoonerLater(), on)
-
-
-def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))
 
 
 def are_different(state: LabState, runs: Sequence[RunState], run: RunState) -> bool:

@@ -16,7 +16,7 @@ from labos.core.booked import find_begun_booking
 from labos.core.effects import Carrying, Needs, Requires, Sets, list_places
 from labos.core.ids import LabwareId, ModuleName, Owner, StationName, run_owner
 from labos.core.model import MAIN, PlanStep
-from labos.core.rules import check_starts_allowed, find_approval_wait
+from labos.core.rules import check_starts_allowed, find_person_wait
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.topics import FailedStep
@@ -28,12 +28,9 @@ from labos.core.zones import find_barred_zones, find_zones
 def find_block(state: LabState, run: RunState) -> Wait | None:
     """The first thing that a run cannot get past whatever the others do; None if there is nothing."""
     steps = state.runs.plan_of(run).steps
-    if run.unapproved:
-        return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
-    if run.held:
-        return find_approval_wait(state, run)
-    if run.paused:
-        return Wait(reasons.Paused(run.id), (run_key(run.id),))
+    wait = find_person_wait(state, run)
+    if wait is not None:
+        return wait
     if run.has(UNKNOWN):
         key = steps[run.statuses.index(UNKNOWN)].key
         return Wait(reasons.Outcome(key), (run_key(run.id),))

@@ -21,7 +21,6 @@ from collections.abc import Mapping
 import msgspec
 
 from labos.core import reasons
-from labos.core.actions import ActionStatus
 from labos.core.effects import list_carried
 from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
@@ -109,7 +108,7 @@ class Adviser:
         """The wait of a start for steps that were suggested to go first; None if it may go ahead."""
         plan = state.runs.plan_of(run)
         advice = self._find_advice(state, plan.workcell, now)
-        if advice is None or plan.steps[step].part != MAIN or not _is_moving(state, plan.workcell):
+        if advice is None or plan.steps[step].part != MAIN or not state.actions.is_any_moving(plan.workcell):
             return None
         if run.has_started and run.status != RunStatus.ACTIVE:
             return None
@@ -233,7 +232,3 @@ def _list_resources(state: LabState, step: PlanStep) -> list[str]:
     filled = (what.filled for what in list_carried(step.effects) if what.filled)
     places = [p for p in filled if state.bench.stations[p].spec.kind not in ("stack", "waste")]
     return list(dict.fromkeys([*list_taken(state, step), *map(station_key, places)]))
-
-
-def _is_moving(state: LabState, cell: str) -> bool:
-    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.list_in_cell(cell))

@@ -257,7 +257,6 @@ _FLOAT = re.compile(
 _BOOL = re.compile("yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF")
 _NULL = re.compile("~|null|Null|NULL|")
 _MERGE = "tag:yaml.org,2002:merge"
-_STR = "tag:yaml.org,2002:str"
 
 _Loader.yaml_implicit_resolvers = {}
 for _tag, _pattern, _first in (

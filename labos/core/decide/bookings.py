@@ -150,20 +150,22 @@ def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
 
 @decides(NearBooking)
 def near_booking(state: LabState, command: NearBooking) -> Decision:
-    booking = state.bookings.open.get(command.booking)
-    if booking is None or booking.change_due(command.now) != "near":
-        return []
-    span = booking.find_next_span(booking.handled)
-    return [BookingNeared(booking.id, span.begins, span.ends)] if span is not None else []
+    span = _find_due_span(state, command, "near")
+    return [BookingNeared(command.booking, span.begins, span.ends)] if span is not None else []
 
 
 @decides(BeginBooking)
 def begin_booking(state: LabState, command: BeginBooking) -> Decision:
+    span = _find_due_span(state, command, "begin")
+    return [BookingBegan(command.booking, span.begins, span.ends)] if span is not None else []
+
+
+def _find_due_span(state: LabState, command: NearBooking | BeginBooking, change: str) -> BookingSpan | None:
+    """The next time of a booking if this change of it is due."""
     booking = state.bookings.open.get(command.booking)
-    if booking is None or booking.change_due(command.now) != "begin":
-        return []
-    span = booking.find_next_span(booking.handled)
-    return [BookingBegan(booking.id, span.begins, span.ends)] if span is not None else []
+    if booking is None or booking.change_due(command.now) != change:
+        return None
+    return booking.find_next_span(booking.handled)
 
 
 @decides(EndBooking)
