@@ -49,7 +49,7 @@ MAY_WAIT = (ActionAccepted,)
 the same answer again."""
 
 FAULT = "internal_fault"
-FAULT_REMEDY = "This is a fault of LabOS: report it with what the kernel's log says. The lab goes on."
+FAULT_REMEDY = "This is a fault of LabOS: report it with the lines in the kernel's log. The lab continues."
 
 _log = structlog.get_logger(__name__)
 
