@@ -222,7 +222,7 @@ async def make_token(call: Call, told: NewToken) -> MadeToken:
     expect_users(call.kernel.state)
     user = told.user or call.who.user
     if not user:
-        raise BadInput("The token names no user.", remedy="Say whose it is: --user NAME")
+        raise BadInput("The token is nobody's.", remedy="Say whose it is: --user NAME")
     expect_self_or_admin(call, user)
     credential, days = call.who.credential, told.days
     if credential is not None:

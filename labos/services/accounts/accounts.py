@@ -151,7 +151,7 @@ class Accounts:
         """A new token, whose secret cannot be shown again, and its record. Raises BadInput."""
         if not 0 < days <= MOST_DAYS:
             raise BadInput(
-                f"A token cannot be valid for {days:g} days.", remedy=f"Say up to {MOST_DAYS} days."
+                f"A token cannot be good for {days:g} days.", remedy=f"Say up to {MOST_DAYS} days."
             )
         now = self._clock.now_ns()
         good = [t for t in await self.tokens(user) if not t.revoked_at and t.expires_at > now]

@@ -140,7 +140,7 @@ class CommandLineSignIn:
         now = self.provider.clock.monotonic()
         if now >= device.until:
             del self._devices[answer["state"]]
-            raise make_refusal("the code was not typed in")
+            raise make_refusal("nobody has typed the code in")
         if now < device.next:
             return RetryAfter(device.next - now)
         device.next = now + device.interval

@@ -160,7 +160,7 @@ class Provider:
         if not hmac.compare_digest(pending.browser.encode(), browser.encode()):
             raise make_refusal("another browser went there")
         if by_command_line is (pending.client == self._browsers):
-            raise make_refusal("another browser began this sign-in")
+            raise make_refusal("somebody else went there")
         known = await self.discover()
         said = answer.get("iss", "")
         if said != known.issuer and (said or known.authorization_response_iss_parameter_supported):
@@ -257,7 +257,7 @@ class Provider:
         claims = dict(found.claims)
         others = isinstance(claims["aud"], list) and len(claims["aud"]) > 1
         if others and claims.get("azp") != client:
-            raise make_refusal("its id token is for another client")
+            raise make_refusal("its id token is for somebody else")
         return claims
 
     async def _with_user_info(
@@ -268,7 +268,7 @@ class Provider:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
             more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
             if more.get("sub") != claims["sub"]:
-                raise make_refusal("it describes another user")
+                raise make_refusal("it tells of somebody else")
             claims = {**more, **claims}
         groups = claims.get(self.told.groups_claim, [])
         return ProviderClaims(
