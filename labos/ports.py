@@ -69,8 +69,8 @@ class EventStore(Protocol):
         """The end of the log. Raises StoreUnavailable."""
 
     def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
-        """Become the lab's one kernel: raise the epoch and take the lease. ``lab`` is the id to
-        give to an empty log. Raises Refused while another kernel lives."""
+        """Become the lab's one kernel: raise the epoch and take the lease. ``lab`` is the id to give to an
+        empty log. Raises Refused while another kernel is running."""
 
     def renew(self, epoch: int, lease_s: float) -> None:
         """Keep the lease. Raises Fenced if another kernel has taken over."""
@@ -206,8 +206,8 @@ class Bus(Protocol):
     part and ``**`` for any number."""
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        """Ask the process that serves ``key``. Raises NoAnswer if nobody answers in time, which says
-        nothing about whether the request was carried out."""
+        """Ask the process that serves ``key``. Raises NoAnswer if there is no answer in time; the request may
+        have been carried out."""
 
     async def serve(self, key: str, handler: Handler) -> Handle: ...
 
@@ -216,7 +216,7 @@ class Bus(Protocol):
     async def subscribe(self, keys: str, listener: Listener) -> Handle: ...
 
     async def declare_alive(self, key: str) -> Handle:
-        """Show this key to watchers for as long as the process lives."""
+        """Show this key to watchers as long as the process is running."""
 
     async def watch_alive(self, keys: str, listener: AliveListener) -> Handle:
         """Call ``listener(key, True)`` for each key that is alive now or later, and ``(key, False)`` when one

@@ -376,7 +376,7 @@ def is_alive(pid: int) -> bool:
     except PermissionError:
         return True
     try:
-        # On Linux a dead child whose exit code nobody has read still accepts signals.
+        # On Linux a dead child whose exit code was not read still accepts signals.
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
         return True

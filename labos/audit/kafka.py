@@ -231,7 +231,7 @@ class KafkaSink:
             self._failure = error.str()
         elif not self._is_away:
             self._is_away = True
-            self._tell(f"Kafka at {self._topic.brokers} is away ({error.str()}); LabOS goes on trying.")
+            self._tell(f"Kafka at {self._topic.brokers} is away ({error.str()}); LabOS tries again.")
 
     def _on_delivery(self, error: KafkaError | None, message: Message) -> None:
         if error is not None and not self._failure:
@@ -253,7 +253,7 @@ class KafkaSink:
     def _describe_failure(self, why: str) -> SystemFailed:
         return SystemFailed(
             f"Kafka at {self._topic.brokers} does not take the events: {why}.",
-            remedy="See to the broker, then start this again: it goes on where the topic ends.",
+            remedy="Repair the broker, then start this command again: it continues at the end of the topic.",
         )
 
     # -- where to continue -------------------------------------------------------------------

@@ -267,7 +267,7 @@ def outline_of(
 
 
 def _on_error(step: PlanStep) -> str:
-    """What happens when a step has failed finally."""
+    """The reaction to the final failure of a step."""
     policy = step.on_error
     if policy is None:
         return "fail"

@@ -89,8 +89,8 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
 
 
 def expect_to_listen(pid: int, number: int) -> None:
-    """Signal only a process that listens: another one would be ended by the signal at once. Raises Refused if
-    the system reports that the process does not listen."""
+    """Check that a process listens to a signal: otherwise the signal would end it at once. Raises Refused if
+    the system reports that it does not listen."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:

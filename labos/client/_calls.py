@@ -36,7 +36,7 @@ def in_path(name: str, parts: int = 1) -> str:
     ``sealer`` or ``rpl/sealer``. Raises BadInput for a name that would lead to another path."""
     found = name.split("/")
     if len(found) > parts or any(part in ("", ".", "..") for part in found) or _NO_NAME.search(name):
-        raise BadInput(f"{name[:80]!r} names nothing in the lab.", remedy="Say which one is meant.")
+        raise BadInput(f"{name[:80]!r} names nothing in the lab.", remedy="Give one name.")
     return quote(name, safe="")
 
 

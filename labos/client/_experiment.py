@@ -300,7 +300,7 @@ class Experiment(LoggedEvents):
         where: str = "pool",
         key: str = "",
     ) -> list[Any]:
-        """What a function returns for each argument, in their order. Raises ComputeFailed, ReplayMismatch,
+        """The results of a function for each argument, in their order. Raises ComputeFailed, ReplayMismatch,
         PlaceUnavailable."""
         from labos.services.compute import PlaceUnavailable
 

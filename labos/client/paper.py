@@ -117,8 +117,8 @@ class Experiment:
 
 
 class Events:
-    """What an application logs. The start and end of the experiment and of each workflow are logged
-    automatically: the calls for them begin and end the experiment, and log nothing more."""
+    """The events that an application logs. The start and end of the experiment and of each workflow are
+    logged automatically: the calls for them begin and end the experiment, and log nothing more."""
 
     def __init__(self, of: Experiment) -> None:
         self._of = of

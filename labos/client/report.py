@@ -89,7 +89,7 @@ def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentPar
         "--resume",
         default="",
         metavar="E3",
-        help="go on where the program was killed: the experiment (labos experiments)",
+        help="continue where the program was killed: the experiment (labos experiments)",
     )
     parser.add_argument("--out", type=Path, help=f"a folder for the report ({out})")
     parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")

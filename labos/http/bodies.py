@@ -170,7 +170,7 @@ class CampaignCancel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """What is left out stays as it is."""
+    """Fields that are left out do not change."""
 
     by: Asker = ""
     priority: Annotated[Priority | None, says("the priority of rows that are submitted from now on")] = None
@@ -186,7 +186,7 @@ class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
-    """What is left out is as in the campaign that is cloned, but for its deadline: the clone has none."""
+    """Fields that are left out are copied from the campaign, except the deadline: the clone has none."""
 
     name: Annotated[Line, says("the name of the new campaign; empty: the name of the original")] = ""
     visibility: Annotated[Visibility | None, says("who sees it: lab, group or private")] = None
@@ -343,7 +343,7 @@ class WireTrace(By, forbid_unknown_fields=True):
 
 
 class RunCancel(By, forbid_unknown_fields=True):
-    """A run is to end when what is in flight has ended."""
+    """The run ends when its actions in flight have ended."""
 
     stay: Annotated[
         bool, says("labware stays where it is, even if the workflow has steps under `on_cancel`")

@@ -33,7 +33,7 @@ Force = Annotated[bool, says("override bookings of others; only for admins")]
 
 
 class NewBooking(By, forbid_unknown_fields=True, kw_only=True):
-    """A module or a workcell for somebody alone."""
+    """A booking of a module or a workcell for one user or group."""
 
     target: Annotated[Name, says("a module or a workcell")]
     begins_at: Annotated[Time, says(BEGINS)]
@@ -48,7 +48,7 @@ class NewBooking(By, forbid_unknown_fields=True, kw_only=True):
 
 
 class BookingChange(By, forbid_unknown_fields=True, kw_only=True):
-    """What is left out stays as it is."""
+    """Fields that are left out do not change."""
 
     begins_at: Annotated[
         Time | None, says(BEGINS + "; if no end is given, the end moves by the same time")

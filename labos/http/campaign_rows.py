@@ -58,7 +58,7 @@ def take_due(row: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
 
 
 def explain_no_time(due: str) -> str:
-    """What is wrong with the due date of a row's run; empty if it is valid."""
+    """The fault of the due date of a row's run; empty if it is valid."""
     try:
         found = parse_time(due, 0) if due else 1
     except BadInput as error:

@@ -40,15 +40,16 @@ CHECKED_AT_ONCE = 10
 
 
 class ConsumableEstimate(msgspec.Struct, frozen=True):
-    """What all rows use up of a consumable, and what is left of it in the lab (null: nobody counts it)."""
+    """The amount of a consumable that all rows use up, and the amount that is left in the lab (null: it is
+    not counted)."""
 
     needed: float
     left: float | None
 
 
 class Estimate(msgspec.Struct, frozen=True):
-    """What a campaign asks of the lab. ``checked`` of its ``rows`` were planned; times are nominal, in lab
-    seconds, and by module; ``bounds_s`` is what the busiest module needs for all rows."""
+    """The work and material that a campaign needs. ``checked`` of its ``rows`` were planned; times are
+    nominal, in lab seconds, and by module; ``bounds_s`` is what the busiest module needs for all rows."""
 
     name: str
     workflow: str

@@ -26,8 +26,8 @@ Kind = Literal["run", "experiment", "module", "workcell", "lab"]
 
 
 class ControlRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """``target``: a run, an experiment, a module, a workcell, or ``lab``. ``stay``: the labware of what is
-    cancelled stays where it is. ``why`` is for pausing and cancelling."""
+    """``target``: a run, an experiment, a module, a workcell, or ``lab``. ``stay``: the labware of cancelled
+    runs stays where it is. ``why`` is for pausing and cancelling."""
 
     target: Annotated[Name, says("a run, an experiment, a module, a workcell, or `lab`")]
     by: Asker = ""

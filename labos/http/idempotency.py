@@ -73,7 +73,7 @@ class IdempotentAnswers:
         logs_key: bool,
         logged: LoggedRequest | None = None,
     ) -> Response:
-        """The answer to a request of a ``user``; answers are kept by user, so nobody receives the answer to
+        """The answer to a request of a ``user``; answers are kept by user, so no user receives the answer to
         another user's request. A refusal is not kept, as it changed nothing and may not hold later.
         ``logs_key``: the log shows whether a key was used; without it, a request that may have been carried
         out is not tried again. ``logged`` finds the answer of an earlier process. Raises KeyReused if the key

@@ -66,7 +66,7 @@ PROBLEMS: dict[str, ProblemKind] = {
 
 
 class Problem(msgspec.Struct, frozen=True):
-    """What went wrong. ``type`` and ``code`` name the kind of problem, ``title`` says it in general,
+    """A problem of a request. ``type`` and ``code`` name the kind of problem, ``title`` says it in general,
     ``detail`` what happened here, and ``remedy`` what to do. ``details`` has one entry for each finding in a
     file, with its place."""
 

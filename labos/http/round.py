@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """What a person says on the round: what stands at ``stations``, bottom to top, and which are
+    """A person's report on the round: the content of ``stations``, bottom to top, and the stations that are
     ``as_recorded``; ``finish``: the question that asks for the round is answered, if nothing is left."""
 
     by: Asker = ""

@@ -376,6 +376,6 @@ def _is_open(query: LogQuery) -> bool:
 
 
 def _make_last_line(after: int) -> bytes:
-    why = "You take up events more slowly than they come. Go on with the header Last-Event-ID."
+    why = "You read events more slowly than they come. Connect again with the header Last-Event-ID."
     told = msgspec.json.encode({"error": why, "after": after})
     return b"id: %d\nevent: dropped\ndata: %b\n\n" % (after, told)

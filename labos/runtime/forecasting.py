@@ -111,7 +111,7 @@ class ForecastProcess:
             last = said.decode(errors="replace").strip().splitlines()[-1:]
             raise Refused(
                 f"The forecast failed: {' '.join(last) or f'exit code {process.returncode}'}.",
-                remedy="The lab goes on without it; please report this.",
+                remedy="The lab continues without it; please report this.",
             )
         return await asyncio.to_thread(msgspec.msgpack.decode, told, type=ForecastResult)
 

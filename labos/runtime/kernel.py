@@ -45,11 +45,11 @@ from labos.runtime.writer import Writer
 VERSION = "0.1.0"
 
 MAY_WAIT = (ActionAccepted,)
-"""Events for which nobody waits: they cause no messages, and if they are lost, the node is asked and gives
+"""Events without a waiting caller: they cause no messages, and if they are lost, the node is asked and gives
 the same answer again."""
 
 FAULT = "internal_fault"
-FAULT_REMEDY = "This is a fault of LabOS: report it with what the kernel's log says. The lab goes on."
+FAULT_REMEDY = "This is a fault of LabOS: report it with the lines in the kernel's log. The lab continues."
 
 _log = structlog.get_logger(__name__)
 
@@ -102,7 +102,7 @@ class Kernel(KernelLog):
     async def open(self, follower: Follower | None = None, *, plan: bool = True) -> None:
         """Take the lease, fold the log, announce the new epoch. Events that a ``follower`` has already folded
         are not folded again. Without ``plan``, no step is started and no deadline is handled before
-        ``begin_planning``. Raises Refused while another kernel lives."""
+        ``begin_planning``. Raises Refused while another kernel is running."""
         settings, self._follower = self.settings, follower
         lab = LabId(self.ids.new())
         head = await self._writer.call(lambda store: store.claim(lab, settings.owner, settings.lease_s))

@@ -326,7 +326,7 @@ class KernelLog(ABC):
             if known is not None and head.epoch != known:
                 raise Fenced(
                     f"Another kernel (epoch {head.epoch}) has taken over this lab.",
-                    remedy="Let it work; this one must not go on.",
+                    remedy="Let it work; this one must stop.",
                 )
             follower, self._follower = self._follower, None
             state, _ = load(store, begin=follower.hand_over() if follower is not None else None, end=head)

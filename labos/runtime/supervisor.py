@@ -153,7 +153,7 @@ class Supervisor:
             if survivor is not None:
                 node.pid = survivor.pid
                 node.state = "running" if survivor.detached else "starting"
-                node.why = "" if survivor.detached else "its predecessor finishes what it is doing"
+                node.why = "" if survivor.detached else "its predecessor finishes its actions"
                 while self._is_alive(survivor.pid):  # noqa: ASYNC110 (it is not our child: nothing tells)
                     await asyncio.sleep(POLL_S)
                 code: ExitCode = 0

@@ -36,7 +36,7 @@ from labos.services.times import show_time
 
 
 def describe(event: Event, head: Envelope, names: Catalogue | None = None) -> str:
-    """What happened, in one sentence with local names. ``names`` adds the names of steps."""
+    """A sentence that describes the event, with local names. ``names`` adds the names of steps."""
     sentence = SENTENCES.get(type(event))
     if sentence is None:
         return f"{head.type} {head.stream}"

@@ -46,7 +46,7 @@ State = Literal["ok", "warning", "fault"]
 
 
 class DoctorFinding(msgspec.Struct, frozen=True):
-    """One check. ``told`` says what was found, ``remedy`` what to do (empty if all is well)."""
+    """One check. ``told`` is its result, ``remedy`` what to do (empty if all is well)."""
 
     name: str
     state: State

@@ -1,4 +1,5 @@
-"""What is left on the bench, from which lots, and what will be used up first if all goes as planned.
+"""The remaining material on the bench and its lots, and the resource that will be used up first if all goes
+as planned.
 
 The runs that have not ended are simulated in the order in which they would continue: each step takes its
 nominal duration and starts when its module is free. Real labs are slower, but the run that finds too little
@@ -102,7 +103,7 @@ class Ahead(msgspec.Struct, frozen=True):
 
 
 def count_inventory(state: LabState, now: int, today: str) -> Inventory:
-    """What is left at ``now`` (UTC ns); ``today`` is the date by which lots expire."""
+    """The remaining material at ``now`` (UTC ns); ``today`` is the date by which lots expire."""
     promised: dict[str, float] = {}
     short: dict[str, Shortfall] = {}
     left: dict[str, float] = {name: level.level for name, level in state.resources.levels.items()}

@@ -153,7 +153,8 @@ def _act(event: ActionRequested, names: Catalogue) -> str:
 
 
 def _find_actor(event: b.LabwareEvent, record: Record, acts: dict[str, str], names: Catalogue) -> str:
-    """Who acted: the action that moved it, else the run, else the actor; with the user."""
+    """The name of the actor: the action that moved it, else the run, else the event's actor; with the
+    user."""
     run = names.runs.get(event.run)
     user = f" ({run.user})" if run is not None else ""
     act = acts.get(str(getattr(event, "action", "")))

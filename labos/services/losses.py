@@ -207,8 +207,8 @@ class LossBook:
                 self._note("", cause)
 
     def _find_common_cause(self, members: list[RunState], causes: dict[str, Cause | None]) -> Cause | None:
-        """The cause for which several runs wait; None if one of them continues. Of several causes the one
-        that began first."""
+        """The cause for which several runs wait; None if one of them continues. If there are several causes,
+        the one that began first."""
         found = [run for run in members if causes[run.id] is not None]
         if len(found) < len(members):
             return None

@@ -1,4 +1,4 @@
-"""When a person is needed next, and for what: what waits for a person now, and what is foreseen.
+"""When a person is needed next, and for what: tasks that wait for a person now, and foreseen ones.
 
 The forecast is only as good as the nominal durations on which it is based; a fault may need a person earlier.
 """

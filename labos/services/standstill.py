@@ -40,9 +40,10 @@ ErrorClass = Literal["", "software", "operational", "experiment"]
 
 
 class Cause(msgspec.Struct, frozen=True, order=True):
-    """What a lost minute is charged to. ``kind``: an *error* of one of the paper's classes, a
+    """The cause to which a lost minute is charged. ``kind``: an *error* of one of the paper's classes, a
     *person* who is waited for without any error, an empty *resource*, a *planned* touch. ``asked``:
-    a question or a task for a person is open."""
+    a question or a task for a person is open.
+    """
 
     kind: Kind
     what: str

@@ -6,7 +6,7 @@ from labos.telemetry.series import OTHER
 
 
 class BoundedNames:
-    """The first ``most`` names keep their labels as long as the process lives; all later ones share one."""
+    """The first ``most`` names keep their labels as long as the process runs; all later ones share one."""
 
     def __init__(self, most: int) -> None:
         self._most = most

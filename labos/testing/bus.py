@@ -210,4 +210,4 @@ def _answer(answer: asyncio.Future[bytes], reply: bytes) -> None:
 def _fail(answer: asyncio.Future[bytes], key: str) -> None:
     if not answer.done():
         answer.set_exception(NoAnswer(f"Nobody serves {key}."))
-        answer.exception()  # the sender may have died since: then nobody receives the answer
+        answer.exception()  # the sender may have died since

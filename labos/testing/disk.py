@@ -199,7 +199,8 @@ class SimulatedWriter:
             self._schedule(0.002, self._write, self._head)
 
     def _schedule(self, after_s: float, step: Callable[..., None], *args: Any) -> None:
-        """Call ``step`` in the kernel's own context after a time, whoever asked for the write."""
+        """Call ``step`` in the kernel's own context after a time, also if another process asked for the
+        write."""
         asyncio.get_running_loop().call_later(after_s, step, *args, context=context_of(self._process))
 
     def _write(self, head: Head) -> None:

@@ -153,7 +153,7 @@ class Faults:
         self.on_freeze(process)
 
     def _jump(self, process: Process) -> None:
-        """Set the clock of the machine wrong by hours, until somebody corrects it."""
+        """Set the clock of the machine wrong by hours, until a person corrects it."""
         assert process.clock is not None
         self.tell("clock_jump")
         process.clock.set(self.rng.uniform(-LONGEST_JUMP_S, LONGEST_JUMP_S))

@@ -211,7 +211,7 @@ class SimulatedLab(People):
         return list_differences(self.world, state, self.store.records)
 
     def report(self) -> str:
-        """What a lab that does not end is waiting for."""
+        """The reasons why a lab that does not end still waits."""
         state = self.fold_log()
         kernel = self.kernel
         waits = []

@@ -223,7 +223,7 @@ class People(Processes):
                     if isinstance(question.topic, PlannedWork) and self.rng.random() < LATE:
                         continue  # there is something else to do first
                     if self.is_moving(question.module):
-                        continue  # nobody touches a module that moves
+                        continue  # a module that moves must not be touched
                     unknown = isinstance(question.topic, UnknownAction)
                     if unknown and not await self._is_over_for(kernel, question.module):
                         continue  # it may continue when its node is back

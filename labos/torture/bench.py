@@ -194,7 +194,8 @@ def describe_deeds(deeds: Mapping[tuple[str, str], int]) -> str:
 
 
 def read_presence(value: Any) -> bool | None:
-    """What a sensor reports of a place: something there, nothing there, or None if it cannot tell."""
+    """The meaning of a sensor's value for a place: something there, nothing there, or None if it cannot
+    tell."""
     if value is None:
         return None
     return bool(value)

@@ -243,7 +243,8 @@ async def say_unasked(on: Session) -> str:
 
 
 async def _find_orders(on: Session) -> list[bytes]:
-    """What its driver sends in a motion and not at rest, in order. Raises LeftOut, Failed."""
+    """The messages that its driver sends during a motion and not at rest, in order. Raises LeftOut,
+    Failed."""
     case, relay = on.choose_motion(), _require_relay(on)
     if on.orders is None:
         await on.fulfil(case)

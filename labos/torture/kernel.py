@@ -115,7 +115,8 @@ class Kernel:
         return await self._query("admin", request, AdminReply, limit_s)
 
     async def await_state(self, reached: Callable[[StateReport], bool], limit_s: float) -> StateReport | None:
-        """Wait for a state, and return it; None if it is not reached within the time, or nobody answers."""
+        """Wait for a state, and return it; None if it is not reached within the time, or there is no
+        answer."""
         deadline = asyncio.get_running_loop().time() + limit_s
         while asyncio.get_running_loop().time() < deadline:
             try:

@@ -322,7 +322,8 @@ def _pump(source: socket.socket, target: socket.socket, write: Write) -> None:
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
-    """Of ``socket://host:port``, ``http://host:port/…``, ``tcp://host:port`` or ``host:port``."""
+    """The host and port in ``socket://host:port``, ``http://host:port/…``, ``tcp://host:port`` or
+    ``host:port``."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     if parts.hostname is None or parts.port is None:
         raise ValueError(f"{address!r} names no host and port")

@@ -59,8 +59,8 @@ class LeftOut(Exception):
 
 
 class Attempt(msgspec.Struct, frozen=True):
-    """One attempt at an action: what was requested, the end of the motion log at that moment, and the node's
-    first reply."""
+    """One attempt at an action: the request, the end of the motion log at that moment, and the node's first
+    reply."""
 
     case: Case
     start: Start
@@ -547,8 +547,8 @@ class Session:
             raise Failed(f"after the recovery, {error}") from None
 
     async def make_ready(self) -> None:
-        """Whatever an earlier check did, make sure that the node runs, the device is at rest and the line is
-        whole. A device that had to be switched on is reset afterwards. Raises Failed."""
+        """After any earlier check, make sure that the node runs, the device is at rest and the line is whole.
+        A device that had to be switched on is reset afterwards. Raises Failed."""
         fresh = self.restore_device()
         with contextlib.suppress(NoAnswer):
             if self._process is not None and self._process.poll() is None:

@@ -169,5 +169,5 @@ async def _run_check(on: Session, name: str, tier: Tier, check: Check) -> Findin
 
 
 def describe_check(name: str) -> str:
-    """What a check requires, from its docstring."""
+    """The requirement of a check, from its docstring."""
     return inspect.cleandoc(CHECKS[name][1].__doc__ or "").replace("\n", " ")

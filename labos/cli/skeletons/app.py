@@ -1,10 +1,10 @@
-"""NAME: runs a workflow with several values and keeps what came of each.
+"""NAME: runs a workflow with several values and stores each result.
 
 With a lab running (`labos up WORKCELL --simulate`):
 
     python NAME.py --home lab --user ada
 
-If it was killed, `labos experiments` says which experiment it had, and it goes on with `--resume E1`.
+If it was killed, `labos experiments` shows its experiment, and it continues with `--resume E1`.
 """
 
 from __future__ import annotations

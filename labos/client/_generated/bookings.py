@@ -31,17 +31,17 @@ class GeneratedBookings(Calls):
         force: bool = False,
     ) -> dict[str, Any]:
         """Book a module or a workcell. Runs of other users start nothing that would still be there at that
-        time. If somebody else has a booking at that time, the request is refused, unless an admin forces it.
-        A booking for maintenance cannot be overridden. ``target``: a module or a workcell. ``begins_at``:
-        when it begins (UTC nanoseconds). ``ends_at``: when it ends (UTC nanoseconds). ``whom``: the group or
-        user for whom it is booked; ``group:NAME`` or ``user:ID`` if both have this name; left out: the user
-        who asks. ``maintenance``: a booking for maintenance, during which no run uses it. ``why``: what for.
-        ``zone``: the time zone in which the booking is shown and repeated, such as ``Europe/Zurich``.
-        ``rule``: how it repeats, as in iCalendar: ``FREQ=WEEKLY;BYDAY=MO,TH``; empty: once. ``last_at``: the
-        latest beginning of a repeated booking (UTC nanoseconds); 0: without end. ``force``: override bookings
-        of others; only for admins. Returns ``id``, ``target``, ``begins_at``, ``ends_at``, ``user``,
-        ``group``, ``maintenance``, ``why``, ``zone``, ``rule``, ``last_at``, ``by``, ``now``,
-        ``next_begins_at``, ``next_ends_at``, ``skipped_at``, ``over``. Raises NotFound, Refused."""
+        time. If another user or group has a booking at that time, the request is refused, unless an admin
+        forces it. A booking for maintenance cannot be overridden. ``target``: a module or a workcell.
+        ``begins_at``: when it begins (UTC nanoseconds). ``ends_at``: when it ends (UTC nanoseconds).
+        ``whom``: the group or user for whom it is booked; ``group:NAME`` or ``user:ID`` if both have this
+        name; left out: the user who asks. ``maintenance``: a booking for maintenance, during which no run
+        uses it. ``why``: what for. ``zone``: the time zone in which the booking is shown and repeated, such
+        as ``Europe/Zurich``. ``rule``: how it repeats, as in iCalendar: ``FREQ=WEEKLY;BYDAY=MO,TH``; empty:
+        once. ``last_at``: the latest beginning of a repeated booking (UTC nanoseconds); 0: without end.
+        ``force``: override bookings of others; only for admins. Returns ``id``, ``target``, ``begins_at``,
+        ``ends_at``, ``user``, ``group``, ``maintenance``, ``why``, ``zone``, ``rule``, ``last_at``, ``by``,
+        ``now``, ``next_begins_at``, ``next_ends_at``, ``skipped_at``, ``over``. Raises NotFound, Refused."""
         return self._post(
             "/bookings",
             {

@@ -157,7 +157,7 @@ class GeneratedModules(Calls):
     def _end_workcell_access(
         self, workcell: str, by: str, *, note: str = "", changed: Sequence[Mapping[str, Any]] = ()
     ) -> None:
-        """End the access to a workcell. Nobody reaches into the workcell any more, and it continues.
-        ``note``: a word for the log. ``changed``: the stations that were changed, and what stands there now.
-        Raises Refused."""
+        """End the access to a workcell. No person works in the workcell any more, and it continues. ``note``:
+        a word for the log. ``changed``: the stations that were changed, and what stands there now. Raises
+        Refused."""
         self._post(f"/workcells/{in_path(workcell)}/access/end", {"by": by, "note": note, "changed": changed})

@@ -148,7 +148,7 @@ async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
     example_answer={"token": _TOKEN, "secret": "labos_token_…"},
 )
 async def make_token(call: Call, body: signing.NewToken) -> Response:
-    """The secret is shown only in this answer. A token that was made with another token never lives longer
+    """The secret is shown only in this answer. A token that was made with another token is never valid longer
     and never allows more than that one."""
     found = await signing.make_token(call, body)
     headers = {"cache-control": "no-store"}

@@ -87,7 +87,7 @@ class ProposalAnswer(msgspec.Struct, frozen=True):
 
 
 class PolicyView(msgspec.Struct, frozen=True):
-    """The present policy. ``applied`` is the SHA-256 of its file, empty if nobody has applied one."""
+    """The present policy. ``applied`` is the SHA-256 of its file, empty if there is none."""
 
     applied: str
     policy: Policy

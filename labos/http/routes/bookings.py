@@ -96,9 +96,9 @@ async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
     example_answer=_BOOKING,
 )
 async def make_booking(call: Call, body: NewBooking) -> BookingView:
-    """Runs of other users start nothing that would still be there at that time. If somebody else has a
-    booking at that time, the request is refused, unless an admin forces it. A booking for maintenance cannot
-    be overridden."""
+    """Runs of other users start nothing that would still be there at that time. If another user or group has
+    a booking at that time, the request is refused, unless an admin forces it. A booking for maintenance
+    cannot be overridden."""
     state, now = call.kernel.state, call.kernel.clock.now_ns()
     target, terms = find_target(call.service, body.target), make_terms(state, body)
     events = await call.kernel.execute(MakeBooking(target, terms, body.by, now, body.force), body.by)

@@ -202,7 +202,7 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
     example_answer={"workcell": "rpl"},
 )
 async def end_workcell_access(call: Call, path: OfWorkcell, body: AccessEnd) -> WorkcellReference:
-    """Nobody reaches into the workcell any more, and it continues."""
+    """No person works in the workcell any more, and it continues."""
     await end_access(call.service, path.workcell, body.by, body.note, body.changed)
     return WorkcellReference(path.workcell)
 

@@ -109,7 +109,7 @@ async def list_actions(call: Call, path: OfModule) -> ActionList:
     spec = call.kernel.state.modules.by_name[name].spec
     found = find_description(spec, call.service.parts.descriptions)
     if found is None:
-        raise NotFound(f"Nobody has described what {local(name)} can do.", remedy="Install its driver.")
+        raise NotFound(f"The actions of {local(name)} are not described.", remedy="Install its driver.")
     actions = [
         make_from(
             ActionView,

@@ -42,7 +42,7 @@ class Agreement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class ErasureView(msgspec.Struct, frozen=True):
-    """What ``by`` asked for at ``asked_at`` (UTC nanoseconds), and waits for a second person under the id
+    """A request of ``by`` at ``asked_at`` (UTC nanoseconds) that waits for a second person under the id
     ``erasure``."""
 
     erasure: str

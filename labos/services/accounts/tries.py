@@ -1,4 +1,4 @@
-"""Limits how often somebody may try to sign in."""
+"""Limits the number of attempts to sign in."""
 
 from __future__ import annotations
 

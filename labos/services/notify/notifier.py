@@ -180,7 +180,8 @@ class Notifier:
             self.outbox.keep(position=position)
 
     def _read_first(self, upto: int) -> None:
-        """The first reading of a log: nobody is notified of what was settled long ago."""
+        """The first reading of a log: there are no notifications about questions that were settled long
+        ago."""
         waiting: dict[str, Notice] = {}
         epoch = 0
         for record in self.log.select(LogQuery(upto=upto, types=TYPES)):

@@ -138,7 +138,7 @@ class Note(msgspec.Struct, frozen=True):
                     if not key.verifies(self.text.encode(), signature.raw):
                         raise BadInput(
                             f"This is not what {key.name} has signed: its text or its signature was changed.",
-                            remedy="Get it anew from where it was first kept.",
+                            remedy="Get the original file again.",
                         )
                     found.append(key)
                     break

@@ -114,7 +114,7 @@ def _unpack(path: Path) -> dict[str, bytes]:
                 raise ValueError(f"it unpacks to more than {LARGEST} bytes")
             names = archive.namelist()
             if len(set(names)) != len(names):
-                raise ValueError("a name stands in it twice")
+                raise ValueError("a name is in it twice")
             return {name: archive.read(name) for name in names}
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
         raise _make_bundle_error(path, str(error)) from None

@@ -21,7 +21,7 @@ TREE_FILE = "labos.tree"
 
 _LOOK = (
     "Nothing was signed. Find out where: labos verify --checkpoint FOLDER, with the checkpoints that were "
-    "kept. If the log was put back from an older copy on purpose, docs/trust.md says what to do."
+    "kept. If the log was restored from an older copy on purpose, docs/trust.md says what to do."
 )
 
 

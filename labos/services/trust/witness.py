@@ -157,4 +157,4 @@ def ask_witness(url: str, note: Note, old: int, proof: Proof) -> tuple[NoteSigna
     try:
         return parse_signatures(answer.text)
     except ValueError as error:
-        raise SystemFailed(f"The witness {url} answers what is no signature ({error}).") from None
+        raise SystemFailed(f"The witness {url} gives an answer that is not a signature ({error}).") from None

@@ -1,6 +1,6 @@
 """The device's commands.
 
-Write down here where each command comes from, and what was never tried on hardware.
+Write down here the source of each command, and which commands were never tried on hardware.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Driver:
         self.line.close()
 
     def work(self, time_s: float) -> None:
-        """Raises DeviceError, with what is known of the motion."""
+        """Raises DeviceError, which says how much of the motion was carried out."""
         before = self._works_done()
         answer = self._ask(f"WORK {time_s:.1f}")
         if answer in REFUSALS:
@@ -84,5 +84,5 @@ class Driver:
 
 
 def _recognise(link: Link) -> str:
-    """Who answers: two cables may have been swapped."""
+    """The name of the device that answers: two cables may have been swapped."""
     return link.exchange(b"WHO", ANSWER_S).decode("ascii", "replace")

@@ -23,6 +23,6 @@ TORTURE = Torture(
     device=Device,
     cases=(Case("work", {"time": 10.0}, record=lambda args: {"time_s": args["time"]}),),
     faults=(Fault("its drive is jammed", _block, _free), Fault("no plate in the nest", _take_away)),
-    # Motions take a second here: nobody has to wait for the end of a real one.
+    # Motions take one second here, so that the tests are fast.
     waits={"PACKAGE.driver:MOTION_S": 6.0},
 )
