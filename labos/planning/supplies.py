@@ -26,8 +26,8 @@ def are_enough(state: LabState, runs: Iterable[RunState]) -> bool:
                         places[what.stock, True] = places.get((what.stock, True), 0) + 1
                     if what.filled:
                         places[what.filled, False] = places.get((what.filled, False), 0) + 1
-    for (module, resource), amount in supplies.items():
-        level = state.resources.levels.get(f"{module}:{resource}")
+    for (where, resource), amount in supplies.items():
+        level = state.resources.levels.get(f"{where}:{resource}")
         if level is not None and amount > level.level:
             return False
     for place, station in state.bench.stations.items():
