@@ -27,6 +27,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.outline import Outline, Ways
+from labos.planning.supplies import are_enough
 
 OWN = "labos"
 """By whom the lab's own order is."""
@@ -169,6 +170,8 @@ class OwnOrders:
         is_new = known is None or not runs <= known.runs
         if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
             return False
+        if not are_enough(state, [*inside, *waiting]):
+            return self.drop(cell)  # what is left is for the oldest
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
             return self.drop(cell)
