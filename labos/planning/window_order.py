@@ -56,7 +56,7 @@ SLOTS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 300.0, 900.0, 3600.0)
 WARMTH = 0.025
 """An order that is worse by this part of the time that is left is still gone on with now and then."""
 
-WEIGHT_OF_MEAN = 0.3
+WEIGHT_OF_MEAN = 0.1
 """How much the middle of all ends counts beside the last one."""
 
 LOST = 1000
