@@ -30,6 +30,7 @@ from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import DECK, Task, Ways
+from labos.planning.window_waits import WaitSpan, share_waits
 
 OWN_WINDOWS = "labos, windows"
 """In place of the planner's name, in the lab's own order where clocks run."""
@@ -55,7 +56,7 @@ SLOTS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 300.0, 900.0, 3600.0)
 WARMTH = 0.025
 """An order that is worse by this part of the time that is left is still gone on with now and then."""
 
-WEIGHT_OF_MEAN = 0.3
+WEIGHT_OF_MEAN = 0.1
 """How much the middle of all ends counts beside the last one."""
 
 LOST = 1000
@@ -374,8 +375,7 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepCh
         return None  # doors, setpoints and the like are not in the timetable
     steps = [i for i, step in enumerate(plan.steps) if step.part == MAIN]
     place = {step: number for number, step in enumerate(steps)}
-    least = [0] * len(steps)
-    most: list[int | None] = [None] * len(steps)
+    spans: list[WaitSpan] = []
     for number, index in enumerate(steps):
         step = plan.steps[index]
         if set(step.after) != set(steps[max(0, number - 1) : number]) or step.by_person:
@@ -385,18 +385,10 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepCh
                 return None
             first = place[window.anchor] + 1
             between = sum(durations[i] for i in steps[first:number])
-            wait = max(0, convert_lab_s(state, window.wait_s) - between)
-            if window.within_s is None:
-                least[number] = max(least[number], wait)
-                continue
-            # All of the time that is left is waited at once, before the first of the steps in between.
-            limit = max(0, convert_lab_s(state, window.within_s) - between)
-            known = most[first]
-            most[first] = limit if known is None else min(limit, known)
-            least[first] = max(least[first], wait)
-            for later in range(first + 1, number + 1):
-                most[later] = 0
-    return StepChain(tuple(steps), tuple(least), tuple(most))
+            limit = None if window.within_s is None else convert_lab_s(state, window.within_s) - between
+            spans.append(WaitSpan(first, number, convert_lab_s(state, window.wait_s) - between, limit))
+    waits = share_waits(len(steps), spans)
+    return None if waits is None else StepChain(tuple(steps), *waits)
 
 
 def _choose_slot(state: LabState, lengths: Iterable[int], total: int) -> int:
@@ -513,12 +505,13 @@ def _since_clocks(
             if ended is None or anchor >= first or run.is_breached(line.steps[later]):
                 continue
             between = sum(durations[i] for i in line.steps[first:later])
+            behind = slice(first + 1, later + 1)
+            waits = sum(line.least[behind])
+            least = max(least, ended + convert_lab_s(state, window.wait_s) - between - waits - end)
             if window.within_s is not None:
-                left = max(0, ended + convert_lab_s(state, window.within_s) - between - end)
+                waits = sum(limit or 0 for limit in line.most[behind])
+                left = max(0, ended + convert_lab_s(state, window.within_s) - between - waits - end)
                 most = left if most is None else min(most, left)
-                least = max(least, ended + convert_lab_s(state, window.wait_s) - between - end)
-            elif later == first:
-                least = max(least, ended + convert_lab_s(state, window.wait_s) - end)
     return least, most
 
 
