@@ -28,7 +28,7 @@ class Score(msgspec.Struct, frozen=True, order=True):
     of all runs, ``first_s`` the ends of each class that goes before others, the highest first;
     ``avoidable_s`` by how much less late runs would be after their due dates if each user's runs ended at the
     same times, but in the order of these dates; ``cost_s`` the end of all, with that of each run of an
-    experiment, and the mean of all ends."""
+    experiment, as often as it counts, and the mean of all ends."""
 
     stays: int
     missed: int
@@ -59,10 +59,11 @@ def rate_runs(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId
     }
 
 
-def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
+def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int, end_weight: int = 1) -> Score:
     """Of plays of the same runs with other durations: what stays and is missed counts in all of them, times
-    on average. ``now`` is when they began (UTC ns)."""
-    scores = [_judge_one(play, rated, now) for play in plays]
+    on average. ``now`` is when they began (UTC ns). The end of all counts ``end_weight`` times as much as the
+    mean of all ends."""
+    scores = [_judge_one(play, rated, now, end_weight) for play in plays]
     return Score(
         sum(score.stays for score in scores),
         sum(score.missed for score in scores),
@@ -73,14 +74,15 @@ def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
     )
 
 
-def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int) -> Score:
+def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int, end_weight: int) -> Score:
     ends = {run: (end - now) / 1e9 for run, end in play.ends.items() if run in rated}
     classes = range(max((known.rank for known in rated.values()), default=0), 0, -1)
     first_s = tuple(sum(end for run, end in ends.items() if rated[run].rank == rank) for rank in classes)
     deadlines = {run: (rated[run].deadline - now) / 1e9 for run in ends if rated[run].deadline}
     overdue_s = sum(max(0.0, ends[run] - deadline) for run, deadline in deadlines.items())
     goes_on = sum(end for run, end in ends.items() if rated[run].more)
-    cost_s = max(ends.values(), default=0.0) + GOES_ON * goes_on + _compute_mean(list(ends.values()))
+    over_s = max(ends.values(), default=0.0) + GOES_ON * goes_on
+    cost_s = end_weight * over_s + _compute_mean(list(ends.values()))
     avoidable_s = _find_avoidable(ends, rated, now)
     stays = sum(run in rated for run in play.stays)
     return Score(stays, play.missed, overdue_s, first_s, avoidable_s, cost_s)

@@ -96,7 +96,8 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     ``more`` says whether further runs follow that nobody knows yet: it is part of an experiment; ``ranks``
     by how many classes it goes before others, and ``due_s`` is the deadline of its campaign, if it has one
     (lab seconds from now). ``line`` are the first tasks of the runs that wait to be let in, the one that
-    should go first by its rank and age first."""
+    should go first by its rank and age first. ``end_weight``: the end of all counts so many times as much as
+    the mean of all ends."""
 
     tasks: tuple[Task, ...]
     stays: tuple[RoomUse, ...]
@@ -109,6 +110,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     line: tuple[int, ...] = ()
     own_due_s: tuple[float | None, ...] = ()
     setups: tuple[SetupCosts, ...] = ()
+    end_weight: int = 1
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
