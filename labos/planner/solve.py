@@ -56,9 +56,9 @@ def solve(
 ) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
     starts (lab seconds) of a schedule that is known, by task; it is begun with. Windows are kept where that
-    is possible; if the schedule of ``hint`` keeps all of them, one that misses some is looked for only if none
-    is possible, or with ``may_miss``. ``counted``: the seconds are those of a computer that does nothing else, counted by the work
-    that is done; then the same problem gives the same schedule."""
+    is possible. If the schedule of ``hint`` keeps all of them, one that misses some is looked for only if
+    none is possible, or with ``may_miss``. ``counted``: the seconds are those of a computer that does nothing
+    else, counted by the work that is done; then the same problem gives the same schedule."""
     from ortools.sat.python import cp_model
 
     tasks = problem.tasks
