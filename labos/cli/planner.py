@@ -43,6 +43,13 @@ LOST_PAUSE_S = 5.0
     help="The quantile of measured durations to plan with: 0.5 is the median, 0.8 is longer.",
 )
 @click.option(
+    "--end-weight",
+    type=click.IntRange(1, 100),
+    default=1,
+    show_default=True,
+    help="How many times the end of all runs counts against the mean of their ends.",
+)
+@click.option(
     "--pause",
     "pause_s",
     type=click.FloatRange(0, 3600),
@@ -61,6 +68,7 @@ def command(
     where: Where,
     seconds: float,
     level: float,
+    end_weight: int,
     pause_s: float,
     cells: tuple[str, ...],
     once: bool,
@@ -86,7 +94,8 @@ def command(
     from labos.runtime.follower import Follower
 
     expect_solver()
-    asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), CellWatch()
+    asker, watch = find_user(user), CellWatch()
+    planner = Planner(seconds=seconds, level=level, end_weight=end_weight)
     next_look: dict[str, float] = {}
     with end_in_order(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # it only reads

@@ -28,8 +28,8 @@ class Score(msgspec.Struct, frozen=True, order=True):
     """How good a play was; smaller is better. All fields but the first two are in seconds of wall time.
     ``overdue_s`` is for all runs. ``first_s`` are the ends of each class that goes before others, the highest
     first. ``avoidable_s`` is how much less late the runs would be if each user's runs ended at the same
-    times, but in the order of their due dates. ``cost_s`` is the end of all runs, plus the end of each run of
-    an experiment, and the mean of all ends."""
+    times, but in the order of their due dates. ``cost_s`` is the weighted end of all runs, plus the end of each
+    run of an experiment, and the mean of all ends."""
 
     stays: int
     missed: int
@@ -60,10 +60,11 @@ def rate_runs(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId
     }
 
 
-def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
+def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int, end_weight: int = 1) -> Score:
     """The score of plays of the same runs with different durations: runs without an end and missed windows of
-    all plays are added, times are averaged. ``now`` is the start of the plays (UTC ns)."""
-    scores = [_judge_one(play, rated, now) for play in plays]
+    all plays are added, times are averaged. ``now`` is the start of the plays (UTC ns). The end of all
+    counts ``end_weight`` times as much as the mean of all ends."""
+    scores = [_judge_one(play, rated, now, end_weight) for play in plays]
     return Score(
         sum(score.stays for score in scores),
         sum(score.missed for score in scores),
@@ -74,14 +75,15 @@ def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
     )
 
 
-def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int) -> Score:
+def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int, end_weight: int) -> Score:
     ends = {run: (end - now) / 1e9 for run, end in play.ends.items() if run in rated}
     classes = range(max((known.rank for known in rated.values()), default=0), 0, -1)
     first_s = tuple(sum(end for run, end in ends.items() if rated[run].rank == rank) for rank in classes)
     deadlines = {run: (rated[run].deadline - now) / 1e9 for run in ends if rated[run].deadline}
     overdue_s = sum(max(0.0, ends[run] - deadline) for run, deadline in deadlines.items())
     goes_on = sum(end for run, end in ends.items() if rated[run].more)
-    cost_s = max(ends.values(), default=0.0) + GOES_ON * goes_on + _compute_mean(list(ends.values()))
+    over_s = max(ends.values(), default=0.0) + GOES_ON * goes_on
+    cost_s = end_weight * over_s + _compute_mean(list(ends.values()))
     avoidable_s = _find_avoidable(ends, rated, now)
     stays = sum(run in rated for run in play.stays)
     return Score(stays, play.missed, overdue_s, first_s, avoidable_s, cost_s)

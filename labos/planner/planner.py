@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from msgspec.structs import replace
+
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
 from labos.core.rules import convert_lab_s
@@ -26,7 +28,9 @@ STAYS_GOOD_S = 3600.0
 
 class Planner:
     """``seconds`` is how long each search for an order may take, ``level`` the quantile of durations for
-    planning, between 0 and 1. ``exact``: durations are known exactly, so no rehearsal draws other ones."""
+    planning, between 0 and 1. ``exact``: durations are known exactly, so no rehearsal draws other ones.
+    The end of all counts ``end_weight`` times as much as the mean of all ends: more than once where no
+    further runs are expected."""
 
     def __init__(
         self,
@@ -36,8 +40,10 @@ class Planner:
         level: float = 0.5,
         *,
         exact: bool = False,
+        end_weight: int = 1,
     ) -> None:
         self.name, self.seconds, self.level, self.exact = name, seconds, level, exact
+        self.end_weight = end_weight
         self._solve = solver
 
     def suggest(
@@ -47,10 +53,13 @@ class Planner:
         as good. An order without steps withdraws the previous suggestion. ``waiting`` are the waiting runs,
         in the order in which they would start."""
         runs = choose_runs(state, cell, waiting)
-        problem = problem_of(state, cell, runs, now, self.level)
+        problem = replace(problem_of(state, cell, runs, now, self.level), end_weight=self.end_weight)
         if _is_one_line(problem):
             return None
-        rehearsal = OrderRehearsal(state, cell, now, self.level, runs, drawn=0 if self.exact else DRAWN)
+        drawn = 0 if self.exact else DRAWN
+        rehearsal = OrderRehearsal(
+            state, cell, now, self.level, runs, drawn=drawn, end_weight=self.end_weight
+        )
         best = without = rehearsal.go(None)
         if rehearsal.order is not None:
             before = rehearsal.go(rehearsal.order)

@@ -96,7 +96,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     and ``more`` says whether it belongs to an experiment, so that further unknown runs follow; ``ranks`` is
     the number of classes before which it goes, and ``due_s`` the deadline of its campaign, if it has one (lab
     seconds from now). ``line`` are the first tasks of the runs that wait for their start, in the order of
-    rank and age."""
+    rank and age. The end of all counts ``end_weight`` times as much as the mean of all ends."""
 
     tasks: tuple[Task, ...]
     stays: tuple[RoomUse, ...]
@@ -109,6 +109,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     line: tuple[int, ...] = ()
     own_due_s: tuple[float | None, ...] = ()
     setups: tuple[SetupCosts, ...] = ()
+    end_weight: int = 1
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:

@@ -40,7 +40,7 @@ class Way(msgspec.Struct):
 class OrderRehearsal:
     """Continues copies of a workcell with these runs; other waiting runs are left out. ``level`` is the
     quantile of durations for planning. ``drawn`` is the number of plays with drawn durations, if there are
-    windows."""
+    windows. The end of all counts ``end_weight`` times as much as the mean of all ends."""
 
     def __init__(
         self,
@@ -51,8 +51,9 @@ class OrderRehearsal:
         runs: Sequence[RunState],
         *,
         drawn: int = DRAWN,
+        end_weight: int = 1,
     ) -> None:
-        self.cell, self.now, self.level = cell, now, level
+        self.cell, self.now, self.level, self.end_weight = cell, now, level, end_weight
         copy = from_picture(encode_picture(state))
         copy.lab.paused.clear()  # paused work will continue at some time, and in the same order
         known = {run.id for run in runs}
@@ -89,7 +90,7 @@ class OrderRehearsal:
         return True
 
     def _compute_score(self, way: Way, plays: int) -> Score:
-        return judge(way.plays[:plays], self._rated, self.now)
+        return judge(way.plays[:plays], self._rated, self.now, self.end_weight)
 
     def _play(self, way: Way) -> None:
         state, order = from_picture(self._base), way.order

@@ -53,11 +53,13 @@ def solve(
     hint: Mapping[int, float] | None = None,
     *,
     counted: bool = False,
+    may_miss: bool = False,
 ) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
     the starts (lab seconds) in a known schedule, by task; the search begins there. Windows are kept if that
-    is possible. ``counted``: the seconds are measured by the work done, as on a computer that does nothing
-    else; then the same problem gives the same schedule."""
+    is possible. If the schedule of ``hint`` keeps all of them, a schedule that misses some is looked for only
+    if no other is possible, or with ``may_miss``. ``counted``: the seconds are measured by the work done, as
+    on a computer that does nothing else; then the same problem gives the same schedule."""
     from ortools.sat.python import cp_model
 
     tasks = problem.tasks
@@ -84,6 +86,7 @@ def solve(
         end[number] = model.new_int_var(0, 2 * horizon, f"e{number}")
     whole = model.new_int_var(0, 2 * horizon, "makespan")
     late: list[cp_model.IntVar] = []
+    keeps_all = bool(hint) and not may_miss and not _misses_any(hint or {}, tasks)
     using: dict[str, list[cp_model.IntervalVar]] = {}
     for number, task in enumerate(tasks):
         model.add(whole >= end[number])
@@ -100,7 +103,9 @@ def solve(
         for lag in task.lags:
             anchor = end[lag.anchor] if lag.anchor is not None else -math.floor(lag.ago_s / unit)
             model.add(begin[number] >= anchor + math.ceil(lag.wait_s / unit))
-            if lag.within_s is not None:
+            if lag.within_s is not None and keeps_all:
+                model.add(begin[number] <= anchor + math.floor(lag.within_s / unit))
+            elif lag.within_s is not None:
                 missed = model.new_bool_var(f"late{number}")
                 late.append(missed)
                 latest = anchor + math.floor(lag.within_s / unit)
@@ -110,14 +115,21 @@ def solve(
     for intervals in using.values():
         model.add_no_overlap(intervals)
     standing: dict[str, list[cp_model.IntervalVar]] = {}
+    stood: dict[str, list[tuple[int | None, int | None]]] = {}
+    known: list[list[tuple[int | None, int | None]]] = []
     for number, stay in enumerate(problem.stays):
         first = begin[stay.first] if stay.first is not None else 0
         until = end[stay.last] if stay.last is not None else whole
         size = model.new_int_var(0, 2 * horizon, f"stay{number}")
         interval = model.new_interval_var(first, size, until, f"at{number}")
         standing.setdefault(stay.place, []).append(interval)
+        stood.setdefault(stay.place, []).append((stay.first, stay.last))
     for place, intervals in standing.items():
         room = problem.room[place]
+        if room == 1 and stood[place] in known:
+            continue  # a deck with one place
+        if room == 1:
+            known.append(stood[place])
         if room == 1:
             model.add_no_overlap(intervals)
         elif len(intervals) > room:
@@ -148,12 +160,14 @@ def solve(
     solver.parameters.interleave_search = counted
     _set_limit(solver, seconds * (1 - TIDY), counted=counted)
     status = solver.solve(model)
+    if status == cp_model.INFEASIBLE and keeps_all:  # times are rounded: a window that was just kept is not
+        return solve(problem, seconds, hint, counted=counted, may_miss=True)
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return None
     proven, bound = status == cp_model.OPTIMAL, solver.best_objective_bound
     starts, makespan = [solver.value(start) for start in begin], max(map(solver.value, end), default=0)
-    # From here on, each run's end counts too: their mean as much as the end of all.
-    model.minimize(len(over) * cost + sum(over))
+    # From here on, each run's end counts too: their mean as much as the end of all, or less.
+    model.minimize(problem.end_weight * len(over) * cost + sum(over))
     model.clear_hints()
     for start, value in zip(begin, starts, strict=True):
         model.add_hint(start, value)
@@ -224,6 +238,16 @@ def _let_nobody_wait_long(model: cp_model.CpModel, line: Sequence[cp_model.IntVa
             before.append(model.new_bool_var(f"before{number}/{len(before)}"))
             model.add(elder <= younger).only_enforce_if(~before[-1])
         model.add(sum(before) <= PATIENCE)
+
+
+def _misses_any(hint: Mapping[int, float], tasks: Sequence[Task]) -> bool:
+    """Whether in a schedule that is known a window is missed, or a task that has one is not in it."""
+    return any(
+        number not in hint or _is_late(hint, number, lag, tasks)
+        for number, task in enumerate(tasks)
+        for lag in task.lags
+        if lag.within_s is not None
+    )
 
 
 def _is_late(hint: Mapping[int, float], number: int, lag: TimeLag, tasks: Sequence[Task]) -> bool:

@@ -14,7 +14,7 @@ from labos.core.model import Plan
 from labos.core.runs import RunState
 from labos.core.shares import Usage
 from labos.planner.planner import Planner
-from labos.planner.problem import SchedulingProblem, choose_runs, problem_of
+from labos.planner.problem import SchedulingProblem, Task, TimeLag, choose_runs, problem_of
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
 from labos.planning.waiting import PATIENCE
@@ -137,3 +137,19 @@ def test_a_search_lets_nobody_be_passed_over_more_often_than_the_lab_allows() ->
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE
+
+
+def test_a_window_that_only_rounding_would_miss_does_not_end_a_search() -> None:
+    """Times are whole seconds in a search: here two steps of 10.4 s take 22 s, of which 21 are allowed."""
+    pytest.importorskip("ortools")
+    run = RunId("run")
+    steps = (
+        Task(run, 0, 10.4, ("a",), ()),
+        Task(run, 1, 10.4, ("b",), (0,)),
+        Task(run, 2, 10.4, ("c",), (1,)),
+        Task(run, 3, 10.4, ("d",), (2,), (TimeLag(0, 0.0, 0.0, 21.0),)),
+    )
+    problem = SchedulingProblem(steps, (), {}, (), ((3,),), (False,))
+    found = solve(problem, 1.0, {number: 10.4 * number for number in range(4)})
+    assert found is not None
+    assert found.starts_s == (0.0, 11.0, 22.0, 33.0)

@@ -31,6 +31,12 @@ def test_the_end_of_all_counts_as_much_as_the_mean_of_all_ends() -> None:
     assert score(ends(10, 100)) < score(ends(90, 95))
 
 
+def test_the_end_of_all_may_count_more_often_than_the_mean_of_all_ends() -> None:
+    sooner_over, sooner_on_average = ends(85, 90), ends(40, 100)
+    assert score(sooner_on_average) < score(sooner_over)
+    assert judge([sooner_over], ALIKE, 0, end_weight=4) < judge([sooner_on_average], ALIKE, 0, end_weight=4)
+
+
 @pytest.mark.parametrize("before", [Rated(1, 0, False), Rated(2, 0, False)])
 def test_who_goes_first_is_not_made_to_wait_though_all_would_end_sooner(before: Rated) -> None:
     rated = {ONE: before, TWO: Rated(0, 0, False), THREE: Rated(1, 0, False)}
