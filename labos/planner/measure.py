@@ -28,8 +28,8 @@ class Score(msgspec.Struct, frozen=True, order=True):
     """How good a play was; smaller is better. All fields but the first two are in seconds of wall time.
     ``overdue_s`` is for all runs. ``first_s`` are the ends of each class that goes before others, the highest
     first. ``avoidable_s`` is how much less late the runs would be if each user's runs ended at the same
-    times, but in the order of their due dates. ``cost_s`` is the weighted end of all runs, plus the end of each
-    run of an experiment, and the mean of all ends."""
+    times, but in the order of their due dates. ``cost_s`` is the weighted end of all runs, plus the end of
+    each run of an experiment, and the mean of all ends."""
 
     stays: int
     missed: int
