@@ -222,8 +222,8 @@ class RestNode(HttpNode):
 
 
 class JobEnd(NamedTuple):
-    """Whether an action has ended, by an answer: it is done, or not yet, or the answer (``reported``) is in no
-    list of the mapping."""
+    """Whether an action has ended, by an answer: it is done, or not yet, or the answer (``reported``) is in
+    no list of the mapping."""
 
     status: Literal["done", "running", "not known"]
     result: Any = None
