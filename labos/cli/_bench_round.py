@@ -65,11 +65,11 @@ def read_file(path: str) -> Words:
     words: Words = {}
     for name, value in data.items():
         listed = value if isinstance(value, list) else ["" if value is None else value]
-        listed_content = [read_words(str(part), str(name)) for part in listed]
-        if len(listed_content) > 1 and None in listed_content:
+        contents = [read_words(str(part), str(name)) for part in listed]
+        if len(contents) > 1 and None in contents:
             raise BadInput(f"{path}: {name} is given twice.", remedy="Give its content, or `as recorded`.")
         words[str(name)] = (
-            None if listed_content == [None] else [piece for part in listed_content for piece in part or ()]
+            None if contents == [None] else [piece for part in contents for piece in part or ()]
         )
     return words
 
