@@ -62,35 +62,35 @@ class Channels(Protocol):
         """Disconnect from all names."""
 
 
-def is_fulfilled(condition: Condition, told: ChannelReading) -> bool:
+def is_fulfilled(condition: Condition, reading: ChannelReading) -> bool:
     """Whether a reading fulfils a condition."""
     if condition.is_ is not None:
-        return _is_among(told, condition.is_)
-    if not _is_number(told):
+        return _is_among(reading, condition.is_)
+    if not _is_number(reading):
         return False
-    if condition.near is not None and abs(told.value - float(condition.near)) > condition.within:
+    if condition.near is not None and abs(reading.value - float(condition.near)) > condition.within:
         return False
     low, high = condition.minimum, condition.maximum
-    return (low is None or told.value >= low) and (high is None or told.value <= high)
+    return (low is None or reading.value >= low) and (high is None or reading.value <= high)
 
 
-def leaves_open(condition: Condition, told: ChannelReading) -> bool:
+def leaves_open(condition: Condition, reading: ChannelReading) -> bool:
     """Whether a reading neither fulfils nor contradicts a condition: it is not a number where one is needed,
     or not one of the known values."""
-    if is_fulfilled(condition, told):
+    if is_fulfilled(condition, reading):
         return False
     if condition.not_ is not None:
-        return not _is_among(told, condition.not_)
-    return condition.is_ is None and not _is_number(told)
+        return not _is_among(reading, condition.not_)
+    return condition.is_ is None and not _is_number(reading)
 
 
-def _is_among(told: ChannelReading, wanted: Any) -> bool:
+def _is_among(reading: ChannelReading, wanted: Any) -> bool:
     values = wanted if isinstance(wanted, list) else [wanted]
-    return told.value in values or (bool(told.label) and told.label in values)
+    return reading.value in values or (bool(reading.label) and reading.label in values)
 
 
-def _is_number(told: ChannelReading) -> bool:
-    return isinstance(told.value, int | float) and math.isfinite(told.value)
+def _is_number(reading: ChannelReading) -> bool:
+    return isinstance(reading.value, int | float) and math.isfinite(reading.value)
 
 
 def text_of(data: bytes) -> str | None:

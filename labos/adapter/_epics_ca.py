@@ -79,8 +79,8 @@ class CaChannels:
         try:
             info = await self._ca.cainfo(name, timeout=READ_S)
             if info.datatype == self._ca.DBR_ENUM:
-                told = await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=READ_S)
-                return number_of(name, text, list(told.enums)), None
+                enumeration = await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=READ_S)
+                return number_of(name, text, list(enumeration.enums)), None
         except (self._ca.CANothing, *self._gone) as error:
             raise DeviceError(f"{name} does not answer ({error}).", effects="none") from error
         is_array = info.datatype == self._ca.DBR_CHAR and info.count > 1

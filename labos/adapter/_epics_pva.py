@@ -25,9 +25,9 @@ class PvaChannels:
             from p4p.client.asyncio import Context, Disconnected, RemoteError
         except ImportError as error:
             raise report_missing_package(error) from error
-        told = {"EPICS_PVA_ADDR_LIST": address, "EPICS_PVA_AUTO_ADDR_LIST": "NO"} if address else None
+        config = {"EPICS_PVA_ADDR_LIST": address, "EPICS_PVA_AUTO_ADDR_LIST": "NO"} if address else None
         # Without `nt` values come as they are on the wire, with their alarms.
-        self._context = Context("pva", conf=told, useenv=not address, nt=False)
+        self._context = Context("pva", conf=config, useenv=not address, nt=False)
         self._Disconnected, self._RemoteError = Disconnected, RemoteError
         self._watched: list[Any] = []
 
@@ -64,25 +64,25 @@ class PvaChannels:
         if not isinstance(value, str):
             return value
         try:
-            told = (await asyncio.wait_for(self._context.get(name), READ_S)).value
+            current = (await asyncio.wait_for(self._context.get(name), READ_S)).value
         except (TimeoutError, self._Disconnected, self._RemoteError) as error:
             raise DeviceError(
                 f"{name} does not answer ({error or 'no value in time'}).", effects="none"
             ) from error
-        if "index" in _list_fields(told):
-            return number_of(name, value, list(told.choices))
-        if _is_bytes(told):
+        if "index" in _list_fields(current):
+            return number_of(name, value, list(current.choices))
+        if _is_bytes(current):
             import numpy as np
 
-            return np.frombuffer(value.encode() + b"\0", dtype=told.dtype)
+            return np.frombuffer(value.encode() + b"\0", dtype=current.dtype)
         return value
 
-    def _read_value(self, name: str, told: Any) -> ChannelReading:
-        if _is_bytes(told.value) and name not in self._numbers:
-            text = text_of(told.value.tobytes())
+    def _read_value(self, name: str, structure: Any) -> ChannelReading:
+        if _is_bytes(structure.value) and name not in self._numbers:
+            text = text_of(structure.value.tobytes())
             if text is not None:
-                return ChannelReading(text, severity=_read_severity(told))
-        return _read_value(told)
+                return ChannelReading(text, severity=_read_severity(structure))
+        return _read_value(structure)
 
     def why_silent(self) -> str:
         return ""
@@ -119,19 +119,19 @@ def _list_fields(value: Any) -> list[str]:
     return list(value.keys()) if hasattr(value, "keys") else []
 
 
-def _read_value(told: Any) -> ChannelReading:
-    value, label = told.value, ""
+def _read_value(structure: Any) -> ChannelReading:
+    value, label = structure.value, ""
     if "index" in _list_fields(value):
         labels = list(value.choices)
         value = int(value.index)
         label = labels[value] if 0 <= value < len(labels) else ""
     elif hasattr(value, "tolist"):
         value = value.tolist()
-    return ChannelReading(value, label, _read_severity(told))
+    return ChannelReading(value, label, _read_severity(structure))
 
 
-def _read_severity(told: Any) -> int:
-    return int(told.alarm.severity) if "alarm" in _list_fields(told) else 0
+def _read_severity(structure: Any) -> int:
+    return int(structure.alarm.severity) if "alarm" in _list_fields(structure) else 0
 
 
 def _is_bytes(value: Any) -> bool:

@@ -158,9 +158,9 @@ class ForeignNode(Node):
 
     async def settle(self, action: str, done: bool) -> None:
         self._unseen.pop(action, None)
-        told = self._settled.get(action)
-        if told is not None:
-            told.set()
+        event = self._settled.get(action)
+        if event is not None:
+            event.set()
 
     async def answer_to(
         self,
@@ -234,8 +234,8 @@ class ForeignNode(Node):
         return next((arg.type for arg in spec.args if names.get(arg.name, arg.name) == foreign_arg), "")
 
     def _find_call(self, spec: ActionSpec) -> tuple[str, dict[str, str]]:
-        told = self._calls.get(spec.name) or {}
-        return str(told.get("name", spec.name)), told.get("args") or {}
+        call = self._calls.get(spec.name) or {}
+        return str(call.get("name", spec.name)), call.get("args") or {}
 
     async def _wait_unless_settled(self, spec: ActionSpec, work: Awaitable[Any]) -> Any:
         """The result of the work, unless a person reports the outcome first."""
@@ -243,8 +243,8 @@ class ForeignNode(Node):
         # After a restart it is not known when it began: the time counts from now, so the limit is never too
         # short.
         until = asyncio.get_running_loop().time() + self.limit_s(spec)
-        told = self._settled[action] = asyncio.Event()
-        tasks = asyncio.ensure_future(work), asyncio.ensure_future(told.wait())
+        event = self._settled[action] = asyncio.Event()
+        tasks = asyncio.ensure_future(work), asyncio.ensure_future(event.wait())
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             if not tasks[0].done():

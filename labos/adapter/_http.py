@@ -124,8 +124,10 @@ async def _read_whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx
             path = streamed.request.url.path
             raise NoResponse(f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes came")
     # The content is decoded now: these headers described it as it was sent.
-    told = [(key, value) for key, value in streamed.headers.multi_items() if key not in _OF_THE_WIRE]
-    return httpx.Response(streamed.status_code, headers=told, content=bytes(data), request=streamed.request)
+    headers = [(key, value) for key, value in streamed.headers.multi_items() if key not in _OF_THE_WIRE]
+    return httpx.Response(
+        streamed.status_code, headers=headers, content=bytes(data), request=streamed.request
+    )
 
 
 def read_json(answer: httpx.Response) -> Any:

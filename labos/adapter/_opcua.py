@@ -141,11 +141,11 @@ class UaChannels:
             raise DeviceError(f"{self._url} does not answer.", effects="none")
         try:
             node = await asyncio.wait_for(self._find_node(client, name), timeout_s)
-            told = await asyncio.wait_for(node.read_data_value(raise_on_bad_status=False), timeout_s)
+            data_value = await asyncio.wait_for(node.read_data_value(raise_on_bad_status=False), timeout_s)
         except (OSError, ValueError, TimeoutError, RecursionError, self._ua.UaError) as error:
             why = _error_text(error, timeout_s)
             raise DeviceError(f"{self._url}: {name} does not answer ({why}).", effects="none") from error
-        return self._read_value(name, told)
+        return self._read_value(name, data_value)
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         client = self._asyncua.Client(self._url, timeout=LONGEST_S)
@@ -163,9 +163,9 @@ class UaChannels:
         try:
             await send()
         except self._ua.UaStatusCodeError as error:
-            said = _error_text(error, LONGEST_S)
-            effects = "none" if any(word in said for word in UNTOUCHED) else "unknown"
-            raise DeviceError(f"{name} does not take {value!r} ({said}).", effects=effects) from error
+            reason = _error_text(error, LONGEST_S)
+            effects = "none" if any(word in reason for word in UNTOUCHED) else "unknown"
+            raise DeviceError(f"{name} does not take {value!r} ({reason}).", effects=effects) from error
         except (OSError, TimeoutError, self._ua.UaError) as error:
             raise NoResponse(f"{self._url}: {name}: {_error_text(error, LONGEST_S)}") from error
         finally:
@@ -188,11 +188,11 @@ class UaChannels:
         if len(inputs) != len(given):
             raise ValueError(f"the method takes {len(inputs)} arguments")
         sent = []
-        for told, each in zip(inputs, given, strict=True):
+        for argument, each in zip(inputs, given, strict=True):
             try:
-                sent.append(types.make_variant(await types.kind(told.DataType), each))
+                sent.append(types.make_variant(await types.kind(argument.DataType), each))
             except ValueError as error:
-                raise ValueError(f"{told.Name}: {error}") from error
+                raise ValueError(f"{argument.Name}: {error}") from error
         owner = await self._find_node(client, on) if on else await self._find_owner(node)
         return lambda: owner.call_method(node, *sent)
 
@@ -206,13 +206,13 @@ class UaChannels:
             raise ValueError(f"several objects share the method: {names}; write one of them as `object:`")
         return objects[0] if objects else await method.get_parent()
 
-    def _read_value(self, name: str, told: Any) -> ChannelReading:
-        value = make_plain(told.Value.Value) if told.Value is not None else None
+    def _read_value(self, name: str, data_value: Any) -> ChannelReading:
+        value = make_plain(data_value.Value.Value) if data_value.Value is not None else None
         kind = self._kinds.get(name)
         label = kind.labels.get(value, "") if kind is not None and isinstance(value, int) else ""
         if kind is not None and kind.labels and isinstance(value, list):
             value = [kind.labels.get(each, each) for each in value]
-        status = told.StatusCode
+        status = data_value.StatusCode
         severity = 0 if status is None or status.is_good() else 1 if status.is_uncertain() else 3
         return ChannelReading(value, label, severity)
 

@@ -71,11 +71,11 @@ class Types:
         """An enumeration's labels, from any of the places where a server may have them."""
         missing = self._ua.UaStatusCodeError
         with contextlib.suppress(missing):
-            told = await (await node.get_child("0:EnumValues")).read_value()
-            return {int(each.Value): str(each.DisplayName.Text) for each in told}
+            labels = await (await node.get_child("0:EnumValues")).read_value()
+            return {int(each.Value): str(each.DisplayName.Text) for each in labels}
         with contextlib.suppress(missing):
-            told = await (await node.get_child("0:EnumStrings")).read_value()
-            return {number: str(text.Text) for number, text in enumerate(told)}
+            labels = await (await node.get_child("0:EnumStrings")).read_value()
+            return {number: str(text.Text) for number, text in enumerate(labels)}
         with contextlib.suppress(missing):
             definition = await node.read_data_type_definition()
             return {int(field.Value): str(field.Name) for field in definition.Fields}

@@ -36,7 +36,7 @@ def make_schema() -> dict[str, Any]:
     (file,) = files.file
     names = [message.name for message in file.message_type]
     found = {name: pool.FindMessageTypeByName(f"{file.package}.{name}") for name in names}
-    return {name: message_factory.GetMessageClass(told) for name, told in found.items()}
+    return {name: message_factory.GetMessageClass(descriptor) for name, descriptor in found.items()}
 
 
 def frame_message(message: Any) -> bytes:

@@ -38,7 +38,7 @@ class BridgeProcess:
         self._environment = {**os.environ, **({} if domain is None else {"ROS_DOMAIN_ID": str(domain)})}
         self._process: asyncio.subprocess.Process | None = None
         self._reading: asyncio.Task[None] | None = None
-        self._told: dict[int, Callable[[dict[str, Any] | None], None]] = {}
+        self._listeners: dict[int, Callable[[dict[str, Any] | None], None]] = {}
         self._number = 0
 
     @property
@@ -89,25 +89,25 @@ class BridgeProcess:
         try:
             while line := await lines.readline():
                 try:
-                    told = read_json_text(line)
-                    known = told.get("id", 0)
+                    message = read_json_text(line)
+                    known = message.get("id", 0)
                 except (ValueError, AttributeError) as error:
                     _log.warning("ros_line_unreadable", line=line[:200], error=str(error))
                     continue
-                if hear := self._told.get(known):
-                    hear(told)
+                if hear := self._listeners.get(known):
+                    hear(message)
         except ValueError as error:  # a line without an end
             _log.error("ros_line_too_long", error=str(error))
         finally:
-            for hear in list(self._told.values()):
+            for hear in list(self._listeners.values()):
                 hear(None)
 
-    def watch(self, topic: str, kind: str, told: Callable[[dict[str, Any]], None]) -> None:
+    def watch(self, topic: str, kind: str, callback: Callable[[dict[str, Any]], None]) -> None:
         """Report every message of a topic."""
 
         def hear(message: dict[str, Any] | None) -> None:
             if message is not None and "told" in message:
-                told(message["told"])
+                callback(message["told"])
 
         self._say(self._listen(hear), watch=topic, type=kind)
 
@@ -133,7 +133,7 @@ class BridgeProcess:
 
     def _listen(self, hear: Callable[[dict[str, Any] | None], None]) -> int:
         self._number += 1
-        self._told[self._number] = hear
+        self._listeners[self._number] = hear
         return self._number
 
     def _say(self, number: int, **command: Any) -> None:
@@ -150,7 +150,7 @@ class BridgeProcess:
             self._say(number, **command)
             yield answers
         finally:
-            del self._told[number]
+            del self._listeners[number]
             if "frame" in command:
                 with contextlib.suppress(DeviceError):
                     self._say(0, forget=number)
@@ -159,15 +159,15 @@ class BridgeProcess:
 async def _answer(name: str, answers: asyncio.Queue[dict[str, Any] | None]) -> Any:
     sent = False
     while True:
-        told = await answers.get()
-        if told is None:
+        message = await answers.get()
+        if message is None:
             raise NoResponse(f"the bridge to ROS ended before {name} had answered")
-        if "sent" in told:
+        if "sent" in message:
             sent = True
-        elif "absent" in told:
+        elif "absent" in message:
             raise DeviceError(f"Nobody offers {name} in ROS.", effects="none", remedy="Is the node running?")
-        elif "refused" in told:
+        elif "refused" in message:
             effects = "unknown" if sent else "none"
-            raise DeviceError(f"{name}: {told['refused']}", effects=effects)
-        elif "answer" in told:
-            return told["answer"]
+            raise DeviceError(f"{name}: {message['refused']}", effects=effects)
+        elif "answer" in message:
+            return message["answer"]

@@ -99,14 +99,14 @@ class SignalNode(ForeignNode):
             self._channels[protocol] = self.client(protocol)
         return self._channels[protocol]
 
-    def _note_reading(self, name: str, told: ChannelReading | None) -> None:
-        if told is None and self._now.get(name) is not None:
+    def _note_reading(self, name: str, reading: ChannelReading | None) -> None:
+        if reading is None and self._now.get(name) is not None:
             self._losses += 1
-        self._now[name] = told
+        self._now[name] = reading
         self._changed.set()
 
     def _list_silent(self) -> str:
-        return ", ".join(sorted(name for name, told in self._now.items() if told is None))
+        return ", ".join(sorted(name for name, reading in self._now.items() if reading is None))
 
     async def _wait_until_connected(self, limit_s: float) -> bool:
         """Wait until all process variables answer; returns whether they do."""
@@ -135,8 +135,8 @@ class SignalNode(ForeignNode):
             return False
         if not self.tells_busy:
             return await super().is_idle()
-        seen = [(told, await self._get(told.pv)) for told in self.mapping.state.busy]
-        return not any(is_fulfilled(told, now) or leaves_open(told, now) for told, now in seen)
+        seen = [(condition, await self._get(condition.pv)) for condition in self.mapping.state.busy]
+        return not any(is_fulfilled(condition, now) or leaves_open(condition, now) for condition, now in seen)
 
     async def trouble(self) -> str:
         if absent := self._list_silent():
@@ -149,15 +149,15 @@ class SignalNode(ForeignNode):
         state = self.mapping.state
         limit = SEVERITIES.index(state.severity)
         for name in state.alarms:
-            told = self._find_last(name)
-            if told is not None and told.severity >= limit:
-                value = told.label or told.value
-                return f"{name} has an alarm ({SEVERITIES[min(told.severity, 3)]}, value {value})."
+            reading = self._find_last(name)
+            if reading is not None and reading.severity >= limit:
+                value = reading.label or reading.value
+                return f"{name} has an alarm ({SEVERITIES[min(reading.severity, 3)]}, value {value})."
         for condition in state.error:
-            told = self._find_last(condition.pv)
-            if told is not None and is_fulfilled(condition, told):
+            reading = self._find_last(condition.pv)
+            if reading is not None and is_fulfilled(condition, reading):
                 why = self._find_last(state.why) if state.why else None
-                words = (why.label or why.value) if why is not None else f"{condition.pv} is {told.value}"
+                words = (why.label or why.value) if why is not None else f"{condition.pv} is {reading.value}"
                 return f"The device is in error: {words}. Reset the module."
         return ""
 
@@ -165,12 +165,15 @@ class SignalNode(ForeignNode):
         self.look()
         seen: dict[str, Any] = {}
         for variable, name in self.mapping.observe.items():
-            told = await self._get(name)
-            seen[variable] = told.label or told.value
+            reading = await self._get(name)
+            seen[variable] = reading.label or reading.value
         if self.mapping.labware:
-            told_of = [(at, told, await self._get(told.pv)) for at, told in self.mapping.labware.items()]
+            places = self.mapping.labware.items()
+            readings = [(at, condition, await self._get(condition.pv)) for at, condition in places]
             seen["labware"] = {
-                at: is_fulfilled(told, now) for at, told, now in told_of if not leaves_open(told, now)
+                at: is_fulfilled(condition, now)
+                for at, condition, now in readings
+                if not leaves_open(condition, now)
             }
         return seen
 
@@ -179,8 +182,8 @@ class SignalNode(ForeignNode):
 
     def _is_working(self) -> bool:
         """Whether the device has last reported that it is busy."""
-        told = [(condition, self._find_last(condition.pv)) for condition in self.mapping.state.busy]
-        return any(now is not None and is_fulfilled(condition, now) for condition, now in told)
+        readings = [(condition, self._find_last(condition.pv)) for condition in self.mapping.state.busy]
+        return any(now is not None and is_fulfilled(condition, now) for condition, now in readings)
 
     def _find_last(self, name: str) -> ChannelReading | None:
         return self._now.get(self.mapping.find(name)[1])
@@ -214,14 +217,14 @@ class SignalNode(ForeignNode):
     # -- actions -----------------------------------------------------------------------------
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
-        told = self.mapping.actions[spec.name]
+        actuation = self.mapping.actions[spec.name]
         values = {**self.name_places(spec, args), "id": current_action.get()}
         if absent := self._list_silent():
             raise DeviceError(f"Nobody answers for {absent} ({self.where}).", effects="none")
-        ends_by = [_fill_in(condition, values, self.table) for condition in told.done]
-        start = told.start.model_copy(update={"value": fill(told.start.value, values, self.table)})
+        ends_by = [_fill_in(condition, values, self.table) for condition in actuation.done]
+        start = actuation.start.model_copy(update={"value": fill(actuation.start.value, values, self.table)})
         try:
-            for put in told.set:
+            for put in actuation.set:
                 await self._put(put, values, self.patience_s)
         except (NoResponse, DeviceError) as error:
             raise DeviceError(f"{spec.name} was not started: {error}", effects="none") from error
@@ -231,28 +234,28 @@ class SignalNode(ForeignNode):
         losses = self._losses
         await self.note_handle(msgspec.json.encode(started).decode())
         try:
-            await self._put(start, values, self._find_limit_s(spec, told))
+            await self._put(start, values, self._find_limit_s(spec, actuation))
         except NoResponse as lost:
-            await self._see_proof(spec, told, ends_by, NOT_KEPT.format(why=lost))
-            return await self._read_result(told)
-        if ends_by or told.failed:
+            await self._see_proof(spec, actuation, ends_by, NOT_KEPT.format(why=lost))
+            return await self._read_result(actuation)
+        if ends_by or actuation.failed:
             started.taken = True
             await self.note_handle(msgspec.json.encode(started).decode())
-            await self._see_done(spec, told, ends_by, started.boot, losses)
-        return await self._read_result(told)
+            await self._see_done(spec, actuation, ends_by, started.boot, losses)
+        return await self._read_result(actuation)
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
-        told = self.mapping.actions[spec.name]
+        actuation = self.mapping.actions[spec.name]
         started = msgspec.json.decode(handle, type=Started)
         ends_by = [Condition.model_validate(written) for written in started.done]
-        if told.is_proven:
-            await self._see_proof(spec, told, ends_by, "the adapter was restarted meanwhile")
+        if actuation.is_proven:
+            await self._see_proof(spec, actuation, ends_by, "the adapter was restarted meanwhile")
         elif started.taken:
-            await self._see_done(spec, told, ends_by, started.boot, self._losses - 1)
+            await self._see_done(spec, actuation, ends_by, started.boot, self._losses - 1)
         else:
             await self._wait_until_connected(self.patience_s)
             raise OutcomeUnknown("the adapter was restarted meanwhile, and nothing keeps a record of it")
-        return await self._read_result(told)
+        return await self._read_result(actuation)
 
     async def _put(self, put: Put, values: dict[str, Any], limit_s: float) -> None:
         """Send a put once, and wait for its callback, the loss of the connection, or ``limit_s`` without a
@@ -283,20 +286,20 @@ class SignalNode(ForeignNode):
         return self.mapping.find(put.object)[1] if put.object else ""
 
     async def _see_done(
-        self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], boot: Any, losses: int
+        self, spec: ActionSpec, actuation: Actuation, ends_by: list[Condition], boot: Any, losses: int
     ) -> None:
         """Wait for the end of a started action. ``losses`` is the number of broken connections up to the
         start. After another one, the end counts only if the server was not restarted. Raises DeviceError,
         OutcomeUnknown."""
-        limit_s = self._find_limit_s(spec, told)
+        limit_s = self._find_limit_s(spec, actuation)
         until = asyncio.get_running_loop().time() + limit_s
         while True:
             if self._list_silent() and not await self._wait_until_connected(self.patience_s):
                 raise OutcomeUnknown(f"Nobody answers for {self._list_silent()}")
-            if self._losses != losses and not told.is_proven:
+            if self._losses != losses and not actuation.is_proven:
                 losses = self._losses
                 await self._see_same_server(boot)
-            if await self._has_ended(spec, told, ends_by):
+            if await self._has_ended(spec, actuation, ends_by):
                 return
             if asyncio.get_running_loop().time() > until:
                 waited = ", ".join(condition.pv for condition in ends_by)
@@ -317,10 +320,10 @@ class SignalNode(ForeignNode):
                 RESTARTED if boot is not None else NOT_KEPT.format(why="the line was broken")
             )
 
-    async def _has_ended(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition]) -> bool:
+    async def _has_ended(self, spec: ActionSpec, actuation: Actuation, ends_by: list[Condition]) -> bool:
         """Raises DeviceError if it failed."""
         try:
-            failed = [condition.pv for condition in told.failed if await self._is_fulfilled(condition)]
+            failed = [condition.pv for condition in actuation.failed if await self._is_fulfilled(condition)]
             done = all([await self._is_fulfilled(condition) for condition in ends_by])
         except DeviceError:
             return False  # the connection is lost; it is checked before the next time
@@ -328,15 +331,17 @@ class SignalNode(ForeignNode):
             raise DeviceError(f"{spec.name} failed: {self._describe_error() or ', '.join(failed)}")
         return done
 
-    async def _see_proof(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], why: str) -> None:
+    async def _see_proof(
+        self, spec: ActionSpec, actuation: Actuation, ends_by: list[Condition], why: str
+    ) -> None:
         """Wait until the device reports this action by its id as done, after its callback was lost or the
         adapter was restarted. Raises OutcomeUnknown."""
-        if not told.is_proven:
+        if not actuation.is_proven:
             raise OutcomeUnknown(why)
         if not await self._wait_until_connected(self.patience_s):
             raise OutcomeUnknown(f"{why}; Nobody answers for {self._list_silent()}")
         loop = asyncio.get_running_loop()
-        idle, until = 0, loop.time() + self._find_limit_s(spec, told)
+        idle, until = 0, loop.time() + self._find_limit_s(spec, actuation)
         while True:
             try:
                 if all([await self._is_fulfilled(condition) for condition in ends_by]):
@@ -348,24 +353,26 @@ class SignalNode(ForeignNode):
                 raise OutcomeUnknown(f"{why}; the device does not name it as done")
             await asyncio.sleep(self.poll_s)
 
-    def _find_limit_s(self, spec: ActionSpec, told: Actuation) -> float:
-        return told.timeout or self.limit_s(spec)
+    def _find_limit_s(self, spec: ActionSpec, actuation: Actuation) -> float:
+        return actuation.timeout or self.limit_s(spec)
 
     async def _read_boot(self) -> Any:
         return (await self._get(self.mapping.boot)).value if self.mapping.boot else None
 
-    async def _read_result(self, told: Actuation) -> Any:
+    async def _read_result(self, actuation: Actuation) -> Any:
         """Read the result at the end. An alarm then is a failure, because it is not known how far the action
         got."""
         try:
-            if isinstance(told.result, dict):
+            if isinstance(actuation.result, dict):
                 result: Any = {
-                    key: _find_plain_value(await self._get(name)) for key, name in told.result.items()
+                    key: _find_plain_value(await self._get(name)) for key, name in actuation.result.items()
                 }
             else:
-                result = _find_plain_value(await self._get(told.result)) if told.result else None
-            if told.files:
-                files = {key: encode_array(key, await self._get(name)) for key, name in told.files.items()}
+                result = _find_plain_value(await self._get(actuation.result)) if actuation.result else None
+            if actuation.files:
+                files = {
+                    key: encode_array(key, await self._get(name)) for key, name in actuation.files.items()
+                }
                 result = {**(result or {}), **files}
             # The last report of its state may be older than the end.
             state = self.mapping.state
@@ -379,13 +386,13 @@ class SignalNode(ForeignNode):
         return result
 
 
-def encode_array(name: str, told: ChannelReading) -> Attachment:
+def encode_array(name: str, reading: ChannelReading) -> Attachment:
     """An array in the file format of numpy. Raises DeviceError if it is not an array of numbers."""
     try:
         import numpy
     except ImportError as error:
         raise report_missing_package(error) from error
-    values = numpy.asarray(told.value)
+    values = numpy.asarray(reading.value)
     if values.dtype.kind not in "buif":
         raise DeviceError(f"{name} is no array of numbers.", effects="all")
     if values.dtype.kind in "ui" and values.size and values.min() >= 0 and values.max() < 256:
@@ -400,21 +407,21 @@ def _list_names(mapping: SignalMapping) -> set[str]:
     state = mapping.state
     names = {*state.alarms, *mapping.resources.values(), *mapping.observe.values()}
     names |= {put.pv for put in (*mapping.reset, *mapping.stop)}
-    names |= {told.pv for told in (*state.busy, *state.error, *mapping.labware.values())}
+    names |= {condition.pv for condition in (*state.busy, *state.error, *mapping.labware.values())}
     for action in mapping.actions.values():
         names |= {action.start.pv, *(put.pv for put in action.set)}
-        names |= {told.pv for told in (*action.done, *action.failed)}
+        names |= {condition.pv for condition in (*action.done, *action.failed)}
         names |= set(action.result.values()) if isinstance(action.result, dict) else {action.result}
     return {name for name in (*names, mapping.boot, state.why) if name}
 
 
-def _find_plain_value(told: ChannelReading) -> Any:
-    return told.label or told.value
+def _find_plain_value(reading: ChannelReading) -> Any:
+    return reading.label or reading.value
 
 
 def _fill_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:
-    told = {"is_": fill(condition.is_, values, table), "near": fill(condition.near, values, table)}
-    return condition.model_copy(update=told)
+    filled = {"is_": fill(condition.is_, values, table), "near": fill(condition.near, values, table)}
+    return condition.model_copy(update=filled)
 
 
 def _show_condition(condition: Condition) -> dict[str, Any]:

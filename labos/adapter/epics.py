@@ -17,8 +17,8 @@ class EpicsNode(SignalNode):
     @property
     def where(self) -> str:
         config = self.setup.config
-        told = " ".join(str(config[key]) for key in ("ca_address", "pva_address") if config.get(key))
-        return f"the IOC at {told}" if told else "the IOC"
+        addresses = " ".join(str(config[key]) for key in ("ca_address", "pva_address") if config.get(key))
+        return f"the IOC at {addresses}" if addresses else "the IOC"
 
     def client(self, protocol: Protocol) -> Channels:
         address = str(self.setup.config.get(f"{protocol}_address") or "")

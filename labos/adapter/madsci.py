@@ -101,10 +101,10 @@ class MadsciRestNode(HttpNode):
         return await self._table("/info")
 
     async def _table(self, path: str) -> dict[str, Any]:
-        told = await self.http.ask(path)
-        if not isinstance(told, dict):
-            raise DeviceError(f"{path} answered {told!r}.", effects="none")
-        return told
+        answer = await self.http.ask(path)
+        if not isinstance(answer, dict):
+            raise DeviceError(f"{path} answered {answer!r}.", effects="none")
+        return answer
 
     # -- recovery ----------------------------------------------------------------------------
 
@@ -127,12 +127,12 @@ class MadsciRestNode(HttpNode):
 
     async def _command(self, name: str) -> None:
         try:
-            told = read_json(await self.http.send("POST", f"/admin/{name}"))
+            answer = read_json(await self.http.send("POST", f"/admin/{name}"))
         except NoResponse as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
-        if not isinstance(told, dict) or told.get("success") is not True:
-            why = _describe_errors(told) if isinstance(told, dict) else ""
-            raise DeviceError(f"{name}: {why or f'the foreign node answered {told!r}'}")
+        if not isinstance(answer, dict) or answer.get("success") is not True:
+            why = _describe_errors(answer) if isinstance(answer, dict) else ""
+            raise DeviceError(f"{name}: {why or f'the foreign node answered {answer!r}'}")
 
     # -- actions -----------------------------------------------------------------------------
 
@@ -165,12 +165,12 @@ class MadsciRestNode(HttpNode):
 
     async def _create(self, name: str, args: dict[str, Any]) -> str:
         try:
-            told = read_json(await self.http.send("POST", f"/action/{name}", json={"args": args}))
+            answer = read_json(await self.http.send("POST", f"/action/{name}", json={"args": args}))
         except DeviceError as error:
             raise DeviceError(error.message, effects="none", remedy=error.remedy) from error
-        if not isinstance(told, dict) or not told.get("action_id"):
-            raise DeviceError(f"{name}: the foreign node gave no id, but {told!r}.", effects="none")
-        return str(told["action_id"])
+        if not isinstance(answer, dict) or not answer.get("action_id"):
+            raise DeviceError(f"{name}: the foreign node gave no id, but {answer!r}.", effects="none")
+        return str(answer["action_id"])
 
     async def _upload(self, name: str, handle: str, key: str, file: tuple[str, bytes]) -> None:
         path = f"/action/{name}/{handle}/upload/{key}"
@@ -220,30 +220,32 @@ class MadsciRestNode(HttpNode):
         silence, pause_s = Silence(self.patience_s, self.where), min(self.poll_s, 0.2)
         while True:
             try:
-                told = await self._read_result(name, handle)
+                answer = await self._read_result(name, handle)
                 silence.end()
             except DeviceError as error:
                 silence.go_on(error)
-                told = {"status": "running"}
-            status = str(told.get("status"))
+                answer = {"status": "running"}
+            status = str(answer.get("status"))
             if status == "succeeded":
-                return await self._fetch_result_with_files(handle, told)
+                return await self._fetch_result_with_files(handle, answer)
             if status == "not_ready":
-                raise DeviceError(f"{name}: {_describe_errors(told)}", effects="none")
+                raise DeviceError(f"{name}: {_describe_errors(answer)}", effects="none")
             if status == "unknown":
-                raise OutcomeUnknown(_describe_errors(told) if told.get("action_id") == handle else FORGOTTEN)
+                raise OutcomeUnknown(
+                    _describe_errors(answer) if answer.get("action_id") == handle else FORGOTTEN
+                )
             if status not in UNDER_WAY:
                 effects = "unknown" if await self._has_begun(handle) else "none"
-                raise DeviceError(f"{name}: {_describe_errors(told) or status}", effects=effects)
+                raise DeviceError(f"{name}: {_describe_errors(answer) or status}", effects=effects)
             await asyncio.sleep(pause_s)
             # MADSci's nodes answer 100 requests a minute.
             pause_s = min(pause_s * 1.5, max(self.poll_s, 0.2))
 
     async def _read_result(self, name: str, handle: str) -> dict[str, Any]:
-        told = await self._table(f"/action/{handle}/result")
-        if told.get("action_id") != handle and told.get("status") != "unknown":
-            raise DeviceError(f"{name}: asked about {handle}, answered about {told.get('action_id')}.")
-        return told
+        answer = await self._table(f"/action/{handle}/result")
+        if answer.get("action_id") != handle and answer.get("status") != "unknown":
+            raise DeviceError(f"{name}: asked about {handle}, answered about {answer.get('action_id')}.")
+        return answer
 
     async def _has_begun(self, handle: str) -> bool:
         """Whether the history of a failed action shows that it ran."""
@@ -254,18 +256,18 @@ class MadsciRestNode(HttpNode):
         entries = history if isinstance(history, list) else [{"status": "running"}]
         return any(entry.get("status") == "running" for entry in entries)
 
-    async def _fetch_result_with_files(self, handle: str, told: dict[str, Any]) -> Any:
+    async def _fetch_result_with_files(self, handle: str, answer: dict[str, Any]) -> Any:
         """The result with references to its files and data points."""
-        result, points = told.get("json_result"), told.get("datapoints")
-        if not told.get("files") and not points:
+        result, points = answer.get("json_result"), answer.get("datapoints")
+        if not answer.get("files") and not points:
             return result
         full: dict[str, Any] = {**result} if isinstance(result, dict) else {}
         if result is not None and not isinstance(result, dict):
             full["value"] = result
         if points:
             full["datapoints"] = points
-        if told.get("files"):
-            full["files"] = await self._fetch_files(handle, list(told["files"]))
+        if answer.get("files"):
+            full["files"] = await self._fetch_files(handle, list(answer["files"]))
         return full
 
     async def _fetch_files(self, handle: str, labels: list[str]) -> dict[str, Any]:
@@ -328,7 +330,7 @@ def _make_arg(name: str, arg: dict[str, Any], kind: str) -> Arg:
     )
 
 
-def _describe_errors(told: dict[str, Any]) -> str:
+def _describe_errors(answer: dict[str, Any]) -> str:
     """The messages of a result's errors."""
-    errors = told.get("errors") or ()
+    errors = answer.get("errors") or ()
     return "; ".join(str(error.get("message") if isinstance(error, dict) else error) for error in errors)

@@ -63,8 +63,8 @@ class TcpNode(ForeignNode):
         return f"The node is in error: {state.error} Reset the module." if state.error else ""
 
     async def observe(self) -> dict[str, Any]:
-        told = (await self._ask_question("state")).variables
-        return dict(_parse_json(told) or {})
+        variables = (await self._ask_question("state")).variables
+        return dict(_parse_json(variables) or {})
 
     async def resources(self) -> dict[str, float]:
         return dict((await self._ask_question("resources")).levels)
@@ -76,7 +76,7 @@ class TcpNode(ForeignNode):
         await self._ask_question("stop")
 
     async def foreign_description(self) -> Description:
-        told = await self._ask_question("about")
+        about = await self._ask_question("about")
         actions = [
             {
                 "name": action.name,
@@ -93,9 +93,9 @@ class TcpNode(ForeignNode):
                     for arg in action.args
                 ],
             }
-            for action in told.actions
+            for action in about.actions
         ]
-        named = {key: getattr(told, key) for key in ("name", "model", "version", "description")}
+        named = {key: getattr(about, key) for key in ("name", "model", "version", "description")}
         return describe({**named, "actions": actions}, "tcp_node")
 
     # -- actions -----------------------------------------------------------------------------
@@ -116,7 +116,7 @@ class TcpNode(ForeignNode):
         sending = asyncio.ensure_future(self._exchange(make_schema()["Request"](action=action), None))
         self._starting += 1
         try:
-            told = await self.answer_to(
+            response = await self.answer_to(
                 sending,
                 self._is_busy,
                 silent_s=limit_s,
@@ -127,7 +127,7 @@ class TcpNode(ForeignNode):
             return await self._end(name, known)
         finally:
             self._starting -= 1
-        progress = _pick_answer(told, "progress")
+        progress = _pick_answer(response, "progress")
         if progress.status == RUNNING:
             return await self._end(name, known)
         return self._read_end(name, progress)
@@ -170,11 +170,11 @@ class TcpNode(ForeignNode):
         request = make_schema()["Request"]()
         getattr(request, what).SetInParent()
         try:
-            told = await self._exchange(request, limit_s or READ_S)
+            response = await self._exchange(request, limit_s or READ_S)
         except NoResponse as lost:
             effects = "unknown" if what in ("reset", "stop") else "none"
             raise DeviceError(f"{what}: no answer came ({lost}).", effects=effects) from lost
-        return _pick_answer(told, "done" if what in ("reset", "stop") else what)
+        return _pick_answer(response, "done" if what in ("reset", "stop") else what)
 
     async def _exchange(self, request: Any, limit_s: float | None) -> Any:
         """Send a request on its own connection; returns the response. Raises DeviceError (``none``) if it was
@@ -192,14 +192,14 @@ class TcpNode(ForeignNode):
             writer.close()
 
 
-def _pick_answer(told: Any, what: str) -> Any:
+def _pick_answer(response: Any, what: str) -> Any:
     """The part of a response that answers the request. Raises DeviceError."""
-    found = told.WhichOneof("what")
+    found = response.WhichOneof("what")
     if found == "refused":
-        raise DeviceError(f"The node refuses: {told.refused.why}", effects="none")
+        raise DeviceError(f"The node refuses: {response.refused.why}", effects="none")
     if found != what:
         raise DeviceError(f"The node answers a request with {found or 'nothing'!r}; {what!r} was expected.")
-    return getattr(told, what)
+    return getattr(response, what)
 
 
 def _make_result_with_files(progress: Any) -> Any:

@@ -84,18 +84,18 @@ class RestNode(HttpNode):
     async def _ask_state(self) -> tuple[str, str]:
         """The status (busy, error, not known or nothing) and its reason. Raises DeviceError (``none``) if
         there is no status."""
-        told = self.mapping.state
-        if told is None:
+        state = self.mapping.state
+        if state is None:
             return "", ""
-        answer = await self.http.ask(told.path)
-        status = find_field(answer, told.status)
-        if status in told.error:
-            return "error", str(find_field(answer, told.why) if told.why else status)
-        if status in told.busy:
+        answer = await self.http.ask(state.path)
+        status = find_field(answer, state.status)
+        if status in state.error:
+            return "error", str(find_field(answer, state.why) if state.why else status)
+        if status in state.busy:
             return "busy", ""
         if status is None:
-            raise DeviceError(f"{told.path} tells no {told.status or 'status'!r}.", effects="none")
-        return ("not known", repr(status)) if told.idle and status not in told.idle else ("", "")
+            raise DeviceError(f"{state.path} tells no {state.status or 'status'!r}.", effects="none")
+        return ("not known", repr(status)) if state.idle and status not in state.idle else ("", "")
 
     # -- recovery ----------------------------------------------------------------------------
 
@@ -109,9 +109,9 @@ class RestNode(HttpNode):
             raise DeviceError("`rest:` does not say how the device is stopped.", effects="none")
         await self._command(self.mapping.stop)
 
-    async def _command(self, told: dict[str, Any]) -> None:
+    async def _command(self, command: dict[str, Any]) -> None:
         try:
-            refuse(await self._send(request_of(told), {}))
+            refuse(await self._send(request_of(command), {}))
         except NoResponse as lost:
             raise DeviceError(f"No answer came ({lost}).") from lost
 
@@ -177,7 +177,7 @@ class RestNode(HttpNode):
             raise OutcomeUnknown("the device still works, and no `job:` says where to ask about it")
         if end.status == "not known":
             raise OutcomeUnknown(
-                f"the device says {end.said!r}; `rest: outcome` does not tell what that means"
+                f"the device says {end.reported!r}; `rest: outcome` does not tell what that means"
             )
         return end.result
 
@@ -193,56 +193,56 @@ class RestNode(HttpNode):
         if job is None:
             raise OutcomeUnknown("`rest:` names no `job:` to ask about")
         silence = Silence(self.patience_s, self.where)
-        said, strange_since = None, 0.0
+        strange, strange_since = None, 0.0
         while True:
             try:
                 answer = await self.http.send("GET", fill_path(job.path, {"id": handle}))
                 if answer.status_code == 404:
                     raise OutcomeUnknown(f"the device does not know the job {handle}")
-                told = read_json(answer)
+                data = read_json(answer)
             except (NoResponse, DeviceError) as error:
                 silence.go_on(error)
             else:
                 silence.end()
-                end = read_end(self.mapping.outcome, told)
+                end = read_end(self.mapping.outcome, data)
                 if end.status == "done":
                     return end.result
                 now = asyncio.get_running_loop().time()
                 if end.status == "running":
-                    said = None
-                elif end.said != said:
-                    said, strange_since = end.said, now
-                    _log.warning("job_status_not_known", module=self.setup.name, job=handle, status=said)
+                    strange = None
+                elif end.reported != strange:
+                    strange, strange_since = end.reported, now
+                    _log.warning("job_status_not_known", module=self.setup.name, job=handle, status=strange)
                 elif now - strange_since > self.limit_s(spec):
                     raise OutcomeUnknown(
-                        f"the device says {said!r} of the job {handle}; "
+                        f"the device says {strange!r} of the job {handle}; "
                         "`rest: outcome` does not tell what that means"
                     )
             await asyncio.sleep(self.poll_s)
 
 
 class JobEnd(NamedTuple):
-    """Whether an action has ended, by an answer: it is done, or not yet, or the answer (``said``) is in no
-    list of the mapping."""
+    """Whether an action has ended, by an answer: it is done, or not yet, or the answer (``reported``) is in
+    no list of the mapping."""
 
     status: Literal["done", "running", "not known"]
     result: Any = None
-    said: Any = None
+    reported: Any = None
 
 
-def read_end(reading: Reading, told: Any) -> JobEnd:
+def read_end(reading: Reading, data: Any) -> JobEnd:
     """Whether an action has ended, and its result. Raises DeviceError if it failed."""
-    result = find_field(told, reading.result) if reading.result else told
+    result = find_field(data, reading.result) if reading.result else data
     if not reading.status:
         return JobEnd("done", result)
-    status = find_field(told, reading.status)
+    status = find_field(data, reading.status)
     if status in reading.done:
         return JobEnd("done", result)
     if status in reading.running:
         return JobEnd("running")
     if status not in reading.failed and status not in reading.not_started:
-        return JobEnd("not known", said=status)
-    error = find_field(told, reading.error) if reading.error else None
+        return JobEnd("not known", reported=status)
+    error = find_field(data, reading.error) if reading.error else None
     effects = "none" if status in reading.not_started else "unknown"
     raise DeviceError(f"The device says {status!r}{f': {error}' if error else ''}.", effects=effects)
 
@@ -252,22 +252,22 @@ def read_given_id(reading: Reading, path: str, answer: httpx.Response) -> str:
     answer, this is a failure only if the answer says that nothing was started. Raises DeviceError,
     OutcomeUnknown."""
     try:
-        told = read_json(answer)
+        data = read_json(answer)
     except DeviceError as error:
         raise OutcomeUnknown(f"the device took it and gave no id to ask by: {error}") from error
-    found = find_field(told, path)
+    found = find_field(data, path)
     if isinstance(found, str | int) and not isinstance(found, bool) and found != "":
         return str(found)
-    if reading.status and find_field(told, reading.status) in reading.not_started:
-        read_end(reading, told)
+    if reading.status and find_field(data, reading.status) in reading.not_started:
+        read_end(reading, data)
     raise OutcomeUnknown(f"the device took it and gave no id to ask by: its answer has no {path!r}")
 
 
-def find_field(told: Any, path: str) -> Any:
+def find_field(data: Any, path: str) -> Any:
     """A field by its path, ``job.status``; None where there is none."""
     for part in path.split(".") if path else ():
-        told = told.get(part) if isinstance(told, dict) else None
-    return told
+        data = data.get(part) if isinstance(data, dict) else None
+    return data
 
 
 def fill_path(path: str, values: dict[str, Any]) -> str:

@@ -102,9 +102,9 @@ class RosNode(ForeignNode):
         if bridge is not None:
             await bridge.close()
 
-    def _on_state(self, told: dict[str, Any]) -> None:
+    def _on_state(self, message: dict[str, Any]) -> None:
         state = self.mapping.state
-        self._state = str(find_field(told, state.field) if state else "").upper()
+        self._state = str(find_field(message, state.field) if state else "").upper()
         self._state_at = asyncio.get_running_loop().time()
 
     # -- how it is ---------------------------------------------------------------------------
@@ -192,8 +192,8 @@ class RosNode(ForeignNode):
         args = self.name_places(spec, args)
         if call.frame:
             return await self._take_picture(call)
-        told = {"action_handle": name, "action_vars": args}
-        own = {"args": args, "vars": json.dumps(args), "message": json.dumps(told), "action": name}
+        message = {"action_handle": name, "action_vars": args}
+        own = {"args": args, "vars": json.dumps(args), "message": json.dumps(message), "action": name}
         fields = fill(call.fields, {**args, **own, "id": current_action.get()}, "ros")
         if call.action:
             return await self._pursue(spec, call, fields)
@@ -277,12 +277,12 @@ class RosNode(ForeignNode):
         while True:
             try:
                 asking = self.bridge.call(f"{call.action}/_action/get_result", kind, fields, wait_s=WAIT_S)
-                told = await asyncio.wait_for(asking, WAIT_S + ASK_S)
+                answer = await asyncio.wait_for(asking, WAIT_S + ASK_S)
             except TimeoutError:  # it continues
                 working = loop.time() if self._is_busy else working
                 if (waited := loop.time() - working) > self.limit_s(spec):
-                    said = f"{call.action} has not told the result of the goal for {waited:.0f} s"
-                    raise OutcomeUnknown(f"{said} without a sign of work") from None
+                    text = f"{call.action} has not told the result of the goal for {waited:.0f} s"
+                    raise OutcomeUnknown(f"{text} without a sign of work") from None
                 continue
             except (DeviceError, NoResponse) as gone:
                 silent_s += WAIT_S
@@ -293,15 +293,15 @@ class RosNode(ForeignNode):
                 await self.trouble()  # which starts a bridge that has ended
                 await asyncio.sleep(self.poll_s)
                 continue
-            return self._read_goal_end(call, told)
+            return self._read_goal_end(call, answer)
 
-    def _read_goal_end(self, call: Call, told: dict[str, Any]) -> Any:
-        match told.get("status"):
+    def _read_goal_end(self, call: Call, answer: dict[str, Any]) -> Any:
+        match answer.get("status"):
             case 4:
-                return read_end(call, told["result"])
+                return read_end(call, answer["result"])
             case 5 | 6 as status:
                 word = "canceled" if status == CANCELED else "aborted"
-                error = find_field(told["result"], call.error) if call.error else ""
+                error = find_field(answer["result"], call.error) if call.error else ""
                 raise DeviceError(f"{call.action}: the goal was {word}{f': {error}' if error else ''}.")
         raise OutcomeUnknown(FORGOTTEN)
 
@@ -366,13 +366,13 @@ def read_end(call: Call, answer: Any) -> Any:
     raise DeviceError(f"The node answers {status!r}{f': {error}' if error else ''}.")
 
 
-def _table(told: Any) -> dict[str, Any]:
+def _table(answer: Any) -> dict[str, Any]:
     """A table in the text of an answer: as JSON, or in Python's notation, which WEI's nodes use."""
-    found: Any = told
+    found: Any = answer
     for read in (read_json_text, ast.literal_eval):
         if isinstance(found, str) and len(found) <= LARGEST_JSON:
             with contextlib.suppress(ValueError, SyntaxError, RecursionError, MemoryError):
                 found = read(found)
     if not isinstance(found, dict):
-        raise DeviceError(f"The answer is no table: {str(told)[:200]!r}.", effects="none")
+        raise DeviceError(f"The answer is no table: {str(answer)[:200]!r}.", effects="none")
     return found

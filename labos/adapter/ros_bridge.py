@@ -96,8 +96,8 @@ class Bridge:
         last.start()
         rclpy.shutdown()
 
-    def say(self, **told: Any) -> None:
-        sys.stdout.write(json.dumps(told) + "\n")
+    def say(self, **fields: Any) -> None:
+        sys.stdout.write(json.dumps(fields) + "\n")
         sys.stdout.flush()
 
     def work(self) -> None:

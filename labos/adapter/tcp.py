@@ -124,23 +124,23 @@ async def _read_object(reader: asyncio.StreamReader) -> dict[str, Any]:
         if not data.rstrip().endswith(b"}"):
             continue
         try:
-            told = read_json_text(data)
+            answer = read_json_text(data)
         except TooDeep:
             break
         except ValueError:
             continue
-        if isinstance(told, dict):
-            return told
+        if isinstance(answer, dict):
+            return answer
         break
     raise OutcomeUnknown(f"what came is no answer: {data[:100]!r}")
 
 
-def _end(name: str, told: dict[str, Any]) -> Any:
+def _end(name: str, answer: dict[str, Any]) -> Any:
     """The result. Raises DeviceError, OutcomeUnknown."""
-    status = str(told.get("action_response")).rpartition(".")[2].lower()
-    words = str(told.get("action_log") or told.get("action_msg") or "")
+    status = str(answer.get("action_response")).rpartition(".")[2].lower()
+    words = str(answer.get("action_log") or answer.get("action_msg") or "")
     if status in SUCCEEDED:
-        return told.get("action_msg")
+        return answer.get("action_msg")
     if status in NOT_READY:
         raise DeviceError(f"{name}: {words or 'the foreign node is not ready'}", effects="none")
     if status in FAILED:

@@ -83,8 +83,8 @@ class WeiRestNode(HttpNode):
         if halted := flags & HALTED:
             return f"The foreign node is {min(halted).lower()} on its own side. Unlock or reset it there."
         if not is_working(flags) and not is_at_rest(flags):
-            said = ", ".join(sorted(flags)) or "nothing of its status"
-            return f"The foreign node says {said}, which is not known to mean that it is idle."
+            status = ", ".join(sorted(flags)) or "nothing of its status"
+            return f"The foreign node says {status}, which is not known to mean that it is idle."
         return ""
 
     async def learn(self) -> None:
@@ -93,13 +93,13 @@ class WeiRestNode(HttpNode):
 
     async def observe(self) -> dict[str, Any]:
         """The content of the node's state besides its status."""
-        told = await self.http.ask("/state")
-        plain = told if isinstance(told, dict) else {}
+        state = await self.http.ask("/state")
+        plain = state if isinstance(state, dict) else {}
         return {name: value for name, value in plain.items() if name not in ("status", "error", "State")}
 
     async def resources(self) -> dict[str, float]:
-        told = await self.http.ask("/resources")
-        levels = told.get("resources") if isinstance(told, dict) else None
+        answer = await self.http.ask("/resources")
+        levels = answer.get("resources") if isinstance(answer, dict) else None
         return find_levels(levels if isinstance(levels, dict) else {})
 
     async def _ask_state(self) -> tuple[set[str], str]:
@@ -138,12 +138,12 @@ class WeiRestNode(HttpNode):
         if name not in self._admin:
             raise DeviceError(f"The foreign node has no command {name!r}.", effects="none")
         try:
-            told = read_json(await self.http.send("POST", f"/admin/{name}"))
+            answer = read_json(await self.http.send("POST", f"/admin/{name}"))
         except NoResponse as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
-        if isinstance(told, dict) and told.get("error"):
-            raise DeviceError(f"{name}: {told['error']}")
-        if told == 404:  # it answers a refused command with this number and a status of success
+        if isinstance(answer, dict) and answer.get("error"):
+            raise DeviceError(f"{name}: {answer['error']}")
+        if answer == 404:  # it answers a refused command with this number and a status of success
             raise DeviceError(f"The foreign node refuses {name!r}.", effects="none")
 
     # -- actions -----------------------------------------------------------------------------
@@ -196,29 +196,29 @@ class WeiRestNode(HttpNode):
     async def _make_result(self, name: str, answer: httpx.Response) -> Any:
         refuse_at_end(answer, refused=(422,))  # FastAPI's own status for wrong arguments
         if "x-wei-status" in answer.headers:
-            told = {key: _read_header(answer, f"x-wei-{key}") for key in ("data", "error", "files")}
+            fields = {key: _read_header(answer, f"x-wei-{key}") for key in ("data", "error", "files")}
             status: Any = answer.headers["x-wei-status"]
         else:
-            told = read_json(answer)
-            if not isinstance(told, dict):
-                raise DeviceError(f"{name}: the node answered {told!r}, which says nothing of its end.")
-            status = told.get("status", told.get("action_response"))
+            fields = read_json(answer)
+            if not isinstance(fields, dict):
+                raise DeviceError(f"{name}: the node answered {fields!r}, which says nothing of its end.")
+            status = fields.get("status", fields.get("action_response"))
         # Some versions write the status as `StepStatus.SUCCEEDED`.
         word = str(status).rpartition(".")[2].lower()
-        error = told.get("error") or told.get("action_log") or ""
+        error = fields.get("error") or fields.get("action_log") or ""
         match word:
             case "succeeded":
-                return self._make_result_with_files(told, answer)
+                return self._make_result_with_files(fields, answer)
             case "not_ready":
                 raise DeviceError(f"{name}: {error or 'the foreign node is not ready'}", effects="none")
             case "failed" | "cancelled":
                 raise DeviceError(f"{name}: {error or word}")
         raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")
 
-    def _make_result_with_files(self, told: dict[str, Any], answer: httpx.Response) -> Any:
+    def _make_result_with_files(self, fields: dict[str, Any], answer: httpx.Response) -> Any:
         """The data with references to the files that came with them."""
-        data = told.get("data", told.get("action_msg"))
-        files = told.get("files") if "x-wei-status" in answer.headers else None
+        data = fields.get("data", fields.get("action_msg"))
+        files = fields.get("files") if "x-wei-status" in answer.headers else None
         if not files:
             return data
         kept = {}
@@ -281,20 +281,20 @@ def _action(action: dict[str, Any]) -> ActionSpec:
     )
 
 
-def read_state(told: Any) -> tuple[set[str], str]:
+def read_state(state: Any) -> tuple[set[str], str]:
     """The flags of a node's ``/state``, in all forms that WEI has had; and its error."""
-    if isinstance(told, str):
-        return {told.upper()}, ""
-    if not isinstance(told, dict):
-        raise DeviceError(f"/state answered {told!r}.", effects="none")
-    status = told.get("status", told.get("State"))
-    error = told.get("error") or ""
+    if isinstance(state, str):
+        return {state.upper()}, ""
+    if not isinstance(state, dict):
+        raise DeviceError(f"/state answered {state!r}.", effects="none")
+    status = state.get("status", state.get("State"))
+    error = state.get("error") or ""
     words = "; ".join(map(str, error)) if isinstance(error, list) else str(error)
     if isinstance(status, dict):
         return {str(name).upper() for name, on in status.items() if on}, words
     if isinstance(status, str):
         return {status.upper()}, words
-    raise DeviceError(f"/state answered {told!r}, which names no status.", effects="none")
+    raise DeviceError(f"/state answered {state!r}, which names no status.", effects="none")
 
 
 def is_working(flags: set[str]) -> bool:
@@ -308,10 +308,10 @@ def is_at_rest(flags: set[str]) -> bool:
     return not is_working(flags) and bool(flags & (READY | HALTED | {"ERROR"}))
 
 
-def find_levels(told: dict[str, Any]) -> dict[str, float]:
+def find_levels(resources: dict[str, Any]) -> dict[str, float]:
     """The numbers of a table of resources, at the first level or as ``quantity`` below it."""
     levels = {}
-    for name, value in told.items():
+    for name, value in resources.items():
         number = value.get("quantity", value.get("level")) if isinstance(value, dict) else value
         with contextlib.suppress(TypeError, ValueError):
             if not isinstance(number, bool) and math.isfinite(level := float(number)):  # type: ignore[arg-type]

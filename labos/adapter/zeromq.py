@@ -116,17 +116,17 @@ class WeiZmqNode(WeiJsonNode):
     async def _see(self, monitor: Any, *events: int) -> int:
         """Wait for one of these events of the connection."""
         while True:
-            told = await self._zmq.utils.monitor.recv_monitor_message(monitor)
-            if told["event"] in events:
-                return int(told["event"])
+            message = await self._zmq.utils.monitor.recv_monitor_message(monitor)
+            if message["event"] in events:
+                return int(message["event"])
 
 
 def _decode_object(answer: bytes) -> dict[str, Any]:
     """Raises OutcomeUnknown."""
     try:
-        told = read_json_text(answer)
+        decoded = read_json_text(answer)
     except ValueError:
-        told = None
-    if not isinstance(told, dict):
+        decoded = None
+    if not isinstance(decoded, dict):
         raise OutcomeUnknown(f"what came is no answer: {answer[:100]!r}")
-    return told
+    return decoded

@@ -115,15 +115,15 @@ def _list_course(
     steps = [(run.position, {"run": run.run, "workflow": run.workflow}) for run in runs]
     for head, note in notes:
         facts = note.get("facts", {})
-        told = {"kind": note["kind"], "name": note["name"], "facts": facts, "at": iso_time(head.recorded_at)}
-        steps.append((head.position, told))
+        entry = {"kind": note["kind"], "name": note["name"], "facts": facts, "at": iso_time(head.recorded_at)}
+        steps.append((head.position, entry))
     return {
         "experiment": experiment.experiment,
         "application": experiment.name,
         "user": experiment.user,
         "status": experiment.status,
         "why": experiment.why,
-        "course": [{"position": at, **told} for at, told in sorted(steps, key=lambda step: step[0])],
+        "course": [{"position": at, **entry} for at, entry in sorted(steps, key=lambda step: step[0])],
     }
 
 
@@ -131,14 +131,14 @@ def _add_application(
     crate: Crate, experiment: CrateExperiment, program: Program | None, course: bytes, folder: str
 ) -> str:
     """Add the program, or without it the course, as the workflow."""
-    told = {"name": f"What {experiment.name} did, in order", "encodingFormat": "application/json"}
+    properties = {"name": f"What {experiment.name} did, in order", "encodingFormat": "application/json"}
     path = f"{folder}/course.json"
     if program is None:
         language = crate.add("ComputerLanguage", "#labos-course", name="LabOS course of an experiment (JSON)")
         return crate.put(
-            path, course, kind=WORKFLOW, programmingLanguage=make_link(language), version="1", **told
+            path, course, kind=WORKFLOW, programmingLanguage=make_link(language), version="1", **properties
         )
-    crate.put(path, course, **told)
+    crate.put(path, course, **properties)
     language = crate.add(
         "ComputerLanguage",
         "#python",

@@ -41,8 +41,8 @@ class Crate:
 
     def tell(self, id_: str, **properties: Any) -> None:
         """Add properties to a described thing."""
-        told = {name: value for name, value in properties.items() if value not in (None, "", [], {})}
-        self._entities[id_].update(told)
+        filled = {name: value for name, value in properties.items() if value not in (None, "", [], {})}
+        self._entities[id_].update(filled)
 
     def extend(self, id_: str, name: str, *ids: str) -> None:
         """Add references to a property of a described thing."""
@@ -58,8 +58,8 @@ class Crate:
     def put_blob(self, path: str, digest: str, size: int | None, **properties: Any) -> str:
         """Add a file whose content is a blob; returns its id. A blob is added only once, also with different
         names."""
-        told = {"contentSize": None if size is None else str(size), **properties}
-        return self._add_file(path, digest, digest, told)
+        full = {"contentSize": None if size is None else str(size), **properties}
+        return self._add_file(path, digest, digest, full)
 
     def _add_file(self, path: str, digest: str, content: bytes | str, properties: Entity) -> str:
         known = self._paths.setdefault(digest, path)

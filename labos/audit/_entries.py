@@ -33,10 +33,10 @@ LONGEST_TEXT = 2000
 MOST_LISTED = 200
 
 
-def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: float, **told: Any) -> Row:
-    """Write an entry; missing fields are empty. ``told['also']`` are further words by which it can be
+def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: float, **fields: Any) -> Row:
+    """Write an entry; missing fields are empty. ``fields['also']`` are further words by which it can be
     found."""
-    also = told.pop("also", ())
+    also = fields.pop("also", ())
     row: Row = {
         "number": position * PLACES + place,
         "kind": kind,
@@ -45,7 +45,7 @@ def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: 
         **dict.fromkeys(("title", "about", "user_id", "workcell", "workflow"), ""),
         **dict.fromkeys(("experiment", "run", "module", "status"), ""),
         **{"keywords": [], "creators": [], "files": []},
-        **told,
+        **fields,
     }
     searched = ("name", "title", "about", "user_id", "workcell", "workflow", "experiment", "run", "module")
     lists = ("keywords", "creators", "files")

@@ -24,7 +24,7 @@ _EMPTY: dict[str, Row] = {table.name: {c.stored: c.empty for c in table.columns}
 
 
 @cache
-def _list_said(table: str, event: str) -> tuple[str, ...]:
+def _list_shared_columns(table: str, event: str) -> tuple[str, ...]:
     """The columns of a table that are fields of a type of event, too."""
     fields = TYPES[event].__struct_fields__ if event else ()
     return tuple(name for name in _EMPTY[table] if name in fields)
@@ -53,11 +53,11 @@ class RowChanges:
     def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
         """Add a new row, or replace one. A column that is not in ``row`` gets the field of the ``event`` with
         its name; it is empty if there is no such field."""
-        said = {
+        from_event = {
             name: getattr(event, name)
-            for name in _list_said(table.name, event.TYPE if event is not None else "")
+            for name in _list_shared_columns(table.name, event.TYPE if event is not None else "")
         }
-        row = {**_EMPTY[table.name], **said, **row}
+        row = {**_EMPTY[table.name], **from_event, **row}
         key = tuple(row[name] for name in table.key)
         self._known[table.name][key] = self._changed[table.name][key] = row
         return row

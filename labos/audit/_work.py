@@ -301,8 +301,8 @@ def _add_results(
     for table in iterate_tables(event.result):
         for well, value in table.values.items():
             about = (event.run, event.step, action["key"], event.action, event.module, plate, well)
-            said = (samples.get(well, ""), table.quantity, *_split_value(value), table.unit)
-            rows.add(RESULTS, head.position, number, ended, *about, *said)
+            measured = (samples.get(well, ""), table.quantity, *_split_value(value), table.unit)
+            rows.add(RESULTS, head.position, number, ended, *about, *measured)
             number += 1
 
 

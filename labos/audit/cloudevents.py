@@ -29,7 +29,7 @@ def encode_cloudevent(record: Record) -> bytes:
     """A record as one line of JSON. ``data`` is the stored payload, in the schema of its time
     (``eventschema``); ``hash`` is the record's hash in the chain."""
     head = record.head
-    told: dict[str, Any] = {
+    attributes: dict[str, Any] = {
         "specversion": "1.0",
         "id": head.id,
         "source": source_of(head.lab),
@@ -47,5 +47,5 @@ def encode_cloudevent(record: Record) -> bytes:
         "correlationid": head.correlation,
         "causationid": head.causation,
     }
-    told.update({name: value for name, value in others.items() if value})
-    return msgspec.json.encode({**told, "data": msgspec.Raw(record.payload)})
+    attributes.update({name: value for name, value in others.items() if value})
+    return msgspec.json.encode({**attributes, "data": msgspec.Raw(record.payload)})

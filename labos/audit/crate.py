@@ -142,14 +142,14 @@ def make_crate(
     crate = Crate()
     about = {"@id": "./"}
     crate.add("CreativeWork", METADATA, about=about, conformsTo=make_link(VERSION))
-    told = ", ".join(dict.fromkeys(run.workflow for run in runs))
+    names = ", ".join(dict.fromkeys(run.workflow for run in runs))
     if experiment is not None:
-        told = told or experiment.name
+        names = names or experiment.name
     kind = "Run" if experiment is None else "Experiment"
     crate.add(
         "Dataset",
         "./",
-        name=f"{kind} {name}: {told}",
+        name=f"{kind} {name}: {names}",
         description=f"{kind} {name} of the lab {log.head().lab}, carried out by LabOS: its workflow, every "
         f"step with its module, driver and times, labware, lots, results and files.",
         datePublished=iso_time(now_ns),
@@ -159,7 +159,7 @@ def make_crate(
     done = [_add_run(crate, asker, log, run, workflows[run.run]) for run in runs]
     main = set(workflows.values())
     if experiment is not None:
-        told_runs = [
+        crate_runs = [
             CrateRun(
                 run.run, workflows[run.run], tuple(_add_kernels(crate, log, run)), run.submitted_position
             )
@@ -167,7 +167,7 @@ def make_crate(
         ]
         for workflow in main - {workflows[run.run] for run, acted in zip(runs, done, strict=True) if acted}:
             crate.tell(workflow, **{"@type": NOT_CARRIED_OUT})
-        main = {add_experiment(crate, log, experiment, told_runs, program)}
+        main = {add_experiment(crate, log, experiment, crate_runs, program)}
     profiles = [PROCESS]
     if len(main) == 1 and (all(done) if experiment is None else any(done)):
         profiles += OF_ONE_WORKFLOW
@@ -228,15 +228,15 @@ def _plan_of(log: Log, digest: str) -> bytes:
     by: str | None = None
     query = LogQuery(types=(PlanRecorded.TYPE, PlanStepsRecorded.TYPE), mentions=digest)
     for record in log.select(query):
-        told = msgspec.json.decode(record.payload)
-        if told["plan"] != digest or by not in (None, told["by"]):
+        payload = msgspec.json.decode(record.payload)
+        if payload["plan"] != digest or by not in (None, payload["by"]):
             continue  # the same plan is recorded again if it was needed again
         if record.head.type == PlanRecorded.TYPE:
-            by = told["by"]
-            plan = {name: told[name] for name in ("workflow", "workcell", "feeds", "files", "holds")}
+            by = payload["by"]
+            plan = {name: payload[name] for name in ("workflow", "workcell", "feeds", "files", "holds")}
             plan["steps"] = []
         else:
-            plan["steps"] += told["steps"]
+            plan["steps"] += payload["steps"]
     if not plan:
         raise NotFound(f"There is no plan {digest} in this log.", remedy="Check it: labos verify")
     return encode_canonical(plan)

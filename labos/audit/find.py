@@ -122,11 +122,11 @@ def find(asker: ReadConnection, question: SearchQuery, log_position: int = 0) ->
 
 
 def _make_entry(row: Any) -> SearchEntry:
-    told = dict(zip(_COLUMNS, row, strict=True))
-    told["user"] = told.pop("user_id")
+    fields = dict(zip(_COLUMNS, row, strict=True))
+    fields["user"] = fields.pop("user_id")
     for name in _JSON:
-        told[name] = msgspec.json.decode(told[name])
-    return msgspec.convert(told, SearchEntry)
+        fields[name] = msgspec.json.decode(fields[name])
+    return msgspec.convert(fields, SearchEntry)
 
 
 def _write_conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list[Any]]:

@@ -47,15 +47,19 @@ def as_prov(graph: Graph, lab: str) -> str:
 
 
 def _declare(document: Any, entity: Entity, facts: dict[str, Any]) -> None:
-    told = {f"labos:{name}": _value(value) for name, value in facts.items() if value != []}
-    told = {"prov:label": describe_entity(entity, facts), "prov:type": f"labos:{entity.kind}", **told}
+    attributes = {f"labos:{name}": _value(value) for name, value in facts.items() if value != []}
+    attributes = {
+        "prov:label": describe_entity(entity, facts),
+        "prov:type": f"labos:{entity.kind}",
+        **attributes,
+    }
     if entity.kind in ACTIVITIES:
         began = facts.get("requested_at") or facts.get("submitted_at") or facts.get("started_at")
-        document.activity(_make_id(entity), began, facts.get("ended_at"), told)
+        document.activity(_make_id(entity), began, facts.get("ended_at"), attributes)
     elif entity.kind in AGENTS:
-        document.agent(_make_id(entity), told)
+        document.agent(_make_id(entity), attributes)
     else:
-        document.entity(_make_id(entity), told)
+        document.entity(_make_id(entity), attributes)
 
 
 def _relate(document: Any, effect: Entity, cause: Entity, relation: str) -> None:

@@ -219,9 +219,9 @@ class KafkaSink:
             every = {**self._settings, **settings, "error_cb": self._on_error}
             return kind(every, logger=self._log)
         except KafkaException as error:
-            said = error.args[0]
+            reason = error.args[0]
             raise BadInput(
-                f"The client of Kafka refuses its settings: {said.str()}.",
+                f"The client of Kafka refuses its settings: {reason.str()}.",
                 remedy="Correct the file of --settings.",
             ) from None
 
@@ -319,8 +319,8 @@ class KafkaSink:
     def _position_in(self, value: bytes) -> int:
         """The position of an event of this lab; 0 for anything else."""
         try:
-            told = msgspec.json.decode(value)
-            return int(told["position"]) if told["source"] == self._source else 0
+            event = msgspec.json.decode(value)
+            return int(event["position"]) if event["source"] == self._source else 0
         except (msgspec.MsgspecError, KeyError, TypeError, ValueError):
             return 0
 

@@ -60,9 +60,9 @@ class Mixture(msgspec.Struct):
         for origin in {**self.volumes, **dict.fromkeys(self.unmeasured)}:
             volume = self.volumes.get(origin, 0.0)
             if volume > _TRACE_UL or origin in self.unmeasured:
-                told = None if origin in self.unmeasured else round(volume, 6)
+                volume_ul = None if origin in self.unmeasured else round(volume, 6)
                 share = round(volume / total, 6) if exact else None
-                found.append(ProvenancePart(*origin, told, share, origin not in self.doubtful))
+                found.append(ProvenancePart(*origin, volume_ul, share, origin not in self.doubtful))
         return sorted(found, key=lambda part: (-(part.volume_ul or 0.0), part.origin.name, part.what))
 
 
@@ -78,7 +78,7 @@ def trace_contents(asker: ReadConnection, labware: str, well: str, upto: int) ->
     steps = _list_steps_before(asker, f"{labware}/{well}", upto)
     wells: dict[str, Mixture] = {name: Mixture() for name in steps}
     for _, _, name, step in sorted(
-        (at, n, name, step) for name, told in steps.items() for at, n, *step in told
+        (at, n, name, step) for name, well_steps in steps.items() for at, n, *step in well_steps
     ):
         _take(wells, name, *step)
     return wells[f"{labware}/{well}"].list_parts()

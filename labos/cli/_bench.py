@@ -90,5 +90,5 @@ def give(labware: str, to: str, name: str, force: bool, why: str, asker: Asker) 
     with asker.lab() as client:
         owner = f"{to}:{name}" if name else to
         client.give(labware, owner, asker.user, force=force, note=why)
-    told = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
-    asker.tell(told, {"labware": labware, "owner": owner})
+    message = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
+    asker.tell(message, {"labware": labware, "owner": owner})

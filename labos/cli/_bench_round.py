@@ -42,10 +42,10 @@ def read_words(text: str, station: str) -> list[str] | None:
     return found
 
 
-def parse_options(told: Sequence[str]) -> Words:
+def parse_options(options: Sequence[str]) -> Words:
     """``STATION=WHAT`` of the command line."""
     words: Words = {}
-    for text in told:
+    for text in options:
         name, equals, what = text.partition("=")
         if not equals or not name.strip():
             raise BadInput(f"{text!r} does not name a station and its content.", remedy="Write STATION=WHAT.")
@@ -65,10 +65,12 @@ def read_file(path: str) -> Words:
     words: Words = {}
     for name, value in data.items():
         listed = value if isinstance(value, list) else ["" if value is None else value]
-        told = [read_words(str(part), str(name)) for part in listed]
-        if len(told) > 1 and None in told:
+        contents = [read_words(str(part), str(name)) for part in listed]
+        if len(contents) > 1 and None in contents:
             raise BadInput(f"{path}: {name} is given twice.", remedy="Give its content, or `as recorded`.")
-        words[str(name)] = None if told == [None] else [piece for part in told for piece in part or ()]
+        words[str(name)] = (
+            None if contents == [None] else [piece for part in contents for piece in part or ()]
+        )
     return words
 
 
@@ -78,7 +80,9 @@ def say(
     """Send the whole report to the lab. ``rest`` as the name of a station stands for all stations that are
     not reported and need not be reported one by one; ``finish`` answers the question if nothing is left.
     Raises BadInput for a name that is not on the round."""
-    stations = {_find_station(view, name)["station"]: told for name, told in words.items() if name != REST}
+    stations = {
+        _find_station(view, name)["station"]: content for name, content in words.items() if name != REST
+    }
     if REST in words and words[REST] is not None:
         raise BadInput(f"`{REST}` can only be `{AS_RECORDED}`.", remedy="Give other stations one by one.")
     as_recorded: list[str] = []
@@ -176,11 +180,11 @@ def ask(client: LabClient, by: str) -> None:
 def _ask_one(client: LabClient, view: Mapping[str, Any], station: Mapping[str, Any], by: str) -> None:
     while True:
         try:
-            told = read_words(click.prompt(_line(station)), station["station"])
+            answer = read_words(click.prompt(_line(station)), station["station"])
         except BadInput as error:
             click.echo(f"  {error}")
             continue
-        found = say(client, view, {f"{station['workcell']}/{station['station']}": told}, by)
+        found = say(client, view, {f"{station['workcell']}/{station['station']}": answer}, by)
         if not found["refused"]:
             return
         click.echo(f"  {found['refused'][0]['why']} {found['refused'][0]['remedy']}")

@@ -68,7 +68,7 @@ class Narrator:
 
     def follow_run(self, run: str, *, quiet: bool = False) -> RunResult:
         """Show the events of one run up to its end, and its present action or wait when there are none."""
-        told: list[str] = []
+        shown_before: list[str] = []
         while True:
             is_silent = True
             for event, head in self.events(wait_s=SILENCE_S):
@@ -81,17 +81,17 @@ class Narrator:
                     if isinstance(event, _END) and event.run == run:
                         return self.client.status(run)
             if is_silent and not quiet:
-                told = self._say_how_it_is(run, told)
+                shown_before = self._say_how_it_is(run, shown_before)
 
-    def _say_how_it_is(self, run: str, told: list[str]) -> list[str]:
-        """Show the present action or wait of a run, unless it is the same as ``told``; returns it."""
-        shown = next((shown for shown in self.client.state()["runs"] if shown["id"] == run), None)
-        if shown is None:
-            return told
-        does = [describe_step(step) for step in shown["doing"]]
-        waits = list(dict.fromkeys(f"waits: {wait['why']}" for wait in shown["waits"]))
+    def _say_how_it_is(self, run: str, shown_before: list[str]) -> list[str]:
+        """Show the present action or wait of a run, unless it is the same as ``shown_before``; returns it."""
+        view = next((view for view in self.client.state()["runs"] if view["id"] == run), None)
+        if view is None:
+            return shown_before
+        does = [describe_step(step) for step in view["doing"]]
+        waits = list(dict.fromkeys(f"waits: {wait['why']}" for wait in view["waits"]))
         lines = does or waits
-        if lines != told:
+        if lines != shown_before:
             for line in lines:
                 click.echo(f"            {run} {line}")
             if not does and lines:
@@ -102,7 +102,7 @@ class Narrator:
         """Show all events, up to the last one that is committed when it is ``over``; when there are none, the
         steps in progress, once."""
         last, quiet_s = False, 0.0
-        told: set[tuple[str, int]] = set()
+        shown_before: set[tuple[str, int]] = set()
         while not last:
             last = over.wait(LOOK_S)
             quiet_s += LOOK_S
@@ -111,14 +111,14 @@ class Narrator:
                 self.say(event, head)
             if quiet_s >= SILENCE_S and not last:
                 quiet_s = 0.0
-                told = self._say_what_lasts(told)
+                shown_before = self._say_what_lasts(shown_before)
 
-    def _say_what_lasts(self, told: set[tuple[str, int]]) -> set[tuple[str, int]]:
-        """Show the steps in progress that are not in ``told``; returns all steps in progress."""
+    def _say_what_lasts(self, shown_before: set[tuple[str, int]]) -> set[tuple[str, int]]:
+        """Show the steps in progress that are not in ``shown_before``; returns all steps in progress."""
         runs = self.client.state(waits=False)["runs"]
         steps = {(run["id"], step["step"]): describe_step(step) for run in runs for step in run["doing"]}
         for (run, step), words in steps.items():
-            if (run, step) not in told:
+            if (run, step) not in shown_before:
                 click.echo(f"            {run} {words}")
         return set(steps)
 

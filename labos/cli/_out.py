@@ -43,9 +43,9 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
 
 def show_parts(parts: Sequence[str]) -> None:
     """Parts of a sentence on one line, or each on a line of its own if the terminal is too narrow."""
-    told = "; ".join(parts)
-    fits = not sys.stdout.isatty() or len(told) <= terminal_width()
-    click.echo(told if fits else "\n".join(parts))
+    line = "; ".join(parts)
+    fits = not sys.stdout.isatty() or len(line) <= terminal_width()
+    click.echo(line if fits else "\n".join(parts))
 
 
 def terminal_width(most: int = 0) -> int:

@@ -46,9 +46,9 @@ def scope_of(workcell: str | None) -> str:
     return workcell or WHOLE_LAB
 
 
-def subject_of(said: str) -> str:
+def subject_of(name: str) -> str:
     """``group:NAME`` is a group; a name without it is a user."""
-    return said if said.startswith((user_subject(""), group_subject(""))) else user_subject(said)
+    return name if name.startswith((user_subject(""), group_subject(""))) else user_subject(name)
 
 
 def describe_roles(roles: Mapping[str, str]) -> str:

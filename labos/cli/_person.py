@@ -42,9 +42,9 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
         runs = done["runs"] or ([target] if done["kind"] == "run" else [])
         ends = (client.wait(run) if wait else client.status(run) for run in runs)
         if asker.as_json:
-            told = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
+            results = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
             facts = {"kind": done["kind"], "target": done["target"], "already": done["already"]}
-            show_json({**facts, "runs": told})
+            show_json({**facts, "runs": results})
             return
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
@@ -225,8 +225,8 @@ def out_of_service(module: str, why: str, until: str | None, asker: Asker) -> No
     back_at = parse_until(until, now_ns()) if until else 0
     with asker.lab() as client:
         client.take_out(module, why, asker.user, back_at)
-    told = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
-    asker.tell(told, {"module": module, "in_service": False, "back_at": back_at})
+    message = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
+    asker.tell(message, {"module": module, "in_service": False, "back_at": back_at})
 
 
 @click.command("in-service")

@@ -28,14 +28,15 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
     click.echo("What stands there now? Enter: unchanged. Otherwise: empty, or an id (P7) or type of labware.")
     now: dict[str, list[str]] = {}
     for name, things in standing.items():
-        told_now = _ask_station(name, stations[name], f"  {name}: {', '.join(things)}")
-        if told_now is not None:
-            now[name] = told_now
+        content = _ask_station(name, stations[name], f"  {name}: {', '.join(things)}")
+        if content is not None:
+            now[name] = content
     while (other := _find_other(stations, hotels)) is not None:
         now[other[0]] = other[1]
     changes = _list_changes(stations, now)
     click.echo(
-        "\n".join(f"  {name}: {' and '.join(told) or EMPTY}" for name, told in now.items()) or "Nothing."
+        "\n".join(f"  {name}: {' and '.join(content) or EMPTY}" for name, content in now.items())
+        or "Nothing."
     )
     click.confirm("Is this list of changes complete, and does nobody reach in any more?", abort=True)
     return changes
@@ -44,14 +45,14 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
 def _ask_station(name: str, station: Mapping[str, Any], text: str) -> list[str] | None:
     """The present content of a station; None if it is unchanged."""
     while True:
-        told = _split_words(click.prompt(text, default=KEPT))
-        if told in ([KEPT], ["k"], list(station["labware"])):
+        content = _split_words(click.prompt(text, default=KEPT))
+        if content in ([KEPT], ["k"], list(station["labware"])):
             return None
-        if told in ([EMPTY], ["e"]):
+        if content in ([EMPTY], ["e"]):
             return []
-        problem = _find_problem(name, station, told)
+        problem = _find_problem(name, station, content)
         if not problem:
-            return told
+            return content
         click.echo(f"  {problem}")
 
 
@@ -65,44 +66,44 @@ def _find_other(
         if not text.strip():
             return None
         name, equals, what = (part.strip() for part in text.partition("="))
-        told = [] if what == EMPTY else _split_words(what)
-        if not equals or not (told or what == EMPTY):
+        content = [] if what == EMPTY else _split_words(what)
+        if not equals or not (content or what == EMPTY):
             click.echo("  Write STATION=WHAT, such as wc.shelf=P7.")
         elif name in hotels:
             click.echo(f"  {name} has shelves: {name}.1 to {name}.{hotels[name]}. Name one of them.")
         elif name not in stations:
             click.echo(f"  There is no station {name!r} here. Known: {', '.join(sorted(stations))}.")
-        elif problem := _find_problem(name, stations[name], told):
+        elif problem := _find_problem(name, stations[name], content):
             click.echo(f"  {problem}")
         else:
-            return name, told
+            return name, content
 
 
-def _find_problem(name: str, station: Mapping[str, Any], told: Sequence[str]) -> str:
+def _find_problem(name: str, station: Mapping[str, Any], content: Sequence[str]) -> str:
     """Why a station cannot have that content, as far as it can be checked here."""
-    if told and (station["kind"] in COUNTED or station["stock"]):
+    if content and (station["kind"] in COUNTED or station["stock"]):
         return (
             f"Labware in {name} has no ids: answer kept or empty here, and at the end run: "
             f"labos bench declare {name}=NUMBERxTYPE"
         )
-    if len(told) > station["capacity"]:
+    if len(content) > station["capacity"]:
         return f"{name} has room for {station['capacity']}."
-    if EMPTY in told or KEPT in told:
+    if EMPTY in content or KEPT in content:
         return "Write kept, empty, or the labware."
     return ""
 
 
 def _list_changes(stations: Mapping[str, Mapping[str, Any]], now: Mapping[str, Sequence[str]]) -> Changes:
     """The changes; a station whose labware was only moved to another one needs no entry."""
-    named = {labware for told in now.values() for labware in told}
+    named = {labware for content in now.values() for labware in content}
     changes: Changes = []
-    for name, told in now.items():
+    for name, content in now.items():
         gone = set(stations[name]["labware"]) - named
-        if gone or (not told and not stations[name]["labware"]) or stations[name]["stock"]:
+        if gone or (not content and not stations[name]["labware"]) or stations[name]["stock"]:
             changes.append((name, EMPTY))
-            changes += [(name, labware) for labware in told]
+            changes += [(name, labware) for labware in content]
         else:
-            changes += [(name, labware) for labware in told if labware not in stations[name]["labware"]]
+            changes += [(name, labware) for labware in content if labware not in stations[name]["labware"]]
     return changes
 
 

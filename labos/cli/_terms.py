@@ -44,7 +44,7 @@ def terms_options(command: F) -> F:
         tags: tuple[str, ...],
         **options: Any,
     ) -> Any:
-        told = {
+        terms = {
             "priority": priority,
             "deadline": deadline,
             "runs": runs,
@@ -54,7 +54,7 @@ def terms_options(command: F) -> F:
             "stop_after": stop_after,
             "tags": list(tags) or None,
         }
-        wanted = {name: value for name, value in told.items() if value is not None}
+        wanted = {name: value for name, value in terms.items() if value is not None}
         return command(*args, terms_wanted=wanted, **options)
 
     wrapped: Any = wrap

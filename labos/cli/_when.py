@@ -58,18 +58,18 @@ def expect_zone(name: str | None) -> str:
 def parse_when(text: str, now: int, zone: str, *, after: int = 0) -> int:
     """A time (UTC ns) in a time zone. A duration (``+2h``) counts from ``after``, else from now; a time
     without a day is the next one after that. Raises BadInput."""
-    said = text.strip().lower()
-    length = _LENGTH.fullmatch(said)
+    words = text.strip().lower()
+    length = _LENGTH.fullmatch(words)
     if length:
         return parse_until(length[1], after or now)
     where = find_zone(zone)
-    day, _, clock = said.rpartition(" ")
+    day, _, clock = words.rpartition(" ")
     at = _parse_clock(clock)
     today = datetime.fromtimestamp((after or now) // SECOND_NS, where)
     if at is not None and not day:
         found = _to_ns(today.date(), at, zone)
         return found if found > (after or now) else _to_ns(today.date() + timedelta(days=1), at, zone)
-    named = _parse_day(day or said, datetime.fromtimestamp(now // SECOND_NS, where).date())
+    named = _parse_day(day or words, datetime.fromtimestamp(now // SECOND_NS, where).date())
     if named is not None and (at is not None or not day):
         return _to_ns(named, at or time(), zone)
     try:
@@ -106,13 +106,13 @@ def rule_of(every: str | None, rule: str | None) -> str:
         return rule.upper().removeprefix("RRULE:")
     if every is None:
         return ""
-    said = every.strip().lower()
-    so_many = _EVERY_SO_MANY.fullmatch(said)
+    words = every.strip().lower()
+    so_many = _EVERY_SO_MANY.fullmatch(words)
     if so_many:
         return f"{EVERY[so_many[2]]};INTERVAL={int(so_many[1])}"
-    if said not in EVERY:
+    if words not in EVERY:
         raise BadInput(
             f"{every!r} is not a valid repetition.",
             remedy="Write day, week, weekday, month, year or '2 weeks'. Use --rule for other repetitions.",
         )
-    return EVERY[said]
+    return EVERY[words]

@@ -71,14 +71,14 @@ def command(
         raise click.UsageError("Give either --changed or --unchanged.")
     with asker.lab() as client:
         if done:
-            told = [_change(text) for text in changed]
+            changes = [_change(text) for text in changed]
             if not (changed or unchanged or asker.as_json) and sys.stdin.isatty() and sys.stdout.isatty():
                 _leave_asked(client, workcell, asker.user, why)
                 return
-            client.leave(workcell, asker.user, told, why)
-            changes = [{"station": station, "what": what} for station, what in told]
-            facts = {"workcell": workcell, "granted": False, "changed": changes}
-            asker.tell(_describe_going_on(workcell, told), facts)
+            client.leave(workcell, asker.user, changes, why)
+            listed = [{"station": station, "what": what} for station, what in changes]
+            facts = {"workcell": workcell, "granted": False, "changed": listed}
+            asker.tell(_describe_going_on(workcell, changes), facts)
             return
         parking = client.enter(workcell, asker.user, why, park=not no_park)
         if not asker.as_json:
@@ -113,8 +113,8 @@ def command(
     _guide(state, workcell)
 
 
-def _describe_going_on(workcell: str, told: list[tuple[str, str]]) -> str:
-    if told:
+def _describe_going_on(workcell: str, changes: list[tuple[str, str]]) -> str:
+    if changes:
         return f"{workcell} continues."
     return (
         f"{workcell} continues. No change was reported: the lab assumes that all labware stands as before "
@@ -130,39 +130,39 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
     while True:
         state = client.state(waits=False)
         access = state["lab"]["access"].get(workcell)
-        told: list[tuple[str, str]] = []
+        changes: list[tuple[str, str]] = []
         if access is not None and access["granted"]:  # else no access was granted
             try:
-                told = ask(state, workcell, _list_recorded(state, workcell))
+                changes = ask(state, workcell, _list_recorded(state, workcell))
             except (click.Abort, KeyboardInterrupt):
                 click.echo(
                     f"\nNothing was reported: {workcell} stays held. Repeat: labos access {workcell} --done"
                 )
                 raise
         try:
-            client.leave(workcell, by, told, note)
+            client.leave(workcell, by, changes, note)
         except (BadInput, NotFound, Refused) as refused:
-            if not told:
+            if not changes:
                 raise
             click.echo(f"labos: {refused}\nNone of your answers was recorded. Please answer again:", err=True)
             continue
-        click.echo(_describe_going_on(workcell, told))
+        click.echo(_describe_going_on(workcell, changes))
         return
 
 
 def _wait_until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
     """Raises NotFound when the time is over; the workcell stays reserved for the person."""
     give_up = time.monotonic() + timeout_s
-    said: list[str] = []
+    shown: list[str] = []
     while True:
         access = client.state(waits=False)["lab"]["access"].get(workcell)
         if access is None:
             raise NotFound("Another user has ended the access meanwhile.", remedy="Request access again.")
         if access["granted"]:
             return
-        if access["moving"] and access["moving"] != said:
-            said = access["moving"]
-            click.echo(f"Waiting for {', '.join(said)}.", err=True)
+        if access["moving"] and access["moving"] != shown:
+            shown = access["moving"]
+            click.echo(f"Waiting for {', '.join(shown)}.", err=True)
         if time.monotonic() > give_up:
             raise NotFound(
                 f"After {timeout_s:g} s it still moves in {workcell}: {', '.join(access['moving'])}.",

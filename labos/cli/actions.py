@@ -160,11 +160,11 @@ def _keep_only(offer: Offer, action: str) -> Offer:
 
 
 def _make_plain(offer: Offer) -> dict[str, Any]:
-    told: dict[str, Any] = msgspec.to_builtins(offer)
-    for spec in told["actions"]:
+    plain: dict[str, Any] = msgspec.to_builtins(offer)
+    for spec in plain["actions"]:
         for arg in spec["args"]:
             arg.setdefault("required", True)
-    return told
+    return plain
 
 
 def _show(offer: Offer) -> None:

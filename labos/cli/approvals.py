@@ -38,17 +38,17 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
     labos refuse C3 --why "the reader is booked"
     """
     with asker.lab() as client:
-        told: Any = client.approval_of(subject) if subject else client.approvals()
-        forecast = _forecast(client, subject, told) if subject and not no_forecast else None
+        answer: Any = client.approval_of(subject) if subject else client.approvals()
+        forecast = _forecast(client, subject, answer) if subject and not no_forecast else None
     if forecast is not None:
-        told["forecast"] = forecast
+        answer["forecast"] = forecast
     if asker.as_json:
-        show_json(told)
+        show_json(answer)
     elif subject:
-        _show(told)
+        _show(answer)
         if forecast is not None:
             _show_forecast(forecast, subject)
-    elif not told:
+    elif not answer:
         click.echo("Nothing waits for an approval.")
     else:
         rows = [
@@ -60,15 +60,15 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
                 show_time(p["requested_at"]),
                 _describe_reasons(p),
             )
-            for p in told
+            for p in answer
         ]
         show_table(("id", "kind", "name", "user", "since", "because"), rows)
         click.echo("Details: labos approvals ID; answer: labos approve ID, labos refuse ID")
 
 
-def _forecast(client: LabClient, subject: str, told: dict[str, Any]) -> dict[str, Any] | None:
+def _forecast(client: LabClient, subject: str, approval: dict[str, Any]) -> dict[str, Any] | None:
     """The forecast for the submission; None if there is none: then the reason is shown."""
-    if told["proposal"]["kind"] == "experiment":
+    if approval["proposal"]["kind"] == "experiment":
         return None
     try:
         return client.approval_forecast(subject)
@@ -77,10 +77,10 @@ def _forecast(client: LabClient, subject: str, told: dict[str, Any]) -> dict[str
         return None
 
 
-def _show_forecast(told: dict[str, Any], subject: str) -> None:
+def _show_forecast(approval: dict[str, Any], subject: str) -> None:
     from labos.cli._forecast import show_campaign, show_change, show_ways
 
-    found = told["forecast"]
+    found = approval["forecast"]
     click.echo("Forecast for an approval now:")
     campaigns = [each for each in found["campaigns"] if each["campaign"] == subject]
     for campaign in campaigns:
@@ -88,7 +88,7 @@ def _show_forecast(told: dict[str, Any], subject: str) -> None:
             click.echo(f"{what + ':':<12} {_strip_control(text)}")
     if not campaigns:
         show_ways(found)
-    for kind, item in told["consumables"].items():
+    for kind, item in approval["consumables"].items():
         left = "not counted" if item["left"] is None else f"{item['left']:g} left"
         click.echo(f"uses up:     {item['needed']:g} {_strip_control(kind)} ({left})")
     show_change(found)
@@ -98,8 +98,8 @@ def _describe_reasons(proposal: dict[str, Any]) -> str:
     return "; ".join(why["text"] for why in proposal["why"])
 
 
-def _show(told: dict[str, Any]) -> None:
-    proposal = told["proposal"]
+def _show(approval: dict[str, Any]) -> None:
+    proposal = approval["proposal"]
     demand, terms = proposal["demand"], proposal["terms"]
     lines = {
         "name": proposal["name"],
@@ -120,7 +120,7 @@ def _show(told: dict[str, Any]) -> None:
     show_table(
         ("what", proposal["subject"]), [(what, _strip_control(text)) for what, text in lines.items() if text]
     )
-    for difference in told["differences"]:
+    for difference in approval["differences"]:
         click.echo(f"{_strip_control(difference['part'])} differs:")
         for line in difference["lines"]:
             click.echo(f"  {_strip_control(line)}")
@@ -198,10 +198,10 @@ def approve(
         wanted["alike"] = True
     with asker.lab() as client:
         if digest is None:
-            told = client.approval_of(subject)
-            digest = str(told["proposal"]["digest"])
+            approval = client.approval_of(subject)
+            digest = str(approval["proposal"]["digest"])
             if not asker.as_json:
-                _show(told)
+                _show(approval)
             if not yes and sys.stdin.isatty():
                 click.confirm(f"Approve {subject}?", abort=True)
         approved = client.approve(subject, asker.user, digest, comment=why, **wanted)

@@ -43,16 +43,16 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
     """
     from labos.cli._out import show_json
 
-    told: dict[str, list[str]] = {}
+    contents: dict[str, list[str]] = {}
     for text in stations:
         for name, types in [_read(text)] if "=" in text else _read_contents_file(text):
-            if name in told:
+            if name in contents:
                 raise BadInput(f"The station {name} is given twice.", remedy="Declare it once.")
-            told[name] = types
-    if not told and not empty:
+            contents[name] = types
+    if not contents and not empty:
         raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
     with asker.lab() as client:
-        found = client.declare(told, asker.user, workcell=workcell, empty=empty)
+        found = client.declare(contents, asker.user, workcell=workcell, empty=empty)
     if asker.as_json:
         show_json(found)
         return
@@ -97,7 +97,7 @@ def show(where: Where, as_json: bool) -> None:
 
 
 @command.command("round", short_help="Check the bench after the log has lost its end.")
-@click.option("--say", "told", multiple=True, metavar="STATION=WHAT", help="The content of a station.")
+@click.option("--say", "reports", multiple=True, metavar="STATION=WHAT", help="The content of a station.")
 @click.option("--file", "path", metavar="FILE", help="A YAML file with `STATION: WHAT` in each line.")
 @click.option("--as-simulated", "simulated", is_flag=True, help="Report the true state of a simulated bench.")
 @click.option(
@@ -108,7 +108,7 @@ def show(where: Where, as_json: bool) -> None:
 @log_options
 def round_(
     where: Where,
-    told: tuple[str, ...],
+    reports: tuple[str, ...],
     path: str | None,
     simulated: bool,
     only_say: bool,
@@ -144,7 +144,7 @@ def round_(
                 "This log has not lost its end: no check of the bench is needed.",
                 remedy="You can report a single station at any time: labos observe STATION WHAT",
             )
-        words = {**(read_file(path) if path else {}), **parse_options(told)}
+        words = {**(read_file(path) if path else {}), **parse_options(reports)}
         if simulated:
             words = {**_read_bench_contents(where), "rest": None, **words}
         question = view["intervention"]
@@ -202,7 +202,7 @@ def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:
             seen = list_bench_contents(world, state, records)
         finally:
             world.close()
-        found |= {name: told for name, told in seen.items() if workcell_of(name) == path.stem}
+        found |= {name: content for name, content in seen.items() if workcell_of(name) == path.stem}
     wastes = [name for name, station in state.bench.stations.items() if station.spec.kind == "waste"]
     return {**found, **dict.fromkeys(wastes, None)}
 

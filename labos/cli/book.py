@@ -163,8 +163,8 @@ def change(
             changes["rule"] = rule_of(every, rule)
         if last is not None:
             changes["last_at"] = parse_when(last, now, where)
-        told = {name: value for name, value in changes.items() if value is not None}
-        found = client.change_booking(booking, asker.user, **told)
+        given = {name: value for name, value in changes.items() if value is not None}
+        found = client.change_booking(booking, asker.user, **given)
     _tell(found, asker)
 
 
@@ -184,8 +184,8 @@ def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
     with asker.lab() as client:
         begins_at = _find_time_on(client, booking, on) if on else 0
         client.cancel_booking(booking, asker.user, begins_at=begins_at, why=why or "")
-    told = f"{booking} is cancelled{f' on {on}' if on else ''}."
-    asker.tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True})
+    message = f"{booking} is cancelled{f' on {on}' if on else ''}."
+    asker.tell(message, {"booking": booking, "begins_at": begins_at, "cancelled": True})
 
 
 @command.command("show")

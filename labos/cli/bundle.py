@@ -63,8 +63,8 @@ def command(
             written.write(data)
     except OSError as error:
         raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
-    told = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
-    tell(f"{told}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
+    message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
+    tell(f"{message}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
 
 
 def make_bundle_of(

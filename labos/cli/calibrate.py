@@ -31,7 +31,7 @@ from labos.errors import BadInput
 @click.option("--until", default="", metavar="DATE", help="The last day on which it is valid: 2027-01-01.")
 @why_option()
 @asker_options
-def command(module: str, report: Path | None, asker: Asker, **told: Any) -> None:
+def command(module: str, report: Path | None, asker: Asker, **details: Any) -> None:
     """Record that MODULE was calibrated. `labos provenance` shows this calibration for all later actions. It
     replaces the earlier calibration with the same `--what`.
 
@@ -46,7 +46,7 @@ def command(module: str, report: Path | None, asker: Asker, **told: Any) -> None
 
     content = b"" if report is None else _read(report)
     with asker.lab() as client:
-        found = client.calibrate(module, asker.user, report=content, **told)
+        found = client.calibrate(module, asker.user, report=content, **details)
     of = f"{found['module']} ({found['what']})" if found["what"] else found["module"]
     valid = f", valid until {found['until']}" if found["until"] else ""
     kept = f" Its report is kept as {found['file']}." if found["file"] else ""

@@ -66,13 +66,13 @@ def submit(file: str, asker: Asker, request: str, propose: bool) -> None:
     """Check the campaign FILE, row by row, submit it, and print its id. If a row has errors, nothing is
     submitted."""
     with asker.lab() as client:
-        told = client.submit_campaign(file, user=asker.user, request=request, propose=propose)
+        answer = client.submit_campaign(file, user=asker.user, request=request, propose=propose)
     if asker.as_json:
-        show_json(told)
+        show_json(answer)
         return
-    if told["approval"]:
-        click.echo(f"labos: {told['approval']}", err=True)
-    click.echo(told["campaign"])
+    if answer["approval"]:
+        click.echo(f"labos: {answer['approval']}", err=True)
+    click.echo(answer["campaign"])
 
 
 @command.command("plan")
@@ -89,17 +89,22 @@ def plan(file: str, asker: Asker) -> None:
 
     with asker.lab() as client:
         answer = client.forecast_campaign(file, user=asker.user)
-    told, forecast = answer["estimate"], answer["forecast"]
+    estimate, forecast = answer["estimate"], answer["forecast"]
     if asker.as_json:
-        show_json({**told, "forecast": forecast})
+        show_json({**estimate, "forecast": forecast})
         return
-    checked = "" if told["checked"] == told["rows"] else f" ({told['checked']} of them were checked)"
-    click.echo(f"{told['name']}: {told['rows']} rows of {told['workflow']} in {told['workcell']}{checked}")
-    click.echo(f"module time: {show_span(told['module_time_s'])}")
-    click.echo(f"at least:    {show_span(told['bounds_s'])}, for {told['busiest']}")
+    checked = (
+        "" if estimate["checked"] == estimate["rows"] else f" ({estimate['checked']} of them were checked)"
+    )
+    click.echo(
+        f"{estimate['name']}: {estimate['rows']} rows of {estimate['workflow']} "
+        f"in {estimate['workcell']}{checked}"
+    )
+    click.echo(f"module time: {show_span(estimate['module_time_s'])}")
+    click.echo(f"at least:    {show_span(estimate['bounds_s'])}, for {estimate['busiest']}")
     rows = [
         (kind, f"{item['needed']:g}", "not counted" if item["left"] is None else f"{item['left']:g}")
-        for kind, item in told["consumables"].items()
+        for kind, item in estimate["consumables"].items()
     ]
     if rows:
         show_table(("consumable", "needed", "left"), rows)
@@ -122,10 +127,10 @@ def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None
     other users."""
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = [s for s in list_campaign_histories(store).values() if archived or not s.archived]
-    ended = [story.campaign.id for story in told if story.ended_at]
+        stories = [s for s in list_campaign_histories(store).values() if archived or not s.archived]
+    ended = [story.campaign.id for story in stories if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
-    shown = [story for story in told if story.campaign.id not in hidden]
+    shown = [story for story in stories if story.campaign.id not in hidden]
     if as_json:
         show_json([_make_plain(story) for story in shown])
         return
@@ -231,8 +236,8 @@ def archive(campaign: str, asker: Asker, undo: bool) -> None:
     and all other commands accept its id."""
     with asker.lab() as client:
         client.archive_campaign(campaign, asker.user, undo=undo)
-    told = f"{campaign} is shown in lists again." if undo else f"{campaign} is archived."
-    asker.tell(told, {"campaign": campaign, "archived": not undo})
+    message = f"{campaign} is shown in lists again." if undo else f"{campaign} is archived."
+    asker.tell(message, {"campaign": campaign, "archived": not undo})
 
 
 @command.command("cancel")
@@ -290,14 +295,14 @@ def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: An
     labos campaign clone C1 --dry-run
     """
     with asker.lab() as client:
-        told = client.clone_campaign(campaign, asker.user, **asked, **terms_wanted)
+        answer = client.clone_campaign(campaign, asker.user, **asked, **terms_wanted)
     if asker.as_json:
-        show_json(told)
+        show_json(answer)
         return
-    if told["approval"]:
-        click.echo(f"labos: {told['approval']}", err=True)
-    estimate = told["estimate"]
-    click.echo(told["campaign"] or f"{estimate['rows']} rows of {estimate['workflow']} can be carried out.")
+    if answer["approval"]:
+        click.echo(f"labos: {answer['approval']}", err=True)
+    estimate = answer["estimate"]
+    click.echo(answer["campaign"] or f"{estimate['rows']} rows of {estimate['workflow']} can be carried out.")
 
 
 def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:

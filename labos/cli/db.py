@@ -71,8 +71,8 @@ def upgrade(where: Where, as_json: bool) -> None:
     runs. It never changes a database of a newer LabOS."""
     found = read_database_status(where.url)
     if found.state == "current":
-        told = f"The {found.name} is already at revision {found.revision}."
-        tell(told, {"before": found.revision, "revision": found.revision}, as_json=as_json)
+        message = f"The {found.name} is already at revision {found.revision}."
+        tell(message, {"before": found.revision, "revision": found.revision}, as_json=as_json)
         return
     owner = find_lease_holder(where.url)
     if owner:
@@ -84,8 +84,8 @@ def upgrade(where: Where, as_json: bool) -> None:
         _advise_backup(where)
     revision = migrate(where.url)
     before = found.revision or "no revision"
-    told = f"The {found.name} was upgraded from {before} to revision {revision}."
-    tell(told, {"before": found.revision, "revision": revision}, as_json=as_json)
+    message = f"The {found.name} was upgraded from {before} to revision {revision}."
+    tell(message, {"before": found.revision, "revision": revision}, as_json=as_json)
 
 
 @command.command("restored")
@@ -101,8 +101,8 @@ def record_restored(where: Where, as_json: bool) -> None:
         raise Refused(f"{found.name}: {_describe_status(found)}.", remedy="No epoch has to be exceeded.")
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
-    told = f"The {found.name} continues with an epoch above {after}; it was {before}."
-    tell(told, {"before": before, "above": after}, as_json=as_json)
+    message = f"The {found.name} continues with an epoch above {after}; it was {before}."
+    tell(message, {"before": before, "above": after}, as_json=as_json)
 
 
 @command.command("writer")
@@ -132,8 +132,8 @@ def scrub(where: Where, as_json: bool) -> None:
     delete these files.
     """
     left = scrub_words(where.url)
-    told = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
-    tell(told, {"left": left}, as_json=as_json)
+    message = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
+    tell(message, {"left": left}, as_json=as_json)
     if left:
         click.get_current_context().exit(1)
 

@@ -78,8 +78,10 @@ def _examine(where: Where) -> Iterator[DoctorFinding]:
     kernel = find_kernel(where.home)
     yield _check_database(where)
     if not where.home.is_dir():
-        told = f"There is no folder {where.home}."
-        yield DoctorFinding("home", "fault", told, "Name the lab's folder (--home), or start a lab: labos up")
+        message = f"There is no folder {where.home}."
+        yield DoctorFinding(
+            "home", "fault", message, "Name the lab's folder (--home), or start a lab: labos up"
+        )
         return
     file = find_database_file(where.url)
     disk = file.parent if file is not None and file.parent.is_dir() else where.home
@@ -115,20 +117,22 @@ def _check_database(where: Where) -> DoctorFinding:
     try:
         found = read_database_status(where.url)
     except LabosError as error:
-        told = f"The database {show_url(where.url)} cannot be used: {error.message}"
-        return DoctorFinding("database", "fault", told, error.remedy)
-    told = f"The {found.name} is at revision {found.revision or 'none'}; this LabOS needs {found.expected}."
+        message = f"The database {show_url(where.url)} cannot be used: {error.message}"
+        return DoctorFinding("database", "fault", message, error.remedy)
+    message = (
+        f"The {found.name} is at revision {found.revision or 'none'}; this LabOS needs {found.expected}."
+    )
     match found.state:
         case "current":
-            return DoctorFinding("database", "ok", told)
+            return DoctorFinding("database", "ok", message)
         case "missing" | "empty":
-            told = f"There is no log in {show_url(where.url)} yet."
+            message = f"There is no log in {show_url(where.url)} yet."
             return DoctorFinding(
-                "database", "warning", told, "labos up creates one. Or give the right --home."
+                "database", "warning", message, "labos up creates one. Or give the right --home."
             )
         case "older":
-            return DoctorFinding("database", "fault", told, "Make a backup, then run: labos db upgrade")
-    return DoctorFinding("database", "fault", told, "Install the newer LabOS that wrote it.")
+            return DoctorFinding("database", "fault", message, "Make a backup, then run: labos db upgrade")
+    return DoctorFinding("database", "fault", message, "Install the newer LabOS that wrote it.")
 
 
 def _check_state(where: Where) -> Iterator[DoctorFinding]:
@@ -149,29 +153,29 @@ def _check_ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFindin
     if kernel is None:
         for name, port in (("HTTP", ports.http), ("bus", ports.bus)):
             if port and not is_free(port):
-                told = f"Another program listens on {port}, the lab's port for {name}."
+                message = f"Another program listens on {port}, the lab's port for {name}."
                 remedy = f"End that program, or use another port: labos up --{name.lower()}-port PORT"
-                yield DoctorFinding("ports", "fault", told, remedy)
+                yield DoctorFinding("ports", "fault", message, remedy)
         return
     endpoint = urlsplit(kernel.bus.replace("/", "://", 1))
     try:
         socket.create_connection((endpoint.hostname or "", endpoint.port or 0), timeout=2.0).close()
         yield _check_bus(kernel.bus, endpoint.hostname or "")
     except (OSError, ValueError) as error:
-        told = f"The bus does not answer at {kernel.bus}: {error}."
+        message = f"The bus does not answer at {kernel.bus}: {error}."
         yield DoctorFinding(
-            "bus", "fault", told, "Start it (labos bus), and check the firewall between the hosts."
+            "bus", "fault", message, "Start it (labos bus), and check the firewall between the hosts."
         )
 
 
 def _check_bus(where: str, host: str) -> DoctorFinding:
     from labos.http.server import is_own_address
 
-    told = f"The bus answers at {where}."
+    message = f"The bus answers at {where}."
     if where.startswith("tls/") or is_own_address(host):
-        return DoctorFinding("bus", "ok", told)
-    told = f"{told} Other computers can reach it without authentication."
-    return DoctorFinding("bus", "warning", told, "labos up --secure; see docs/secure-bus.md.")
+        return DoctorFinding("bus", "ok", message)
+    message = f"{message} Other computers can reach it without authentication."
+    return DoctorFinding("bus", "warning", message, "labos up --secure; see docs/secure-bus.md.")
 
 
 def _check_lab_certificates(authority: Authority) -> Iterator[DoctorFinding]:
@@ -189,15 +193,17 @@ def _explain_no_kernel(where: Where) -> DoctorFinding:
     except LabosError:
         owner = ""
     if owner:
-        told = f"Another kernel ({owner}) writes this log, and does not answer here."
+        message = f"Another kernel ({owner}) writes this log, and does not answer here."
         return DoctorFinding(
-            "kernel", "warning", told, "It runs on another computer, or is frozen. Check it there."
+            "kernel", "warning", message, "It runs on another computer, or is frozen. Check it there."
         )
     last = last_kernel(where.home)
     if last is not None and last.pid:
-        told = f"The last kernel of this lab (pid {last.pid}) ended unexpectedly: it was killed, or crashed."
+        message = (
+            f"The last kernel of this lab (pid {last.pid}) ended unexpectedly: it was killed, or crashed."
+        )
         return DoctorFinding(
-            "kernel", "warning", told, "Read the journal of its service, then start it again: labos up"
+            "kernel", "warning", message, "Read the journal of its service, then start it again: labos up"
         )
     return DoctorFinding("kernel", "ok", "No kernel runs this lab. The last one ended normally.")
 
@@ -216,9 +222,9 @@ def _check_kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
         return
     yield _check_health(kernel, health)
     for driver, why in health.get("broken_drivers", {}).items():
-        told = f"The driver {driver} cannot be loaded: {why}"
+        message = f"The driver {driver} cannot be loaded: {why}"
         yield DoctorFinding(
-            "drivers", "warning", told, "Install the packages that it needs, if a module uses this driver."
+            "drivers", "warning", message, "Install the packages that it needs, if a module uses this driver."
         )
     yield from check_nodes(heard, VERSION)
 
@@ -226,18 +232,18 @@ def _check_kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
 def _check_health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
     check = health.get("log_check") or {}
     if check.get("damage"):
-        told = f"The log is damaged. {check['damage']}"
+        message = f"The log is damaged. {check['damage']}"
         return DoctorFinding(
-            "log", "fault", told, "Do not change it. Check it with labos verify, then restore a backup."
+            "log", "fault", message, "Do not change it. Check it with labos verify, then restore a backup."
         )
     if health.get("status") != "ok" or health.get("suspended"):
-        told = (
+        message = (
             f"The kernel at {kernel.url} does not write: {health.get('suspended') or health.get('status')}."
         )
         return DoctorFinding(
             "kernel",
             "fault",
-            told,
+            message,
             "Check its database. The kernel continues when the database is available again.",
         )
     return DoctorFinding(
@@ -248,14 +254,14 @@ def _check_health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
 def _check_checkpoint(home: Path) -> DoctorFinding:
     newest = find_newest(home / FOLDER)
     if newest is None:
-        told = "No checkpoint of the log was signed yet. Without one, other people cannot verify the log."
+        message = "No checkpoint of the log was signed yet. Without one, other people cannot verify the log."
         return DoctorFinding(
-            "checkpoints", "warning", told, "labos key create, then labos checkpoint --follow --to PLACE"
+            "checkpoints", "warning", message, "labos key create, then labos checkpoint --follow --to PLACE"
         )
     made_ns = int(newest.stat().st_mtime * 1e9)
-    told = f"The newest checkpoint is {newest.name}, of {show_time(made_ns)}."
+    message = f"The newest checkpoint is {newest.name}, of {show_time(made_ns)}."
     if now_ns() - made_ns > LONG_AGO_S * 1e9:
         return DoctorFinding(
-            "checkpoints", "warning", told, "Check whether labos checkpoint --follow still runs."
+            "checkpoints", "warning", message, "Check whether labos checkpoint --follow still runs."
         )
-    return DoctorFinding("checkpoints", "ok", told)
+    return DoctorFinding("checkpoints", "ok", message)

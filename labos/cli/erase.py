@@ -84,10 +84,10 @@ def _describe_erasure(done: dict[str, Any]) -> str:
             f"labos erase --approve {done['erasure']}"
         )
     texts = "1 text was" if done["erased"] == 1 else f"{done['erased']} texts were"
-    told = f"{texts} erased; position {done['position']} of the log records this."
+    message = f"{texts} erased; position {done['position']} of the log records this."
     if done["left"]:
-        told += f"\nTraces may still be in the database's files: {done['left']}."
-    return told
+        message += f"\nTraces may still be in the database's files: {done['left']}."
+    return message
 
 
 def _show(waiting: list[dict[str, Any]], *, as_json: bool) -> None:

@@ -27,10 +27,10 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = list(list_experiment_histories(store).values())
-    ended = [story.id for story in told if story.ended_at]
+        stories = list(list_experiment_histories(store).values())
+    ended = [story.id for story in stories if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
-    shown = [story for story in told if story.id not in hidden]
+    shown = [story for story in stories if story.id not in hidden]
     if as_json:
         show_json(shown)
         return

@@ -42,11 +42,11 @@ def command(where: Where, run: str, as_json: bool) -> None:
         lives = has_kernel(where.url)
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
     now_of = [_describe_now(state, story, now, lives) for story in stories]
-    told = [
+    runs = [
         {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
     ]
     if as_json:
-        show_json({"experiment": inside, "runs": told} if inside else told[0])
+        show_json({"experiment": inside, "runs": runs} if inside else runs[0])
         return
     if inside:
         why = f" ({inside.why})" if inside.why else ""

@@ -112,7 +112,7 @@ def command(
     elif as_json:
         show_json(found)
     elif found:
-        show_table(COLUMNS, [_row(told) for told in found])
+        show_table(COLUMNS, [_row(result_file) for result_file in found])
         if file:
             click.echo(f"To fetch it: labos files {run} {file} -o .")
     else:
@@ -146,51 +146,60 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
         return
     for name in found:
         click.echo(f"{name}{' removed' if name in removed else ''}")
-    told = f"{len(found)} files without a reference in the log"
-    click.echo(f"{told}; {len(removed)} were removed." if keep_days is not None else f"{told}.")
+    message = f"{len(found)} files without a reference in the log"
+    click.echo(f"{message}; {len(removed)} were removed." if keep_days is not None else f"{message}.")
 
 
-def _row(told: ResultFile) -> tuple[str, ...]:
-    return (told.run, told.step, told.file, str(told.bytes), show_time(told.time), told.sha256[:SHORT])
+def _row(result_file: ResultFile) -> tuple[str, ...]:
+    return (
+        result_file.run,
+        result_file.step,
+        result_file.file,
+        str(result_file.bytes),
+        show_time(result_file.time),
+        result_file.sha256[:SHORT],
+    )
 
 
 def _find_files(found: list[ResultFile], run: str, file: str) -> list[ResultFile]:
     """The files of that name, with or without their folder, or the one of that SHA-256. Raises NotFound."""
-    wanted = [told for told in found if told.file == file]
-    wanted = wanted or [told for told in found if PurePath(told.file).name == file]
+    wanted = [result_file for result_file in found if result_file.file == file]
+    wanted = wanted or [result_file for result_file in found if PurePath(result_file.file).name == file]
     if not wanted and len(file) >= 4:
-        wanted = [told for told in found if told.sha256.startswith(file.lower())]
+        wanted = [result_file for result_file in found if result_file.sha256.startswith(file.lower())]
     if not wanted:
         raise NotFound(f"{run} has no file {file!r}.", remedy=f"List them: labos files {run}")
     return wanted
 
 
-def _name_of(told: ResultFile) -> str:
+def _name_of(result_file: ResultFile) -> str:
     """The name of a file here: nodes choose names, and a name must not lead out of the folder."""
-    name = PureWindowsPath(Path(told.file).name).name
+    name = PureWindowsPath(Path(result_file.file).name).name
     fits = name not in ("", ".", "..") and not CONTROL.search(name)
-    return name if fits else f"file-{told.sha256[:SHORT]}"
+    return name if fits else f"file-{result_file.sha256[:SHORT]}"
 
 
 def _fetch(blobs: BlobReader, found: list[ResultFile], to: str, *, one: bool) -> list[str]:
     """Write files; returns where. Raises BadInput if a file exists already, NotFound, LogDamaged."""
     if to == "-":
-        for told in found[-1:]:
-            click.echo(blobs.get(told.sha256), nl=False)
+        for result_file in found[-1:]:
+            click.echo(blobs.get(result_file.sha256), nl=False)
         return []
     folder = Path(to)
     into_folder = not one or folder.is_dir() or to.endswith(("/", "\\"))
     targets: dict[Path, ResultFile] = {}
-    for told in found:
-        path = folder / _name_of(told) if into_folder else folder
+    for result_file in found:
+        path = folder / _name_of(result_file) if into_folder else folder
         known = targets.get(path)
-        if known is not None and known.sha256 != told.sha256:
-            path = path.with_name(f"{told.step}-{told.sha256[:SHORT]}-{path.name}".replace("/", "_"))
-        targets[path] = told
-    for path, told in targets.items():
-        if path.exists() and path.read_bytes() != blobs.get(told.sha256):
+        if known is not None and known.sha256 != result_file.sha256:
+            path = path.with_name(
+                f"{result_file.step}-{result_file.sha256[:SHORT]}-{path.name}".replace("/", "_")
+            )
+        targets[path] = result_file
+    for path, result_file in targets.items():
+        if path.exists() and path.read_bytes() != blobs.get(result_file.sha256):
             raise BadInput(f"{path} already exists, and is another file.", remedy="Name another --output.")
-    for path, told in targets.items():
+    for path, result_file in targets.items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(blobs.get(told.sha256))
+        path.write_bytes(blobs.get(result_file.sha256))
     return [str(path) for path in targets]

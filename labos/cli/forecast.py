@@ -22,17 +22,17 @@ def command(asker: Asker) -> None:
     from labos.cli._forecast import show_campaign, show_runs, show_touches
 
     with asker.lab() as client:
-        told = client.forecast()
+        answer = client.forecast()
     if asker.as_json:
-        show_json(told)
+        show_json(answer)
         return
-    found = told["forecast"]
+    found = answer["forecast"]
     show_runs(found)
     for campaign in found["campaigns"]:
-        said = "; ".join(f"{what} {text}" for what, text in show_campaign(campaign, found["now_at"]))
-        click.echo(f"{campaign['campaign']} ({campaign['name']}): {said}")
+        line = "; ".join(f"{what} {text}" for what, text in show_campaign(campaign, found["now_at"]))
+        click.echo(f"{campaign['campaign']} ({campaign['name']}): {line}")
     show_touches(found)
-    for drift in told["drifts"]:
+    for drift in answer["drifts"]:
         click.echo(
             f"drift:       {drift['module']}.{drift['action']} takes {drift['takes_s']:.3g} s, "
             f"planned {drift['planned_s']:.3g} s"

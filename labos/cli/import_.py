@@ -247,17 +247,17 @@ def _tell(outcome: ImportOutcome) -> None:
 
 def _tell_assumed(outcome: ImportOutcome) -> None:
     """The assumptions, the most important first; the others are comments in the files."""
-    told = sorted(
+    findings = sorted(
         (finding for file in outcome.written for finding in file.assumed if finding.assumed),
         key=lambda finding: ASSUMED.index(finding.assumed),
     )
-    if not told:
+    if not findings:
         return
     click.echo("Assumptions, the most important first:")
-    for finding in told[:MOST_TOLD]:
+    for finding in findings[:MOST_TOLD]:
         click.echo(f"  {finding.as_error()}")
-    if len(told) > MOST_TOLD:
-        click.echo(f"  … and {len(told) - MOST_TOLD} more; each is a comment in its file.")
+    if len(findings) > MOST_TOLD:
+        click.echo(f"  … and {len(findings) - MOST_TOLD} more; each is a comment in its file.")
 
 
 def _describe_counts(counts: dict[str, int]) -> str:

@@ -41,16 +41,16 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
 
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = [story for story in list_intervention_histories(store).values() if story.open]
+        stories = [story for story in list_intervention_histories(store).values() if story.open]
     entries = [
         story
-        for story in sorted(told, key=lambda story: story.due_at)
+        for story in sorted(stories, key=lambda story: story.due_at)
         if story.kind == PlannedWork.KIND and module in (None, story.module)
     ]
     if as_json:
         show_json([_as_json(story) for story in entries])
         return
-    asked = [story.id for story in told if story.kind != PlannedWork.KIND]
+    asked = [story.id for story in stories if story.kind != PlannedWork.KIND]
     if not entries:
         click.echo("No planned work waits now.")
         _tell_asked(asked)
@@ -110,5 +110,5 @@ def confirm(intervention: str, not_done: bool, why: str, result: str | None, ask
             )
         choice = "not_done" if not_done else "done"
         client.resolve(intervention, choice, asker.user, why, read_result(result))
-    told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
-    asker.tell(told, {"id": intervention, "choice": choice})
+    message = f"{intervention} is confirmed{' as not done' if not_done else ''}."
+    asker.tell(message, {"id": intervention, "choice": choice})

@@ -37,10 +37,10 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = list(list_intervention_histories(store).values())
+        stories = list(list_intervention_histories(store).values())
         now = find_lab_now(where.url, store.head())
-        places = _find_places(fold_state_at(store)) if any(story.open for story in told) else {}
-    shown = [story for story in told if everything or story.open]
+        places = _find_places(fold_state_at(store)) if any(story.open for story in stories) else {}
+    shown = [story for story in stories if everything or story.open]
     if as_json:
         show_json([_make_plain(story, places) for story in shown])
         return
@@ -54,8 +54,8 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
         _tell(story, now, places.get(story.id, ""))
     if not waiting:
         click.echo("No question is open.")
-    if not everything and len(told) > len(shown):
-        more = len(told) - len(shown)
+    if not everything and len(stories) > len(shown):
+        more = len(stories) - len(shown)
         click.echo(f"{more} more {'is' if more == 1 else 'are'} answered: labos interventions --all")
 
 

@@ -173,8 +173,8 @@ def trace_command(module: str, off: bool, asker: Asker) -> None:
     """
     with asker.lab() as client:
         file = client.trace(module, asker.user, on=not off)
-    told = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
-    asker.tell(told, {"module": module, "file": file, "on": not off})
+    message = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
+    asker.tell(message, {"module": module, "file": file, "on": not off})
 
 
 @command.command("accept-unit")
@@ -204,8 +204,8 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
         keep_unit(file, serial)
     else:
         forget_unit(file)
-    told = f"{module}: {serial or 'the next unit'} is accepted (it was {was or 'none'}). Reset the module."
-    tell(told, {"module": module, "serial": serial, "was": was}, as_json=as_json)
+    message = f"{module}: {serial or 'the next unit'} is accepted (it was {was or 'none'}). Reset the module."
+    tell(message, {"module": module, "serial": serial, "was": was}, as_json=as_json)
 
 
 command.add_command(install)

@@ -105,8 +105,8 @@ def test(where: Where, contact: str, as_json: bool) -> None:
     message = test_message(_find_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
-    told = f"A test message was sent to {contact} by {channel}: {message.id}"
-    tell(told, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
+    text = f"A test message was sent to {contact} by {channel}: {message.id}"
+    tell(text, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
 
 
 @command.command("watch")

@@ -198,8 +198,8 @@ def revoke(where: Where, name: str, why: str, pki: Path | None, as_json: bool) -
     programs. Zenoh does not read it."""
     authority = _find_authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
-    told = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
-    tell(told, _list_facts(authority, entry), as_json=as_json)
+    message = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
+    tell(message, _list_facts(authority, entry), as_json=as_json)
 
 
 def _find_authority(where: Where, pki: Path | None) -> Authority:

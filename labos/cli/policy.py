@@ -27,10 +27,10 @@ def command(file: str | None, asker: Asker) -> None:
     with asker.lab() as client:
         if file is not None:
             client.apply_policy(read_file(file), file, asker.user)
-        told = client.policy()
+        answer = client.policy()
     if asker.as_json:
-        show_json(told)
+        show_json(answer)
         return
-    if not told["applied"]:
+    if not answer["applied"]:
         click.echo("No policy was set. These are the defaults.")
-    show_table(("what", "says"), list(policy_lines(told["policy"])))
+    show_table(("what", "says"), list(policy_lines(answer["policy"])))

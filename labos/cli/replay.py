@@ -106,8 +106,8 @@ def _show(step: LogStep, names: Catalogue, beside: WordsBeside, as_json: bool) -
         )
         return
     kind = click.style(f"{head.type:<22}", fg="cyan")
-    told = describe(step.event, head, names)
-    lines = [f"{head.position:>6}  {show_time(head.recorded_at)}  {kind} {told}"]
+    description = describe(step.event, head, names)
+    lines = [f"{head.position:>6}  {show_time(head.recorded_at)}  {kind} {description}"]
     lines += [f"          {_line(change)}" for change in step.changes]
     click.echo(show_text(beside, "\n".join(lines)))
 
@@ -135,16 +135,16 @@ def _walk(found: Iterator[LogStep], state: LabState, beside: WordsBeside) -> Non
             continue
         _show(step, names, beside, as_json=False)
         while True:
-            said = click.prompt("", default="", show_default=False, prompt_suffix="> ").strip()
-            if said == "q":
+            answer = click.prompt("", default="", show_default=False, prompt_suffix="> ").strip()
+            if answer == "q":
                 return
-            if said.isdigit():
-                upto = int(said)
+            if answer.isdigit():
+                upto = int(answer)
                 break
-            if not said:
+            if not answer:
                 break
-            if said == "s" or said.startswith("s "):
-                _show_state(state, said[2:].strip(), beside)
+            if answer == "s" or answer.startswith("s "):
+                _show_state(state, answer[2:].strip(), beside)
             else:
                 click.echo(HELP)
 

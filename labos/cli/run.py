@@ -99,7 +99,7 @@ def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
     from labos.cli._out import show_json
 
     with need_lab(home) as client:
-        told = client.forecast_run(
+        answer = client.forecast_run(
             job.text,
             payload=job.values,
             user=job.user,
@@ -107,9 +107,9 @@ def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
             priority=job.priority,
             place=parse_places(job.placed),
         )
-    found = told["forecast"]
+    found = answer["forecast"]
     if as_json:
-        show_json(told)
+        show_json(answer)
     elif found["refusal"]:
         click.echo(f"It would be refused: {found['refusal']}")
     else:

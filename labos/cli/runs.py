@@ -87,7 +87,7 @@ def _find_waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[st
     for run in alive[:WAITS_TOLD]:
         if run is not None:
             found[run.id] += [reason.why for reason in list_reasons(state, run, now, scheduler)]
-    return {run: told for run, told in found.items() if told}
+    return {run: reasons for run, reasons in found.items() if reasons}
 
 
 def _find_due(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, str]:
@@ -107,7 +107,7 @@ def _row(
     steps = f"{run.done}/{run.in_play}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
-    why = run.why or "; ".join(f"waits: {told}" for told in waits.get(run.id, []))
+    why = run.why or "; ".join(f"waits: {reason}" for reason in waits.get(run.id, []))
     span = show_duration(run, now)
     known = run.id, name, run.user, run.experiment, run.status, steps, submitted, span
     return *known, *([due.get(run.id, "")] if dated else []), why
@@ -127,8 +127,8 @@ def _show_one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str])
     click.echo(f"{run.id}: {run.workflow} on {run.workcell} for {run.user}{experiment}: {run.status}")
     if run.why:
         click.echo(f"Why: {run.why}")
-    for told in waits.get(run.id, []):
-        click.echo(f"Waits: {told} (labos explain {run.id})")
+    for reason in waits.get(run.id, []):
+        click.echo(f"Waits: {reason} (labos explain {run.id})")
     if run.due_at:
         click.echo(f"Due: {due[run.id]}")
     times = (("submitted", run.submitted_at), ("started", run.started_at), ("ended", run.ended_at))

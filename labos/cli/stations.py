@@ -133,8 +133,8 @@ def _place(
 def _rows(place: StationPlace) -> list[tuple[str, ...]]:
     """One line for the station with its pieces without ids; one line for each further piece of labware."""
     if place.shelves:
-        told = f"{len(place.labware)} on {place.shelves} shelves"
-        return [(local(StationName(place.station)), place.kind, told, "", "")]
+        text = f"{len(place.labware)} on {place.shelves} shelves"
+        return [(local(StationName(place.station)), place.kind, text, "", "")]
     lines: list[tuple[str, str, str]] = []
     if place.stock:
         counts = {kind: place.stock.count(kind) for kind in place.stock}

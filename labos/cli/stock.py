@@ -36,8 +36,8 @@ def load(station: str, labware: str, count: int, lot: str, asker: Asker) -> None
         show_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
         return
     of_lot = f" of lot {lot}" if lot else ""
-    told = [name if where.get(name, station) == station else f"{name} at {where[name]}" for name in names]
-    called = f": {', '.join(told)}" if told else ""
+    pieces = [name if where.get(name, station) == station else f"{name} at {where[name]}" for name in names]
+    called = f": {', '.join(pieces)}" if pieces else ""
     click.echo(f"{count} × {labware}{of_lot} loaded at {station}{called}.")
 
 

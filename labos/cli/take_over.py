@@ -84,8 +84,8 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
     finally:
         store.close()
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
-    told = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
-    tell(told, facts, as_json=as_json)
+    message = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
+    tell(message, facts, as_json=as_json)
 
 
 def expect_to_listen(pid: int, number: int) -> None:

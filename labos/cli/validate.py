@@ -118,7 +118,7 @@ def _check_alone(name: str, *, as_json: bool) -> None:
         raise needs
     path = find_spec_path("workcells", name)
     findings: list[Finding] = []
-    told = ""
+    summary = ""
     try:
         source = read(path, last_wins=True)
         kind, known = detect_kind(source)[0], descriptions()
@@ -128,7 +128,7 @@ def _check_alone(name: str, *, as_json: bool) -> None:
         findings = list(found.findings)
         if kind == "workcell":
             findings += check_layout(source, compile_workcell(source, known), shape_of)
-        told = f"{found.name}: " + ", ".join(f"{count} {what}" for what, count in found.counts.items())
+        summary = f"{found.name}: " + ", ".join(f"{count} {what}" for what, count in found.counts.items())
     except SpecErrors as errors:
         findings = list(errors.findings)
     except SpecError as error:
@@ -139,7 +139,7 @@ def _check_alone(name: str, *, as_json: bool) -> None:
     else:
         for finding in findings:
             click.echo(f"{finding.severity}: {finding.as_error()}")
-        click.echo(f"{told}, no errors." if sound else "It cannot be used.")
+        click.echo(f"{summary}, no errors." if sound else "It cannot be used.")
     if not sound:
         click.get_current_context().exit(1)
 
@@ -213,8 +213,8 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
     for name in used:
         found = heard.get(name, {"answer": "absent"})
         answer, why = found["answer"], found.get("why", "")
-        told = f"{answer}: {why}" if why else answer
-        verdict.modules[local(name)] = "not in the running lab" if answer == "absent" else told
+        text = f"{answer}: {why}" if why else answer
+        verdict.modules[local(name)] = "not in the running lab" if answer == "absent" else text
         if answer not in READY:
             verdict.unreachable.append(local(name))
 

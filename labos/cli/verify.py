@@ -188,7 +188,7 @@ def command(
         more = list_surplus(store, nodes) if nodes and not fault else []
         if more and not fault:
             fault = f"The nodes know more than the log: {more[0].journal} knows {more[0].knows}."
-        others = [said for part in parts for said in part.faults]
+        others = [part_fault for part in parts for part_fault in part.faults]
         whole = not fault and not others
         written = file is not None and not signed and whole and (seen is None or export)
         if file is not None and written:

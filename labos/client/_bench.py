@@ -31,8 +31,8 @@ class BenchCalls(GeneratedCalls):
     def leave(self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = "") -> None:
         """Report that no person is in the workcell any more, and the present content of changed stations:
         ``empty``, labware by its id, or a labware type."""
-        told = [{"station": station, "what": what} for station, what in changed]
-        self._end_workcell_access(workcell, by, note=note, changed=told)
+        changes = [{"station": station, "what": what} for station, what in changed]
+        self._end_workcell_access(workcell, by, note=note, changed=changes)
 
     def load_samples(
         self,

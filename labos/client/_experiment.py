@@ -173,15 +173,15 @@ class Experiment(LoggedEvents):
         """Run a workflow to its end. Raises RunFailed if it does not complete, ReplayMismatch if a restarted
         program requested another one."""
         taken, record = self._take("run", workflow, key), self._record
-        request, told = record.request_of(taken), workflow_text(workflow, payload)
+        request, source = record.request_of(taken), workflow_text(workflow, payload)
         with record.keep_key_on_failure(taken):
-            run = record.find_run(taken, request, told, payload)
+            run = record.find_run(taken, request, source, payload)
             if run:
                 result = self.lab.wait(run, progress=progress)
             else:
                 options = {**self._make_options(), "request": request, "progress": progress}
-                with record.expect_same(taken, request, told, payload):
-                    result = self.lab.run(told, payload, **options)
+                with record.expect_same(taken, request, source, payload):
+                    result = self.lab.run(source, payload, **options)
         if check and not result.succeeded:
             raise RunFailed(result)
         return result
@@ -371,13 +371,13 @@ class Experiment(LoggedEvents):
         payload: Mapping[str, Any] | None,
         options: Mapping[str, Any],
     ) -> str:
-        told, record = workflow_text(workflow, payload), self._record
-        known = record.find_run(key, request, told, payload)
+        source, record = workflow_text(workflow, payload), self._record
+        known = record.find_run(key, request, source, payload)
         if known:
             self.lab.warnings = []
             return known
-        with record.expect_same(key, request, told, payload):
-            return self.lab.submit(told, payload, request=request, **{**self._make_options(), **options})
+        with record.expect_same(key, request, source, payload):
+            return self.lab.submit(source, payload, request=request, **{**self._make_options(), **options})
 
     def _send_heartbeats(self) -> None:
         while not self._over.wait(HEARTBEAT_S):

@@ -61,7 +61,7 @@ def campaign_text(campaign: str | Path) -> dict[str, Any]:
         raise BadInput(f"The campaign {str(campaign)!r} cannot be read: {error}.") from None
     name = find_workflow_of_campaign(text)
     written = find_beside(path, name)
-    told = {
+    source = {
         "text": text,
         "name": str(path),
         "workflow": workflow_text(written if written.is_file() else name),
@@ -70,8 +70,8 @@ def campaign_text(campaign: str | Path) -> dict[str, Any]:
     table = find_table_of_campaign(text)
     if table:
         with contextlib.suppress(OSError):  # the lab reports that it is missing, and where it is named
-            told["files"] = _encode([(table, find_beside(path, table).read_bytes())])
-    return told
+            source["files"] = _encode([(table, find_beside(path, table).read_bytes())])
+    return source
 
 
 def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, Any]:
@@ -125,10 +125,10 @@ def _read_files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Ite
 def _read_files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
     from labos.spec.files import find_logical, is_within
 
-    for told in sorted(names):
-        if "\n" in told or len(told) > 255:
+    for written in sorted(names):
+        if "\n" in written or len(written) > 255:
             continue
-        name = find_logical(told, folder)
+        name = find_logical(written, folder)
         try:
             file = (folder / name).resolve()
             if file.is_file() and file.stat().st_size <= LARGEST_FILE and is_within(file, folder):

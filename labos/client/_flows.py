@@ -116,14 +116,14 @@ def _carry_out(
         except ComputeFailed as error:
             if attempt == step.attempts:
                 return error.error
-            said: dict[str, Any] = {
+            facts: dict[str, Any] = {
                 "state": "retrying",
                 "flow_id": str(key),
                 "step": step.name,
                 "attempt": attempt,
             }
-            said["error"] = _one_line(error.error)
-            record.keep(f"{this} failed", "flow", flow.name, said)
+            facts["error"] = _one_line(error.error)
+            record.keep(f"{this} failed", "flow", flow.name, facts)
             if record.find_note(f"{key}/{step.name}#{attempt + 1}") is None:
                 time.sleep(min(pause, LONGEST_WAIT_S))
             pause *= 2

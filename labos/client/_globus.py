@@ -35,18 +35,20 @@ def run_flow(record: ExperimentRecord, key: Key, flow: GlobusFlow, given: Mappin
         if ended is not None:
             break
         run = run_once(flow, record.find_sent(f"{key} attempt {attempt}", "Globus Flows"), given)
-        told = {"flow_id": str(key), "globus_run": run.id, "states": run.states}
+        run_facts = {"flow_id": str(key), "globus_run": run.id, "states": run.states}
         if run.status == "SUCCEEDED":
             output = record.json_as_facts(as_json(run.output))
-            ended = record.keep(f"{key} ended", "flow", flow.name, {"state": "succeeded", **told, **output})
+            ended = record.keep(
+                f"{key} ended", "flow", flow.name, {"state": "succeeded", **run_facts, **output}
+            )
         else:
             last = attempt == flow.attempts
             name = f"{key} ended" if last else f"{key} attempt {attempt} failed"
             state = "failed" if last else "retrying"
-            said = record.keep(
-                name, "flow", flow.name, {"state": state, **told, "attempt": attempt, "error": run.why}
+            note = record.keep(
+                name, "flow", flow.name, {"state": state, **run_facts, "attempt": attempt, "error": run.why}
             )
-            ended = said if last else None
+            ended = note if last else None
     assert ended is not None
     facts = ended["facts"]
     if facts["state"] == "succeeded":
@@ -82,11 +84,11 @@ def transfer(
             "It is not said how the program is let in at Globus Transfer.",
             remedy="Give configure_transfer(globus=labos.services.globus.GlobusCarrier(…)) before.",
         )
-    said = {"source": str(source), "target": str(target)}
+    request = {"source": str(source), "target": str(target)}
     known = record.find_note(key)
     if known is None:
         begun = perf_counter()
-        places = GlobusPlace.parse(said["source"]), GlobusPlace.parse(said["target"])
+        places = GlobusPlace.parse(request["source"]), GlobusPlace.parse(request["target"])
         try:
             moved = attempts_of(
                 record,
@@ -98,13 +100,19 @@ def transfer(
             )
         except GlobusFailed as error:
             raise TransferFailed(
-                f"{said['source']} was not transferred to {said['target']}: {error}",
+                f"{request['source']} was not transferred to {request['target']}: {error}",
                 remedy="It is in the log; transfer it again.",
             ) from error
-        facts = {**said, "where": "globus", "task": moved.task, "sha256": moved.sha256, "bytes": moved.bytes}
+        facts = {
+            **request,
+            "where": "globus",
+            "task": moved.task,
+            "sha256": moved.sha256,
+            "bytes": moved.bytes,
+        }
         facts["seconds"] = round(perf_counter() - begun, 6)
-        known = record.keep(key, "transfer", urlsplit(said["target"]).path.rpartition("/")[2], facts)
-    return read_transfer(record, key, known["facts"], said)
+        known = record.keep(key, "transfer", urlsplit(request["target"]).path.rpartition("/")[2], facts)
+    return read_transfer(record, key, known["facts"], request)
 
 
 def ingest(record: ExperimentRecord, key: Key, index: GlobusIndex, content: Mapping[str, Any]) -> None:

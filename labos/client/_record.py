@@ -97,23 +97,23 @@ class ExperimentRecord:
         """The key of the request for a run."""
         return request_of(self.experiment, key)
 
-    def find_run(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> str:
+    def find_run(self, key: Key, request: str, source: Mapping[str, Any], payload: Any) -> str:
         """The run in the log for a request; empty if there is none. Raises ReplayMismatch."""
         recorded = self.past.runs.get(request)
         if recorded is None:
             return ""
-        check_run(self.experiment, key, recorded, told["text"], payload)
+        check_run(self.experiment, key, recorded, source["text"], payload)
         return str(recorded["run"])
 
     @contextmanager
-    def expect_same(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> Iterator[None]:
+    def expect_same(self, key: Key, request: str, source: Mapping[str, Any], payload: Any) -> Iterator[None]:
         """If the lab knows the key of a request with different content, raise ReplayMismatch with the
         difference."""
         try:
             yield
         except KeyReused:
             self._read_past_again()
-            self.find_run(key, request, told, payload)
+            self.find_run(key, request, source, payload)
             raise
 
     @contextmanager

@@ -85,12 +85,12 @@ class Computations:
         from concurrent.futures import Future
 
         facts = known["facts"]
-        told = facts.get("arguments_as_json", facts["arguments"])
-        if (what and told != what) or known["name"] != function_name(function):
+        recorded = facts.get("arguments_as_json", facts["arguments"])
+        if (what and recorded != what) or known["name"] != function_name(function):
             raise ReplayMismatch(
                 self._record.experiment,
                 known["key"],
-                f"{known['name']} of arguments {told[:12]}",
+                f"{known['name']} of arguments {recorded[:12]}",
                 f"{function_name(function)} of arguments {what[:12]}, {_show_arguments(args, named)}",
             )
         done: Future[Any] = Future()

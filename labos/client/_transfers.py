@@ -44,24 +44,24 @@ class TransferFailed(LabosError):
 def transfer(record: ExperimentRecord, key: Key, source: Place, target: str | Path) -> Transferred:
     """Copy a file, read the copy again, and log the transfer; or return the earlier transfer from the log.
     Raises TransferFailed, ReplayMismatch."""
-    said = {"source": show_place(source), "target": show_place(target)}
+    request = {"source": show_place(source), "target": show_place(target)}
     known = record.find_note(key)
     if known is None:
         begun = perf_counter()
         digest, size = _copy(record, source, str(target))
-        facts = {**said, "sha256": digest, "bytes": size, "seconds": round(perf_counter() - begun, 6)}
-        known = record.keep(key, "transfer", Path(urlsplit(said["target"]).path).name or "file", facts)
-    return read_transfer(record, key, known["facts"], said)
+        facts = {**request, "sha256": digest, "bytes": size, "seconds": round(perf_counter() - begun, 6)}
+        known = record.keep(key, "transfer", Path(urlsplit(request["target"]).path).name or "file", facts)
+    return read_transfer(record, key, known["facts"], request)
 
 
 def read_transfer(
-    record: ExperimentRecord, key: Key, facts: Mapping[str, Any], said: Mapping[str, str]
+    record: ExperimentRecord, key: Key, facts: Mapping[str, Any], request: Mapping[str, str]
 ) -> Transferred:
-    """A transfer from the log. Raises ReplayMismatch if it differs from ``said``, the present request."""
-    recorded = {name: facts[name] for name in said}
-    if recorded != said:
-        raise ReplayMismatch(record.experiment, key, recorded, said)
-    return Transferred(**said, sha256=facts["sha256"], bytes=facts["bytes"])
+    """A transfer from the log. Raises ReplayMismatch if it differs from ``request``, the present one."""
+    recorded = {name: facts[name] for name in request}
+    if recorded != request:
+        raise ReplayMismatch(record.experiment, key, recorded, request)
+    return Transferred(**request, sha256=facts["sha256"], bytes=facts["bytes"])
 
 
 def show_place(place: Place) -> str:

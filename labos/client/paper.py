@@ -74,9 +74,9 @@ class Experiment:
         """Run a workflow to its end: ``hist`` has the result of each step, by its name, as
         ``action_response`` and ``action_msg``; a file is its path below ``run_dir``. Raises RunFailed."""
         self.register_exp()
-        told = workflow_text(workflow, payload)
+        source = workflow_text(workflow, payload)
         # In the paper's programs one payload is used for several workflows; each takes its part.
-        taken = {name: value for name, value in (payload or {}).items() if name in told["text"]}
+        taken = {name: value for name, value in (payload or {}).items() if name in source["text"]}
         return self._info(self.experiment.run(workflow, taken))
 
     def end(self) -> None:
@@ -88,7 +88,7 @@ class Experiment:
 
     def _info(self, result: RunResult) -> RunInfo:
         folder = self.experiment_path / "runs" / result.id
-        told = {step.key: self._describe_result(step.result, folder) for step in result.steps}
+        results = {step.key: self._describe_result(step.result, folder) for step in result.steps}
         return {
             "run_id": result.id,
             "run_dir": folder,
@@ -97,7 +97,7 @@ class Experiment:
             "hist": {
                 step.key: {
                     "action_response": "succeeded" if step.state == "done" else step.state,
-                    "action_msg": told[step.key],
+                    "action_msg": results[step.key],
                     "action_log": step.error,
                 }
                 for step in result.steps

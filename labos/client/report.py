@@ -56,7 +56,7 @@ def write_report(
     folder: Path,
     title: str,
     *,
-    said: Sequence[str],
+    paragraphs: Sequence[str],
     pictures: Mapping[str, tuple[str, Drawing | bytes]],
     table: Sequence[Mapping[str, Any]] = (),
     files: str = "its files",
@@ -74,7 +74,7 @@ def write_report(
     page = folder / "index.html"
     where = f"experiment {experiment.id} in the lab's log, with {files} as files"
     shown = [(name, pictures[name][0], content) for name, content in contents.items()]
-    page.write_text(_write_page(f"{title} {experiment.id}", said, shown, table, where), "utf-8")
+    page.write_text(_write_page(f"{title} {experiment.id}", paragraphs, shown, table, where), "utf-8")
     experiment.note("publication", "report", files=[str(path.resolve()) for path in (*written, page)])
     return ReportPage(page, f"The data: {where}; {page}")
 
@@ -130,8 +130,8 @@ def run_program(
             lines = work(lab)
     except (LabosError, KeyboardInterrupt) as error:
         is_wrong = isinstance(error, LabosError)
-        said = [str(error)] if is_wrong else []
-        sys.stderr.writelines(f"{name}: {line}\n" for line in (*said, *getattr(error, "__notes__", ())))
+        messages = [str(error)] if is_wrong else []
+        sys.stderr.writelines(f"{name}: {line}\n" for line in (*messages, *getattr(error, "__notes__", ())))
         return 1 if is_wrong else 130
     for line in lines:
         sys.stdout.write(f"{name}: {line}\n")
@@ -156,12 +156,12 @@ def _write_table(path: Path, table: Sequence[Mapping[str, Any]]) -> Path:
 
 def _write_page(
     title: str,
-    said: Sequence[str],
+    paragraphs: Sequence[str],
     pictures: Sequence[tuple[str, str, bytes]],
     table: Sequence[Mapping[str, Any]],
     where: str,
 ) -> str:
-    body = [f"<p>{html.escape(paragraph)}</p>" for paragraph in said]
+    body = [f"<p>{html.escape(paragraph)}</p>" for paragraph in paragraphs]
     for name, shows, content in pictures:
         data = base64.b64encode(content).decode()
         kind = MEDIA[Path(name).suffix]

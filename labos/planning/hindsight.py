@@ -235,8 +235,8 @@ class Hindsight(msgspec.Struct):
         """What is foreseen for a run now, and told; ``first`` is what was at its submission."""
         age, started = (at - first.at, first.started) if first is not None else (0, 0)
         start, end = play.starts[run], play.ends[run]
-        told = self.expect("starts", start, at, age), self.expect("ends", end, at, age)
-        return PastForecast(run, at, tuple(self.pauses), start, end, *told, started=started, age=age)
+        ranges = self.expect("starts", start, at, age), self.expect("ends", end, at, age)
+        return PastForecast(run, at, tuple(self.pauses), start, end, *ranges, started=started, age=age)
 
     def _adapt_ranges(self, past: PastForecast, what: str) -> None:
         """Widen or narrow the ranges to come."""
@@ -244,8 +244,8 @@ class Hindsight(msgspec.Struct):
         for kind in ("usual", "alone"):
             if kind == "alone" and not past.is_alone(what):
                 continue
-            told, name = past.find_range(what, kind), _name_level(what, kind, past.age)
-            missed = not told.earliest_at <= came <= told.latest_at
+            time_range, name = past.find_range(what, kind), _name_level(what, kind, past.age)
+            missed = not time_range.earliest_at <= came <= time_range.latest_at
             level = self.levels.get(name, self.target) + RATE * (missed - (1 - self.target))
             self.levels[name] = min(MOST_LEVEL, max(self.target - MOST_BELOW, level))
 

@@ -206,8 +206,8 @@ class _Forecaster:
         submitted ``age`` ns ago: as things usually go, and if nobody else submits."""
         if foreseen is None:
             return None, None
-        told = self.request.hindsight.expect(what, foreseen, self.request.now, age)
-        return told.usual, told.alone
+        ranges = self.request.hindsight.expect(what, foreseen, self.request.now, age)
+        return ranges.usual, ranges.alone
 
     def _submit(self, lab: VirtualLab, command: Command) -> None:
         answer = lab.submit(command, self.request.actor)

@@ -185,8 +185,8 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
 
 def find_joint(state: LabState, cell: str) -> dict[ModuleName, Together]:
     """What modules of a workcell do for several runs at once."""
-    told = ((name, module.spec.together) for name, module in state.modules.list_in_cell(cell))
-    return {name: together for name, together in told if together is not None}
+    pairs = ((name, module.spec.together) for name, module in state.modules.list_in_cell(cell))
+    return {name: together for name, together in pairs if together is not None}
 
 
 def _find_ready(

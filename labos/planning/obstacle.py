@@ -26,9 +26,9 @@ from labos.planning.witness import copy_actor, finish_one_by_one
 
 def explain_wait(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
     """What a wait is for, with the cause where safety found no way out."""
-    told = describe_wait(wait)
+    text = describe_wait(wait)
     cause = find_obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
-    return f"{told}: {cause}" if cause else told
+    return f"{text}: {cause}" if cause else text
 
 
 def find_obstacle(safety: Safety, state: LabState, run: RunState) -> str:

@@ -116,10 +116,10 @@ class Client:
             asking = SERVICE.commands[0]
             data = self.encode(asking, {"FeatureIdentifier": name})
             try:
-                told = await self.call(asking, data, limit_s=READ_S)
+                answer = await self.call(asking, data, limit_s=READ_S)
             except (NoResponse, SilaError) as error:
                 raise DeviceError(f"{name} is not described ({error}).", effects="none") from error
-            feature = read_feature(told["FeatureDefinition"])
+            feature = read_feature(answer["FeatureDefinition"])
             known = feature.originator, feature.category, feature.name
             if known not in found or found[known].version < feature.version:
                 found[known] = feature
@@ -133,22 +133,26 @@ class Client:
 
     async def about(self, name: str) -> str:
         """One of the texts in which the server describes itself. Raises DeviceError (``none``)."""
-        return str(await self.read(next(told for told in SERVICE.properties if told.name == name)))
+        return str(
+            await self.read(next(property_ for property_ in SERVICE.properties if property_.name == name))
+        )
 
-    async def read(self, told: Property) -> Any:
+    async def read(self, property_: Property) -> Any:
         """The present value of a property. Raises DeviceError (``none``)."""
-        path = f"/{told.package}.{told.feature}/{told.method}"
+        path = f"/{property_.package}.{property_.feature}/{property_.method}"
         try:
-            if told.observable:
+            if property_.observable:
                 async with contextlib.aclosing(self._stream(path, b"", READ_S)) as values:
                     data = await anext(values)
             else:
                 data = await self._call(path, b"", READ_S)
-            elements = (Element(told.name, told.type),)
-            return self._messages.decode(told.package, f"{told.method}_Responses", elements, data)[told.name]
+            elements = (Element(property_.name, property_.type),)
+            return self._messages.decode(property_.package, f"{property_.method}_Responses", elements, data)[
+                property_.name
+            ]
         except (NoResponse, SilaError, StopAsyncIteration, ValueError) as error:
             raise DeviceError(
-                f"{self.address} does not tell {told.feature}.{told.name} ({error or 'it ended'}).",
+                f"{self.address} does not tell {property_.feature}.{property_.name} ({error or 'it ended'}).",
                 effects="none",
                 remedy="Is it running?",
             ) from error
@@ -166,10 +170,12 @@ class Client:
 
     async def initiate(self, command: SilaCommand, data: bytes, *, limit_s: float) -> str:
         """Start an observable command; the UUID of its execution. Raises SilaError, Lost."""
-        told = await self._call(self._make_path(command), data, limit_s)
+        confirmation = await self._call(self._make_path(command), data, limit_s)
         try:
             execution = str(
-                self._messages.make_framework_message("CommandConfirmation", told).commandExecutionUUID.value
+                self._messages.make_framework_message(
+                    "CommandConfirmation", confirmation
+                ).commandExecutionUUID.value
             )
         except ValueError as error:
             raise NoResponse(str(error)) from error
@@ -183,8 +189,8 @@ class Client:
         """The status of an execution, now and after each change: 0 waiting, 1 running, 2 finished, 3 failed.
         Raises SilaError, and Lost, also when the time is up."""
         path, asked = f"{self._make_path(command)}_Info", self._encode_execution(execution)
-        async with contextlib.aclosing(self._stream(path, asked, limit_s)) as told:
-            async for data in told:
+        async with contextlib.aclosing(self._stream(path, asked, limit_s)) as values:
+            async for data in values:
                 yield (
                     self._messages.make_framework_message("ExecutionInfo", data).commandStatus if data else 0
                 )
@@ -195,8 +201,8 @@ class Client:
         """The intermediate responses of an execution. Raises SilaError, Lost."""
         path, asked = f"{self._make_path(command)}_Intermediate", self._encode_execution(execution)
         name = f"{command.name}_IntermediateResponses"
-        async with contextlib.aclosing(self._stream(path, asked, None)) as told:
-            async for data in told:
+        async with contextlib.aclosing(self._stream(path, asked, None)) as values:
+            async for data in values:
                 yield self._messages.decode(command.package, name, command.intermediate, data)
 
     async def result(self, command: SilaCommand, execution: str) -> dict[str, Any]:
@@ -248,8 +254,8 @@ class Client:
         """The error of a failed call: SilaError, DeviceError (``none``), Lost."""
         called = f"{self.address}: {path.rpartition('.')[2]}"
         code, words = error.code().name, error.details() or ""
-        if code == "ABORTED" and (said := self._decode_sila_error(words)):
-            return said
+        if code == "ABORTED" and (sila_error := self._decode_sila_error(words)):
+            return sila_error
         if code in NOT_CARRIED_OUT:
             return DeviceError(f"{self.address} refuses the call: {words or code}.", effects="none")
         if code == "DEADLINE_EXCEEDED" and limit_s is not None:
@@ -259,10 +265,10 @@ class Client:
     def _decode_sila_error(self, words: str) -> SilaError | None:
         """SiLA's own error, which is in the message of gRPC."""
         try:
-            told = self._messages.make_framework_message("SiLAError", base64.b64decode(words, validate=True))
+            error = self._messages.make_framework_message("SiLAError", base64.b64decode(words, validate=True))
         except (ValueError, binascii.Error):
             return None
-        for field, found in told.ListFields():
+        for field, found in error.ListFields():
             match field.name:
                 case "validationError":
                     return SilaError("validation", found.message, found.parameter)

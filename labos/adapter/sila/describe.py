@@ -49,10 +49,10 @@ def find_command(features: Iterable[Feature], name: str) -> SilaCommand | None:
     commands = [command for feature in offered for command in feature.commands]
     for meant in (
         [
-            told
-            for each in offered
-            for told in each.commands
-            if f"{each.identifier}/Command/{told.name}" == name
+            command
+            for feature in offered
+            for command in feature.commands
+            if f"{feature.identifier}/Command/{command.name}" == name
         ],
         [command for command in commands if command.full_name == name],
         [command for command in commands if simplify_name(command.full_name) == simplify_name(name)],
@@ -68,9 +68,9 @@ def find_property(features: Iterable[Feature], name: str) -> tuple[Property, lis
     feature, _, rest = name.partition(".")
     wanted, *elements = rest.split(".")
     for each in features:
-        for told in each.properties:
-            if (each.name, told.name) == (feature, wanted):
-                return told, elements
+        for property_ in each.properties:
+            if (each.name, property_.name) == (feature, wanted):
+                return property_, elements
     return None
 
 
@@ -93,9 +93,9 @@ def actions_of(features: Iterable[Feature]) -> tuple[ActionSpec, ...]:
 
 
 def _make_arg(feature: Feature, element: Element) -> Arg:
-    types = {told.name: told.type for told in feature.types}
+    types = {named.name: named.type for named in feature.types}
     layers = list(unwrap(element.type, types))
-    limits = [told.limits for told in layers if isinstance(told, Constrained)]
+    limits = [layer.limits for layer in layers if isinstance(layer, Constrained)]
     lows = [each.minimum for each in limits if each.minimum is not None]
     highs = [each.maximum for each in limits if each.maximum is not None]
     kind = _find_kind(layers[-1])
@@ -111,10 +111,10 @@ def _make_arg(feature: Feature, element: Element) -> Arg:
     )
 
 
-def _find_kind(told: Any) -> str:
-    match told:
+def _find_kind(data_type: Any) -> str:
+    match data_type:
         case Basic():
-            return _KINDS.get(told.name, "str")  # dates and times are written as in ISO 8601
+            return _KINDS.get(data_type.name, "str")  # dates and times are written as in ISO 8601
         case ListOf():
             return "list"
         case Structure():

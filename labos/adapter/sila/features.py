@@ -184,30 +184,30 @@ def _elements(parent: ET.Element, tag: str) -> tuple[Element, ...]:
 
 def _read_type(parent: ET.Element) -> DataType:
     """The data type below an element. Raises ValueError."""
-    told = next(iter(_find_one(parent, "DataType")))
-    match _strip_namespace(told):
+    element = next(iter(_find_one(parent, "DataType")))
+    match _strip_namespace(element):
         case "Basic":
-            return Basic(_read_words(told))
+            return Basic(_read_words(element))
         case "DataTypeIdentifier":
-            return Named(_read_words(told))
+            return Named(_read_words(element))
         case "List":
-            return ListOf(_read_type(told))
+            return ListOf(_read_type(element))
         case "Structure":
-            return Structure(_elements(told, "Element"))
+            return Structure(_elements(element, "Element"))
         case "Constrained":
-            inner = _read_type(told)
-            return Constrained(inner, _read_limits(_find_one(told, "Constraints"), inner))
-    raise ValueError(f"there is no data type {_strip_namespace(told)!r}")
+            inner = _read_type(element)
+            return Constrained(inner, _read_limits(_find_one(element, "Constraints"), inner))
+    raise ValueError(f"there is no data type {_strip_namespace(element)!r}")
 
 
-def _read_limits(told: ET.Element, of: DataType) -> Limits:
+def _read_limits(constraints: ET.Element, of: DataType) -> Limits:
     """The narrower of the bounds. Excluded bounds are expressed only for whole numbers; for other numbers,
     the server refuses the bound itself."""
     step = 1.0 if of == Basic("Integer") else 0.0
     low, high = [], []
     unit: str = ""
     choices: tuple[str, ...] = ()
-    for found in told:
+    for found in constraints:
         match _strip_namespace(found):
             case "MinimalInclusive":
                 low.append(float(_read_words(found)))
@@ -256,17 +256,17 @@ def _is_observable(found: ET.Element) -> bool:
     return _text(found, "Observable") == "Yes"
 
 
-def unwrap(told: DataType, types: dict[str, DataType]) -> Iterator[Any]:
+def unwrap(data_type: DataType, types: dict[str, DataType]) -> Iterator[Any]:
     """A type and its underlying types, as long as each is a constrained or named form of the next; ends at a
     repeated name."""
     named: set[str] = set()
     while True:
-        yield told
-        match told:
+        yield data_type
+        match data_type:
             case Constrained():
-                told = told.of
-            case Named() if told.name in types and told.name not in named:
-                named.add(told.name)
-                told = types[told.name]
+                data_type = data_type.of
+            case Named() if data_type.name in types and data_type.name not in named:
+                named.add(data_type.name)
+                data_type = types[data_type.name]
             case _:
                 return

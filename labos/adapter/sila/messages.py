@@ -111,9 +111,9 @@ class Messages:
                 ("IntermediateResponses", command.intermediate),
             ):
                 self._add_message(file.message_type, f"{command.name}_{suffix}", elements, feature.package)
-        for told in feature.properties:
-            element = Element(told.name, told.type)
-            self._add_message(file.message_type, f"{told.method}_Responses", (element,), feature.package)
+        for property_ in feature.properties:
+            element = Element(property_.name, property_.type)
+            self._add_message(file.message_type, f"{property_.method}_Responses", (element,), feature.package)
         self._pool.Add(file)
 
     def make_framework_message(self, name: str, data: bytes = b"", **fields: Any) -> Any:
@@ -157,19 +157,19 @@ class Messages:
     ) -> None:
         message, full_name = among.add(name=name), f"{within or package}.{name}"
         for number, element in enumerate(elements, 1):
-            told, repeated = element.type, False
-            while isinstance(told, Constrained | ListOf):
-                repeated = repeated or isinstance(told, ListOf)
-                told = told.of
-            match told:
+            data_type, repeated = element.type, False
+            while isinstance(data_type, Constrained | ListOf):
+                repeated = repeated or isinstance(data_type, ListOf)
+                data_type = data_type.of
+            match data_type:
                 case Structure():
                     kind = f"{element.name}_Struct"
-                    self._add_message(message.nested_type, kind, told.elements, package, full_name)
+                    self._add_message(message.nested_type, kind, data_type.elements, package, full_name)
                     kind = f".{full_name}.{kind}"
                 case Named():
-                    kind = f".{package}.DataType_{told.name}"
+                    kind = f".{package}.DataType_{data_type.name}"
                 case _:
-                    kind = f".{FRAMEWORK}.{told.name}"
+                    kind = f".{FRAMEWORK}.{data_type.name}"
             self._add_field(message, element.name, number, kind, repeated=repeated)
 
     def _add_field(self, message: Any, name: str, number: int, kind: str, *, repeated: bool = False) -> None:
@@ -192,52 +192,52 @@ class Messages:
 
     # -- values ------------------------------------------------------------------------------
 
-    def _put(self, package: str, message: Any, name: str, told: DataType, value: Any) -> None:
-        while isinstance(told, Constrained):
-            told = told.of
-        if isinstance(told, ListOf):
+    def _put(self, package: str, message: Any, name: str, data_type: DataType, value: Any) -> None:
+        while isinstance(data_type, Constrained):
+            data_type = data_type.of
+        if isinstance(data_type, ListOf):
             if not isinstance(value, list | tuple):
                 raise ValueError("it is no list")
             for item in value:
-                self._fill(package, getattr(message, name).add(), told.of, item)
+                self._fill(package, getattr(message, name).add(), data_type.of, item)
             return
         field = getattr(message, name)
         field.SetInParent()
-        self._fill(package, field, told, value)
+        self._fill(package, field, data_type, value)
 
-    def _fill(self, package: str, field: Any, told: DataType, value: Any) -> None:
-        match told:
+    def _fill(self, package: str, field: Any, data_type: DataType, value: Any) -> None:
+        match data_type:
             case Constrained():
-                self._fill(package, field, told.of, value)
+                self._fill(package, field, data_type.of, value)
             case Named():
-                self._put(package, field, told.name, self._types[package][told.name], value)
+                self._put(package, field, data_type.name, self._types[package][data_type.name], value)
             case Structure():
-                for element in told.elements:
+                for element in data_type.elements:
                     self._put(package, field, element.name, element.type, value[element.name])
             case Basic():
-                _FILL[told.name](field, value)
+                _FILL[data_type.name](field, value)
 
-    def _get(self, package: str, message: Any, name: str, told: DataType) -> Any:
-        while isinstance(told, Constrained):
-            told = told.of
-        if isinstance(told, ListOf):
-            return [self._read_value(package, item, told.of) for item in getattr(message, name)]
-        return self._read_value(package, getattr(message, name), told)
+    def _get(self, package: str, message: Any, name: str, data_type: DataType) -> Any:
+        while isinstance(data_type, Constrained):
+            data_type = data_type.of
+        if isinstance(data_type, ListOf):
+            return [self._read_value(package, item, data_type.of) for item in getattr(message, name)]
+        return self._read_value(package, getattr(message, name), data_type)
 
-    def _read_value(self, package: str, field: Any, told: DataType) -> Any:
-        match told:
+    def _read_value(self, package: str, field: Any, data_type: DataType) -> Any:
+        match data_type:
             case Constrained():
-                return self._read_value(package, field, told.of)
+                return self._read_value(package, field, data_type.of)
             case Named():
-                return self._get(package, field, told.name, self._types[package][told.name])
+                return self._get(package, field, data_type.name, self._types[package][data_type.name])
             case Structure():
                 return {
                     element.name: self._get(package, field, element.name, element.type)
-                    for element in told.elements
+                    for element in data_type.elements
                 }
             case Basic():
-                return _READ.get(told.name, lambda field: field.value)(field)
-        raise ValueError(f"there is no type {told!r}")
+                return _READ.get(data_type.name, lambda field: field.value)(field)
+        raise ValueError(f"there is no type {data_type!r}")
 
 
 # -- basic types -----------------------------------------------------------------------------
@@ -270,16 +270,16 @@ def _fill_time(field: Any, value: Any) -> None:
 
 
 def _fill_timestamp(field: Any, value: Any) -> None:
-    told = datetime.datetime.fromisoformat(str(value))
-    field.year, field.month, field.day = told.year, told.month, told.day
-    _fill_clock(field, told)
+    moment = datetime.datetime.fromisoformat(str(value))
+    field.year, field.month, field.day = moment.year, moment.month, moment.day
+    _fill_clock(field, moment)
 
 
-def _fill_clock(field: Any, told: datetime.datetime | datetime.time) -> None:
+def _fill_clock(field: Any, moment: datetime.datetime | datetime.time) -> None:
     """Hours to milliseconds, and the time zone (default: UTC)."""
-    field.hour, field.minute, field.second = told.hour, told.minute, told.second
-    field.millisecond = told.microsecond // 1000
-    minutes = int((told.utcoffset() or datetime.timedelta()).total_seconds() // 60)
+    field.hour, field.minute, field.second = moment.hour, moment.minute, moment.second
+    field.millisecond = moment.microsecond // 1000
+    minutes = int((moment.utcoffset() or datetime.timedelta()).total_seconds() // 60)
     field.timezone.SetInParent()
     field.timezone.hours, field.timezone.minutes = int(minutes / 60), abs(minutes) % 60
 

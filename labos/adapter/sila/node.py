@@ -113,8 +113,8 @@ class SilaNode(ForeignNode):
         if not self.tells_busy:
             await self.client.check_alive()
             return await super().is_idle()
-        seen = [(told, await self._read_value(told)) for told in self.mapping.state.busy]
-        return not any(is_fulfilled(told, now) or leaves_open(told, now) for told, now in seen)
+        seen = [(condition, await self._read_value(condition)) for condition in self.mapping.state.busy]
+        return not any(is_fulfilled(condition, now) or leaves_open(condition, now) for condition, now in seen)
 
     async def trouble(self) -> str:
         try:
@@ -168,9 +168,12 @@ class SilaNode(ForeignNode):
         await self._learn()
         seen = {variable: await self._read_property(name) for variable, name in self.mapping.observe.items()}
         if self.mapping.labware:
-            told_of = [(at, told, await self._read_value(told)) for at, told in self.mapping.labware.items()]
+            places = self.mapping.labware.items()
+            readings = [(at, condition, await self._read_value(condition)) for at, condition in places]
             seen["labware"] = {
-                at: is_fulfilled(told, now) for at, told, now in told_of if not leaves_open(told, now)
+                at: is_fulfilled(condition, now)
+                for at, condition, now in readings
+                if not leaves_open(condition, now)
             }
         return seen
 
@@ -189,8 +192,8 @@ class SilaNode(ForeignNode):
         found = find_property(self.client.features, name)
         if found is None:
             raise DeviceError(f"The server has no property {name!r}.", effects="none")
-        told, elements = found
-        value = await self.client.read(told)
+        property_, elements = found
+        value = await self.client.read(property_)
         for element in elements:
             if not isinstance(value, dict) or element not in value:
                 raise DeviceError(f"The property {name!r} has no {element!r}.", effects="none")
@@ -303,24 +306,24 @@ class SilaNode(ForeignNode):
         """The result of an execution, with its intermediate responses if these should be stored."""
         if spec.name not in self.mapping.intermediate or not command.intermediate:
             return result_with_files(await self._end(command, execution))
-        told: list[dict[str, Any]] = []
-        listening = asyncio.ensure_future(self._listen(command, execution, told))
+        responses: list[dict[str, Any]] = []
+        listening = asyncio.ensure_future(self._listen(command, execution, responses))
         try:
             result = result_with_files(await self._end(command, execution))
             # The last reported responses may still be on their way.
             await asyncio.wait({listening}, timeout=self.poll_s)
         finally:
             listening.cancel()
-        return with_files(result, {"intermediate": as_lines(told)})
+        return with_files(result, {"intermediate": as_lines(responses)})
 
-    async def _listen(self, command: SilaCommand, execution: str, told: list[dict[str, Any]]) -> None:
+    async def _listen(self, command: SilaCommand, execution: str, responses: list[dict[str, Any]]) -> None:
         """Store the intermediate responses of an execution; those during a broken connection are lost."""
         while True:
             try:
                 first = True  # the first value after subscribing repeats the last one
                 async for values in self.client.watch_intermediate(command, execution):
-                    if not (first and told and told[-1] == values):
-                        told.append(values)
+                    if not (first and responses and responses[-1] == values):
+                        responses.append(values)
                     first = False
                 return
             except SilaError:
@@ -368,16 +371,16 @@ class SilaNode(ForeignNode):
     async def _wait_until(self, ready: Callable[[], Awaitable[bool]], times: int) -> None:
         """Wait for this answer the given number of times in a row. Raises OutcomeUnknown if the server does
         not answer."""
-        silence, said = Silence(self.patience_s, self.where), 0
+        silence, in_a_row = Silence(self.patience_s, self.where), 0
         while True:
             try:
-                said = said + 1 if await ready() else 0
-                if said >= times:
+                in_a_row = in_a_row + 1 if await ready() else 0
+                if in_a_row >= times:
                     return
                 silence.end()
             except DeviceError as error:
                 silence.go_on(error)
-                said = 0
+                in_a_row = 0
             await asyncio.sleep(self.poll_s)
 
     def _make_failure(self, what: str, error: SilaError, *, began: bool = False) -> DeviceError:

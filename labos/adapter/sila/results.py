@@ -21,7 +21,7 @@ def with_files(result: Any, files: dict[str, Attachment]) -> dict[str, Any]:
     return {**full, "files": {**full.get("files", {}), **files}}
 
 
-def as_lines(told: list[dict[str, Any]]) -> Attachment:
+def as_lines(responses: list[dict[str, Any]]) -> Attachment:
     """Values as lines of JSON."""
-    lines = [json.dumps(values, default=lambda value: value.hex()) + "\n" for values in told]
+    lines = [json.dumps(values, default=lambda value: value.hex()) + "\n" for values in responses]
     return Attachment("intermediate.jsonl", "".join(lines).encode())

@@ -36,7 +36,7 @@ def write_picker_report(
         experiment,
         folder or Path(f"color-{experiment.id}"),
         "Color picker",
-        said=[
+        paragraphs=[
             f"Target {_shown(target)}; nearest {_shown(nearest.color)} in well {nearest.well}, a distance of "
             f"{nearest.distance:.2f}: {a:g}, {b:g} and {c:g} µL of the three dyes. {len(samples)} samples."
         ],

@@ -75,7 +75,7 @@ def write_growth_report(
         experiment,
         folder,
         "Growth assay",
-        said=[
+        paragraphs=[
             f"{len(first)} plates. IC50 {curve.ic50:.3f} ± {curve.ic50_error:.3f} mg/L, "
             f"Hill coefficient {curve.hill:.2f}."
         ],

@@ -129,7 +129,7 @@ def run_pcr(
             experiment,
             out or Path(f"pcr-{experiment.id}"),
             "PCR",
-            said=[
+            paragraphs=[
                 f"{len(done)} plates, program {wanted.program} of the cycler: {programme.cycles} cycles, "
                 f"lid at {programme.lid_c:g} °C.",
                 *([f"Pictures that do not show the plate well: {', '.join(bad)}."] if bad else []),

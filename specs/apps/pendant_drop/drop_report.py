@@ -54,7 +54,7 @@ def write_drop_report(
         experiment,
         folder or Path(f"drops-{experiment.id}"),
         "Pendant drop",
-        said=[
+        paragraphs=[
             f"Diffusion coefficient {found.diffusion * 1e12:.3f} ± {found.error * 1e12:.3f} µm²/s; "
             f"hydrodynamic radius {found.radius * 1e9:.1f} nm."
         ],

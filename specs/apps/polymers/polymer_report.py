@@ -38,7 +38,7 @@ def write_polymer_report(
         experiment,
         folder or Path(f"polymers-{experiment.id}"),
         "Electrochromic polymers",
-        said=[
+        paragraphs=[
             f"Target L*a*b* {target}; nearest {nearest.lab} in well {nearest.well} of batch {nearest.batch}: "
             f"a difference of {nearest.difference:.2f} (CIE 2000), tolerance {tolerance:g}. Recipe: {a:.3f}, "
             f"{b:.3f} and {c:.3f} of the monomers A, B and C, {length:g} units in a chain."
