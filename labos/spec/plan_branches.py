@@ -137,7 +137,7 @@ class PlanBranches:
             elif (index, message) not in self._warned:
                 faults.append((index, message, remedy))
 
-        plain = way.plain and not way.said
+        plain = way.plain and not way.decisions
         dry = self.paper(self.plan, way.steps, tell, warn)
         if not plain:
             spare = list(self.inputs)
@@ -175,7 +175,7 @@ class PlanBranches:
         parts = [f"{steps[index].key!r} fails and is skipped" for index in sorted(way.without)]
         parts += [f"{steps[index].key!r} fails and is recovered from" for index in sorted(way.rescued)]
         texts = {find_decision(step.when): step.when.text for step in steps if step.when is not None}
-        for what, value in way.said:
+        for what, value in way.decisions:
             text = texts.get((what, True)) or texts[what, False]
             holds = value == ((what, True) in texts)
             parts.append(f"`{text}` {'holds' if holds else 'does not hold'}")
