@@ -166,9 +166,9 @@ class PlanBranches:
     def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
         """Store faults with the way on which they were found."""
         for index, message, remedy in faults[:3]:
-            told = (index, f"{self._describe_way(way)}: {_start_lower_case(message)}", remedy)
-            if told not in self.errors:
-                self.errors.append(told)
+            fault = (index, f"{self._describe_way(way)}: {_start_lower_case(message)}", remedy)
+            if fault not in self.errors:
+                self.errors.append(fault)
 
     def _describe_way(self, way: Way) -> str:
         steps = self.plan.steps
@@ -184,13 +184,13 @@ class PlanBranches:
 
 def find_first_way(plan: Plan) -> tuple[int, ...]:
     """The steps of a way without a failure. If steps exclude each other, those written first are used."""
-    said: dict[str, bool] = {}
+    decisions: dict[str, bool] = {}
     steps: list[int] = []
     for index in sort_steps(plan, main_steps(plan)):
         condition = plan.steps[index].when
         if condition is not None:
             what, positive = find_decision(condition)
-            if said.setdefault(what, positive) != positive:
+            if decisions.setdefault(what, positive) != positive:
                 continue
         steps.append(index)
     return tuple(steps)
