@@ -239,24 +239,24 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             key = wire.read_key(request) if self.method == "POST" and not self.secret else ""
             if getattr(arguments.get("body"), "dry_run", False):
                 key = ""  # a check changes nothing
-            asked = ""
+            digest = ""
             path = request.url.path
             if key:
-                asked = make_digest_of_request(
+                digest = make_digest_of_request(
                     path, who.user or wire.read_header(request, "labos-user"), arguments
                 )
             logged = None
             if key and not self.logs_key and api.service.marks is not None:
                 again = RepeatedRequest(api, self, request, who, arguments)
                 mark = mark_of(who.user, path, key)
-                logged = LoggedRequest(api.service.marks, mark, key, asked, again.answer)
+                logged = LoggedRequest(api.service.marks, mark, key, digest, again.answer)
             if link is not None:
                 found = await link.answer(
-                    self, AdmittedRequest(request, who, arguments, key, asked, logged), work
+                    self, AdmittedRequest(request, who, arguments, key, digest, logged), work
                 )
             elif key:
                 found = await api.idempotent.answer_once(
-                    key, path, asked, work, user=who.user, logs_key=self.logs_key, logged=logged
+                    key, path, digest, work, user=who.user, logs_key=self.logs_key, logged=logged
                 )
             else:
                 found = await work()

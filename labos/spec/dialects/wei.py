@@ -47,22 +47,18 @@ def rewrite_workcell(source: Source, report: FindingList) -> Source:
         path = ("modules", index)
         module = reader.expect_table(entry, path, "A module")
         modules.put(_rewrite_module(reader, module, path, locations), source.place(path))
-        representations = others.get(str(module["name"]))
-        if representations is not None:
-            modules[-1]["config"].put(
-                "representations", representations, representations.at, representations.at
-            )
+        places = others.get(str(module["name"]))
+        if places is not None:
+            modules[-1]["config"].put("representations", places, places.at, places.at)
     _tell_positions(reader, modules, locations)
     names = {str(module["name"]) for module in modules}
     nobodys = {
-        owner: representations
-        for owner, representations in others.items()
-        if owner not in names and owner != "workcell"
+        owner: places for owner, places in others.items() if owner not in names and owner != "workcell"
     }
     if nobodys:
         left = SourceMapping(locations.at)
-        for owner, representations in nobodys.items():
-            left.put(owner, representations, representations.at, representations.at)
+        for owner, places in nobodys.items():
+            left.put(owner, places, places.at, places.at)
         config.put(NOBODYS, left, left.at, left.at)
     out.put("modules", modules, *find_places(data, "modules"))
     out.put("locations", locations, *find_places(data, "locations"))
