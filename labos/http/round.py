@@ -185,8 +185,8 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
                 refused.append(RoundRefusal(local(name), error.message, error.remedy))
     left = list(map(local, list_to_say(service.kernel.state)))
     why_not = _explain_open(service, by) if words.finish and not (answered or left) else ""
-    said_now = [local(name) for name in (*reported, *confirmed) if name in taken]
-    return RoundResult(said_now, refused, left, answered, why_not)
+    recorded = [local(name) for name in (*reported, *confirmed) if name in taken]
+    return RoundResult(recorded, refused, left, answered, why_not)
 
 
 def _explain_open(service: LabService, by: str) -> str:
