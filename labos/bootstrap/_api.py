@@ -130,14 +130,15 @@ class LookedAtBlobs:
 
 
 @asynccontextmanager
-async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
+async def open_api(api_settings: ApiSettings) -> AsyncIterator[ApiRuntime]:
     """Serve the HTTP interface of a lab as long as the block lasts. Raises BadInput, NotFound, Refused,
     BusError, StoreError."""
-    if not PROCESS_NAME.fullmatch(told.name):
+    if not PROCESS_NAME.fullmatch(api_settings.name):
         raise BadInput(
-            f"{told.name!r} cannot be the name of an API process.", remedy="Take a-z, 0-9 and -, as in api-2."
+            f"{api_settings.name!r} cannot be the name of an API process.",
+            remedy="Take a-z, 0-9 and -, as in api-2.",
         )
-    settings, accounts = _find_bus(told.lab), told.accounts or told.lab.database
+    settings, accounts = _find_bus(api_settings.lab), api_settings.accounts or api_settings.lab.database
     expect_tls(settings)
     if await asyncio.to_thread(is_replica, accounts):
         raise BadInput(
@@ -157,7 +158,7 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
                 f"There is no lab yet in {show_url(settings.database)}.", remedy="Start its kernel: labos up"
             )
         expect_users(settings, kernel)
-        api = ApiRuntime(msgspec.structs.replace(told, lab=settings), kernel, store)
+        api = ApiRuntime(msgspec.structs.replace(api_settings, lab=settings), kernel, store)
         await _link(api, stack)
         viewers = Viewers(settings.database) if sys.platform != "win32" else None
         feed = Feed()

@@ -56,7 +56,7 @@ async def secure_bus(settings: Settings, lab: LabRuntime, modules: Sequence[str]
 async def join_bus(endpoints: Sequence[str], patience_s: float, security: Security | None) -> ZenohBus:
     """The separate bus, as soon as it answers: after a power cut it may be the last to start. Raises BusError
     if it does not answer within ``patience_s``."""
-    now, told = asyncio.get_running_loop().time, False
+    now, warned = asyncio.get_running_loop().time, False
     give_up = now() + patience_s
     while True:
         try:
@@ -64,9 +64,9 @@ async def join_bus(endpoints: Sequence[str], patience_s: float, security: Securi
         except BusError as error:
             if now() >= give_up:
                 raise
-            if not told:
+            if not warned:
                 _log.warning("waiting_for_the_bus", why=error.message)
-            told = True
+            warned = True
         await asyncio.sleep(BUS_POLL_S)
 
 

@@ -65,9 +65,9 @@ class LabMetrics:
             found.of_unattended_time.clear()
         else:
             found.of_unattended_time.update(*meter.read_totals(now), meter.causes)
-        told = found.text()
+        text = found.text()
         found.took_s.set(kernel.clock.monotonic() - began)
-        return told
+        return text
 
     def targets(self, host: str) -> list[dict[str, Any]]:
         """The addresses of the metrics of the lab's processes. ``host`` is the address at which the client

@@ -106,24 +106,28 @@ async def run_node(
         known = journal.lab or belongs_to or _lab_of(settings, connect)
         check_lab(module, known, belongs_to)
         lab = await ends.wait_unless_stopped(find_lab(bus, module, known))
-        told = await ends.wait_unless_stopped(_learn(bus, lab, module, security is not None)) if lab else None
-        if lab is None or told is None:
+        reply = (
+            await ends.wait_unless_stopped(_learn(bus, lab, module, security is not None)) if lab else None
+        )
+        if lab is None or reply is None:
             return
-        if skew := explain_skew(told.protocol, "The lab's kernel", told.labos):
+        if skew := explain_skew(reply.protocol, "The lab's kernel", reply.labos):
             raise BadInput(skew)
-        if simulate != told.simulated:
+        if simulate != reply.simulated:
             ours, theirs = ("simulated", "real") if simulate else ("real", "simulated")
             raise BadInput(
                 f"This node would be {ours}, but the lab's bench is {theirs}.",
-                remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
+                remedy="Start it with --simulate." if reply.simulated else "Start it without --simulate.",
             )
         # On a simulated bench, a device is reached at its address only if its configuration declares it a
         # simulator.
-        reached = not simulate or told.config.get("simulator") is True
-        foreign = reached and told.interface not in ("", "native")
-        told = with_own_settings(told, settings.node_settings, module)
-        node_class = find_foreign_class(module, told) if foreign else find_own_class(module, told, node_class)
-        node = node_class(_make_setup(name, workcell, settings, told, simulate, wire))
+        reached = not simulate or reply.config.get("simulator") is True
+        foreign = reached and reply.interface not in ("", "native")
+        reply = with_own_settings(reply, settings.node_settings, module)
+        node_class = (
+            find_foreign_class(module, reply) if foreign else find_own_class(module, reply, node_class)
+        )
+        node = node_class(_make_setup(name, workcell, settings, reply, simulate, wire))
         files = Files(bus, Keys(lab).files, settings.files(module))
         switch = partial(_switch_trace, Path(trace or settings.trace(module)))
         shown = _show_metrics(metrics, node_class, simulate) if metrics is not None else None
@@ -182,7 +186,7 @@ def _show_metrics(at: Address, node_class: type[Node], simulated: bool) -> Metri
 
 
 def _make_setup(
-    name: str, workcell: str, settings: Settings, told: SetupReply, simulate: bool, wire: bool
+    name: str, workcell: str, settings: Settings, reply: SetupReply, simulate: bool, wire: bool
 ) -> Setup:
     world = None
     if simulate:
@@ -191,7 +195,7 @@ def _make_setup(
         world = World(str(path))
     return make_from(
         Setup,
-        told,
+        reply,
         name=name,
         workcell=workcell,
         world=world,
@@ -207,7 +211,7 @@ async def _join_bus(
     is valid. Raises NotFound, BadInput for a certificate that cannot be used."""
     from labos.bus import open_bus
 
-    pause, told = 0.1, ""
+    pause, logged = 0.1, ""
     while True:
         found = None if connect else find_kernel(settings.home)
         where = list(connect) or ([found.bus] if found is not None else [])
@@ -221,9 +225,9 @@ async def _join_bus(
             why = f"no lab runs in {settings.home}"
         except BusError as error:
             why = str(error)
-        if why != told:
+        if why != logged:
             _log.warning("waiting_for_the_lab", why=why)
-            told = why
+            logged = why
         await asyncio.sleep(pause)
         pause = min(pause * 2, 2.0)
 
@@ -279,7 +283,7 @@ async def find_lab(bus: Bus, module: str, known: str) -> str:
 
 async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> SetupReply:
     """The kernel's data about the module, as soon as it has any."""
-    told = ""
+    logged = ""
     key = Keys(lab).setup_of(module) if secure else Keys(lab).setup
     while True:
         try:
@@ -292,9 +296,9 @@ async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> 
             why = str(error)
         except (msgspec.MsgspecError, ValueError, RecursionError) as error:
             why = f"what the kernel answers cannot be read ({error})"
-        if why != told:
+        if why != logged:
             _log.warning("waiting_for_the_workcell", module=module, why=why)
-            told = why
+            logged = why
         await asyncio.sleep(0.5)
 
 

@@ -17,52 +17,52 @@ if TYPE_CHECKING:
     from labos.core.model import Description
 
 
-def find_foreign_class(module: str, told: SetupReply) -> type[Node]:
+def find_foreign_class(module: str, reply: SetupReply) -> type[Node]:
     """The adapter of a foreign node. Raises BadInput, NotFound."""
     from labos.adapter import find_adapter_class
     from labos.spec.interfaces import REMEDY, explain_unreachable
 
-    if why := explain_unreachable(told.interface):
+    if why := explain_unreachable(reply.interface):
         raise BadInput(f"{module} cannot be reached: {why}", remedy=REMEDY)
-    described = _describe(told) if told.about else load_driver(told.driver).describe()
-    return find_adapter_class(told.interface, _extend(described, told))
+    described = _describe(reply) if reply.about else load_driver(reply.driver).describe()
+    return find_adapter_class(reply.interface, _extend(described, reply))
 
 
-def find_own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -> type[Node]:
+def find_own_class(module: str, reply: SetupReply, driver: type[Node] | None = None) -> type[Node]:
     """LabOS' own node: of ``driver`` if it is given, otherwise of the driver that the workcell names. On a
     simulated bench, actions that no driver knows are simulated from their description. Raises BadInput,
     NotFound."""
-    if told.about and not told.simulated:
+    if reply.about and not reply.simulated:
         raise BadInput(
             f"{module} is described by `about:`, and nobody has said how it is reached.",
             remedy="Write its `interface:` and address in the workcell file, or give it a `driver:`.",
         )
-    if told.extends and not told.simulated:
+    if reply.extends and not reply.simulated:
         raise BadInput(
-            f"{module} is to do more (`extends:`) than the driver {told.driver} can.",
+            f"{module} is to do more (`extends:`) than the driver {reply.driver} can.",
             remedy="Write the `interface:` of the node that can, or leave `extends:` out.",
         )
-    if told.about:
+    if reply.about:
         from labos.node.generic import make_generic_node
 
-        return make_generic_node(_extend(_describe(told), told))
-    found = (driver or load_driver(told.driver)).for_config(told.config)
-    if told.extends:
+        return make_generic_node(_extend(_describe(reply), reply))
+    found = (driver or load_driver(reply.driver)).for_config(reply.config)
+    if reply.extends:
         from labos.node.generic import extend_node
 
-        return extend_node(found, _extend(found.describe(), told))
+        return extend_node(found, _extend(found.describe(), reply))
     return found
 
 
-def _describe(told: SetupReply) -> Description:
+def _describe(reply: SetupReply) -> Description:
     from labos.spec.about import About, add_reset, description_of
 
-    return add_reset(description_of(About.model_validate(told.about), told.driver))
+    return add_reset(description_of(About.model_validate(reply.about), reply.driver))
 
 
-def _extend(description: Description, told: SetupReply) -> Description:
-    if not told.extends:
+def _extend(description: Description, reply: SetupReply) -> Description:
+    if not reply.extends:
         return description
     from labos.spec.about import Extends, extend
 
-    return extend(description, Extends.model_validate(told.extends))
+    return extend(description, Extends.model_validate(reply.extends))

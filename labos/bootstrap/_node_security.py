@@ -45,13 +45,13 @@ def read_node_security(
         certificate = _find_own_certificate(settings, module, lab)
     credentials = Credentials(certificate)
     credentials.check(SystemClock().now_ns())
-    said = credentials.identity()
-    if said is not None and (said.kind, said.name) != ("node", module):
+    identity = credentials.identity()
+    if identity is not None and (identity.kind, identity.name) != ("node", module):
         raise BadInput(
-            f"The certificate in {certificate} is that of the {said.shown}, not of the node {module}.",
+            f"The certificate in {certificate} is that of the {identity.shown}, not of the node {module}.",
             remedy="Give the module's own: labos pki list shows them all.",
         )
-    return Security(credentials), said.lab if said is not None else ""
+    return Security(credentials), identity.lab if identity is not None else ""
 
 
 def check_lab(module: str, known: str, belongs_to: str) -> None:

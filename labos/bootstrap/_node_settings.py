@@ -13,11 +13,11 @@ from labos.errors import BadInput
 from labos.node.protocol import SetupReply
 
 
-def with_own_settings(told: SetupReply, path: Path, module: str) -> SetupReply:
+def with_own_settings(reply: SetupReply, path: Path, module: str) -> SetupReply:
     """The lab's data about a module, with the settings file of this computer instead of its ``config``.
     Raises SpecError, and BadInput for a secret without an address to which it may be sent."""
     if not path.is_file():
-        return told
+        return reply
     # Few computers have such a file: other nodes need not load this code.
     from labos.spec.onsite import ADDRESSES, is_secret
     from labos.spec.source import make_plain, read
@@ -36,5 +36,5 @@ def with_own_settings(told: SetupReply, path: Path, module: str) -> SetupReply:
             remedy=f"Add the device's address there too: one of {', '.join(ADDRESSES)}.",
         )
     # Only the address beside a secret is used.
-    kept = {key: value for key, value in told.config.items() if not (addressed and key in ADDRESSES)}
-    return msgspec.structs.replace(told, config={**kept, **own})
+    kept = {key: value for key, value in reply.config.items() if not (addressed and key in ADDRESSES)}
+    return msgspec.structs.replace(reply, config={**kept, **own})

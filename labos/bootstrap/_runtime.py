@@ -198,19 +198,19 @@ class LabRuntime:
         module = state.modules.by_name.get(name)
         if module is None:
             return SetupReply(unknown=f"no workcell of this lab has a module {cut(name, LONGEST_NAME)}")
-        told = module.spec.config
+        config = module.spec.config
         return SetupReply(
             driver=module.spec.driver,
-            config=told.get("config", {}),
-            poses={**told.get("poses", {}), **module.list_poses()},
+            config=config.get("config", {}),
+            poses={**config.get("poses", {}), **module.list_poses()},
             poses_of=module.list_poses_by_type(),
             regrip=local(module.spec.regrip),
             pace=state.lab.pace,
             seed=self.settings.seed,
             simulated=self.simulated,
-            interface=told.get("interface", ""),
-            about=told.get("about", {}),
-            extends=told.get("extends", {}),
+            interface=config.get("interface", ""),
+            about=config.get("about", {}),
+            extends=config.get("extends", {}),
             labos=VERSION,
         )
 

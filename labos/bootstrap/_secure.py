@@ -133,11 +133,11 @@ class Guard:
         self.issue_for(modules)
 
     def _check_identity(self, credentials: Credentials) -> None:
-        said = credentials.identity()
-        if said is not None and said != self.who:
+        identity = credentials.identity()
+        if identity is not None and identity != self.who:
             raise BadInput(
-                f"The certificate in {credentials.folder} is that of the {said.shown}"
-                f"{f' of lab {said.lab}' if said.lab else ''}, not of the {self.who.shown}"
+                f"The certificate in {credentials.folder} is that of the {identity.shown}"
+                f"{f' of lab {identity.lab}' if identity.lab else ''}, not of the {self.who.shown}"
                 f"{f' of lab {self.who.lab}' if self.who.lab else ''}.",
                 remedy="Issue one: labos pki issue.",
             )

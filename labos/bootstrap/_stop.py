@@ -28,8 +28,8 @@ async def stop_over_bus(
     if certificate is not None:
         credentials = Credentials(certificate)
         credentials.check(SystemClock().now_ns())
-        said = credentials.identity()
-        lab = said.lab if said is not None else lab
+        identity = credentials.identity()
+        lab = identity.lab if identity is not None else lab
         security = Security(credentials)
     bus = await open_bus(mode="client", connect=connect, security=security)
     try:

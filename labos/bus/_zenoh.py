@@ -308,15 +308,15 @@ class ZenohBus:
         self._ready.clear()
         handles = [handle for handle in self._handles if not handle.closed]
         await asyncio.to_thread(self._end_session, handles)
-        pause, told = REOPEN_S, ""
+        pause, logged = REOPEN_S, ""
         while not self._closed:
             try:
                 self._session = await self._opening.open(security)
                 break
             except LabosError as error:
-                if str(error) != told:
+                if str(error) != logged:
                     _log.warning("bus_not_reopened", why=str(error))
-                    told = str(error)
+                    logged = str(error)
             await asyncio.sleep(pause)
             pause = min(pause * 2, 2.0)
         if self._closed:

@@ -29,13 +29,13 @@ class TooManyWays(Exception):
 class Way(msgspec.Struct, frozen=True):
     """Steps in an order in which a run may carry them out. ``without`` are steps that failed and are skipped.
     ``rescued`` are failed steps that are replaced by their recovery steps. ``fails``: the run does not
-    continue after these steps. ``said`` are the decided conditions with their values."""
+    continue after these steps. ``decisions`` are the decided conditions with their values."""
 
     steps: tuple[int, ...] = ()
     without: frozenset[int] = frozenset()
     rescued: frozenset[int] = frozenset()
     fails: bool = False
-    said: tuple[tuple[str, bool], ...] = ()
+    decisions: tuple[tuple[str, bool], ...] = ()
 
     @property
     def plain(self) -> bool:
@@ -62,10 +62,10 @@ def _extend_way(plan: Plan, way: Way, index: int) -> list[Way]:
         return _find_own_ways(plan, way, index)
     what, positive = find_decision(step.when)
     found: list[Way] = []
-    known = dict(way.said)
+    known = dict(way.decisions)
     for value in [known[what]] if what in known else [positive, not positive]:
-        said = msgspec.structs.replace(way, said=tuple({**known, what: value}.items()))
-        found += _find_own_ways(plan, said, index) if value == positive else [said]
+        extended = msgspec.structs.replace(way, decisions=tuple({**known, what: value}.items()))
+        found += _find_own_ways(plan, extended, index) if value == positive else [extended]
     return found
 
 

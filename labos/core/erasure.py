@@ -73,8 +73,8 @@ def list_references_in_words(kind: str, payload: bytes) -> list[str]:
     event = TYPES.get(kind)
     if event is None or not list_references(payload):
         return []
-    told = msgspec.json.decode(payload)
-    words = [told.get(name) for name in find_fields_of_words(event)]
+    content = msgspec.json.decode(payload)
+    words = [content.get(name) for name in find_fields_of_words(event)]
     return list_references("\n".join(text for text in words if isinstance(text, str)).encode())
 
 

@@ -71,8 +71,8 @@ def fold_intervention_requested(modules: Modules, event: InterventionRequested, 
 
 def _note_failure(module: Module, failure: Failure) -> None:
     """Add a failure, unless it is the outcome of an action that was lost with its node."""
-    told = {action for known in module.failures for action in known.actions}
-    if module.person or told.intersection(failure.actions):
+    noted = {action for known in module.failures for action in known.actions}
+    if module.person or noted.intersection(failure.actions):
         return
     failure.what = failure.what[:LONGEST]
     module.failures.append(failure)

@@ -151,9 +151,9 @@ def make_kind(step: PlanStep) -> str:
     known = _kinds.get(id(step))
     if known is not None:
         return known[1]
-    told = "\x1f".join(f"{name}={_round_value(value)}" for name, value in sorted(step.args.items()))
-    told = f"{step.duration_s!r}\x1f{told}"
-    mark = hashlib.blake2b(told.encode(errors="surrogatepass"), digest_size=6).hexdigest()
+    text = "\x1f".join(f"{name}={_round_value(value)}" for name, value in sorted(step.args.items()))
+    text = f"{step.duration_s!r}\x1f{text}"
+    mark = hashlib.blake2b(text.encode(errors="surrogatepass"), digest_size=6).hexdigest()
     kind = f"{step.module}\x1f{step.action}\x1f{mark}"
     _kinds[id(step)] = step, kind
     if len(_kinds) > SHARED:

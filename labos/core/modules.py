@@ -293,8 +293,8 @@ class Module(msgspec.Struct):
         written = self.spec.config
         if labware_type:
             written = {"poses": written.get("poses_of", {}).get(labware_type, {})}
-        told = written.get("poses", {}).get(local(station))
-        return tuple(told) if told is not None else None
+        pose = written.get("poses", {}).get(local(station))
+        return tuple(pose) if pose is not None else None
 
     def list_poses(self) -> dict[str, list[float]]:
         """Taught poses for any labware, by the stations' local names."""

@@ -62,26 +62,26 @@ def find_rule_fault(rule: str, zone: str, first: int) -> str:
     """The fault of a rule whose first time is ``first`` (UTC ns), as a sentence; empty if there is none."""
     if len(rule) > LONGEST_RULE:
         return f"A rule has at most {LONGEST_RULE} characters."
-    told = _split_rule(rule)
-    for part in told:
+    parts = _split_rule(rule)
+    for part in parts:
         if part not in PARTS:
             return f"A rule says {', '.join(PARTS)}, and not {part!r}."
-    if told.get("FREQ") not in FREQUENCIES:
+    if parts.get("FREQ") not in FREQUENCIES:
         return f"A rule begins with FREQ= and one of {', '.join(FREQUENCIES)}."
-    if "BYSETPOS" in told and (
-        told["FREQ"] in FREQUENCIES[:2] or not re.fullmatch(r"-?[1-5]", told["BYSETPOS"])
+    if "BYSETPOS" in parts and (
+        parts["FREQ"] in FREQUENCIES[:2] or not re.fullmatch(r"-?[1-5]", parts["BYSETPOS"])
     ):
         return "BYSETPOS is a number from -5 to 5, and of months or years."
-    if not re.fullmatch(f"{_DAY}(,{_DAY})*", told.get("BYDAY", "MO")):
+    if not re.fullmatch(f"{_DAY}(,{_DAY})*", parts.get("BYDAY", "MO")):
         return "BYDAY names days like MO or TH, or of months and years also like 1MO (the first) or -1FR."
     for part in ("INTERVAL", "COUNT"):
-        if not re.fullmatch(r"[1-9]\d{0,4}", told.get(part, "1")):
+        if not re.fullmatch(r"[1-9]\d{0,4}", parts.get(part, "1")):
             return f"{part} is a number from 1 to 99999."
     try:
         local = _convert_to_local(first, find_zone(zone))
-        found = _read(told, local, local)
+        found = _read(parts, local, local)
         # A rule that never matches would be searched until the year 9999.
-        begins = next(iter(found), None) if _may_be_on(told, local) else None
+        begins = next(iter(found), None) if _may_be_on(parts, local) else None
     except (ValueError, TypeError, OverflowError) as error:
         return f"{rule!r} is no rule of iCalendar ({str(error).rstrip('.')})."
     return "" if begins == local else "The first time does not follow the rule."
@@ -98,15 +98,15 @@ def _split_rule(rule: str) -> dict[str, str]:
     return dict(part.partition("=")[::2] for part in rule.split(";"))
 
 
-def _may_be_on(told: Mapping[str, str], day: datetime) -> bool:
+def _may_be_on(parts: Mapping[str, str], day: datetime) -> bool:
     """Whether a day matches the months, days of the month and days of the week of a rule."""
     last = monthrange(day.year, day.month)[1]
     days = {str(day.day), f"+{day.day}", str(day.day - last - 1)}
-    week = {part[-2:] for part in told.get("BYDAY", "").split(",")}
+    week = {part[-2:] for part in parts.get("BYDAY", "").split(",")}
     return (
-        str(day.month) in told.get("BYMONTH", str(day.month)).split(",")
-        and bool(days & set(told.get("BYMONTHDAY", str(day.day)).split(",")))
-        and ("BYDAY" not in told or WEEK[day.weekday()] in week)
+        str(day.month) in parts.get("BYMONTH", str(day.month)).split(",")
+        and bool(days & set(parts.get("BYMONTHDAY", str(day.day)).split(",")))
+        and ("BYDAY" not in parts or WEEK[day.weekday()] in week)
     )
 
 
@@ -115,11 +115,11 @@ def _convert_to_local(at: int, zone: tzinfo) -> datetime:
     return datetime.fromtimestamp(at // SECOND_NS, zone).replace(tzinfo=None)
 
 
-def _read(told: Mapping[str, str], first: datetime, last: datetime) -> rrule:
+def _read(parts: Mapping[str, str], first: datetime, last: datetime) -> rrule:
     """Parse a rule, with an end at ``last``. ``COUNT`` is left out here and applied elsewhere: a rule that
     never matches would not end."""
-    parts = [f"{part}={value}" for part, value in told.items() if part != "COUNT"]
-    found = rrulestr(";".join([*parts, f"UNTIL={last:%Y%m%dT%H%M%S}"]), dtstart=first, ignoretz=True)
+    texts = [f"{part}={value}" for part, value in parts.items() if part != "COUNT"]
+    found = rrulestr(";".join([*texts, f"UNTIL={last:%Y%m%dT%H%M%S}"]), dtstart=first, ignoretz=True)
     if not isinstance(found, rrule):
         raise ValueError("it is more than one rule")
     return found
@@ -130,10 +130,10 @@ class _Times:
 
     def __init__(self, rule: str, zone: str, first: int) -> None:
         self._zone, self._rest = find_zone(zone), first % SECOND_NS
-        told = _split_rule(rule)
-        self._most = min(int(told.get("COUNT", MOST_TIMES)), MOST_TIMES)
+        parts = _split_rule(rule)
+        self._most = min(int(parts.get("COUNT", MOST_TIMES)), MOST_TIMES)
         end = _convert_to_local(LATEST, self._zone)
-        self._more: Iterator[datetime] = iter(_read(told, _convert_to_local(first, self._zone), end))
+        self._more: Iterator[datetime] = iter(_read(parts, _convert_to_local(first, self._zone), end))
         self._known: list[int] = []
         self._over = False
 

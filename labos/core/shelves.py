@@ -57,12 +57,12 @@ def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) ->
             where = {"source": lambda: stands(effect.labware)}
         case Needs() if effect.labware:
             where = {"station": lambda: stands(effect.labware)}
-    told = {field: find() for field, find in where.items() if getattr(effect, field) in bench.shelves}
+    changes = {field: find() for field, find in where.items() if getattr(effect, field) in bench.shelves}
     for field in ("target", "station"):
         place = getattr(effect, field, NOWHERE)
         if place in effect.room and place in bench.shelves:
-            told[field] = find_free_shelf(bench, place, but) or place
-    return msgspec.structs.replace(effect, **told) if told else effect
+            changes[field] = find_free_shelf(bench, place, but) or place
+    return msgspec.structs.replace(effect, **changes) if changes else effect
 
 
 def spread(bench: Bench, place: StationName, items: Sequence[str]) -> list[tuple[StationName, Sequence[str]]]:

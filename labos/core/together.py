@@ -20,8 +20,8 @@ from labos.core.waits import Wait, module_key, run_key, station_key
 def find_together(state: LabState, step: PlanStep) -> Together | None:
     """How the device of a step works for several runs at once; None if it does not."""
     module = state.modules.by_name.get(step.module)
-    told = module.spec.together if module is not None else None
-    return told if told is not None and step.action in told.actions else None
+    together = module.spec.together if module is not None else None
+    return together if together is not None and step.action in together.actions else None
 
 
 def list_inside(state: LabState, module: ModuleName) -> Iterator[tuple[RunId, LabwareId, StationName]]:

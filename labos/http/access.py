@@ -52,16 +52,16 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
 
 
 async def end_access(
-    service: LabService, workcell: str, by: str, note: str, told: Sequence[StationChange]
+    service: LabService, workcell: str, by: str, note: str, changes: Sequence[StationChange]
 ) -> None:
     """The access has ended; the changes are recorded with its end. Raises Refused, NotFound."""
     cell = service.workcell(workcell).name
-    changes = [ReportedChange(service.station(change.station), change.what) for change in told]
-    for change in changes:
+    reported = [ReportedChange(service.station(change.station), change.what) for change in changes]
+    for change in reported:
         known = change.what == "empty" or change.what in service.kernel.state.bench.labware
         if not known:
             service.expect_labware(change.what)
-    command = EndAccess(cell, by, note, tuple(changes))
+    command = EndAccess(cell, by, note, tuple(reported))
     await service.kernel.execute(command, by)
 
 

@@ -96,10 +96,10 @@ async def _check(service: LabService, heard: NodeAnswer) -> NodeAnswer:
         sees = dict(await observe_module(service.kernel, bus, heard.module, LOOK_S))
     except BusError as error:
         fault = error.message
-    said = about.description
+    description = about.description
     checked = NodeCheck(
-        driver=cut(str(said.get("driver", "")), LONGEST_NAME),
-        version=cut(str(said.get("version", "")), LONGEST_NAME),
+        driver=cut(str(description.get("driver", "")), LONGEST_NAME),
+        version=cut(str(description.get("version", "")), LONGEST_NAME),
         labos=cut(about.labos, LONGEST_NAME),
         protocol=about.protocol,
         simulated=about.simulated,

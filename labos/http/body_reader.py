@@ -55,13 +55,13 @@ class BodyReader:
 
     async def read(self, request: Request, most: int = LARGEST_BODY) -> bytes:
         """The whole body. Raises TooLarge as soon as it exceeds ``most``, TooSlow, TooMany."""
-        told = request.headers.get("content-length", "")
+        length = request.headers.get("content-length", "")
         body = bytearray()
         loop = asyncio.get_running_loop()
         begun = loop.time()
         pieces = request.stream()
         try:
-            if told.isdecimal() and int(told[:19]) > most:
+            if length.isdecimal() and int(length[:19]) > most:
                 await drain(pieces)
                 raise _make_too_large_error(most)
             while True:

@@ -269,18 +269,18 @@ def change_terms(state: LabState, booking: Booking, body: BookingChange) -> NewT
     )
 
 
-def _find_owner(state: LabState, said: str, by: str) -> tuple[str, str]:
+def _find_owner(state: LabState, owner: str, by: str) -> tuple[str, str]:
     """The user or the group that the request names; the requesting user if it names none. Raises BadInput."""
-    kind, colon, name = said.partition(":")
-    if not said:
+    kind, colon, name = owner.partition(":")
+    if not owner:
         return find_person(by), ""
     if colon and kind in ("user", "group"):
         return (name, "") if kind == "user" else ("", name)
-    if said in state.shares.groups:
-        if said in state.users.known:
+    if owner in state.shares.groups:
+        if owner in state.users.known:
             raise BadInput(
-                f"{said!r} is the name of a group and of a user.",
-                remedy=f"Write group:{said} or user:{said}.",
+                f"{owner!r} is the name of a group and of a user.",
+                remedy=f"Write group:{owner} or user:{owner}.",
             )
-        return "", said
-    return said, ""
+        return "", owner
+    return owner, ""

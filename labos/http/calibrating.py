@@ -14,13 +14,13 @@ from labos.http.service import LabService
 from labos.http.stock import check
 
 
-async def calibrate(service: LabService, name: str, told: NewCalibration, by: str) -> CalibrationRecord:
+async def calibrate(service: LabService, name: str, new: NewCalibration, by: str) -> CalibrationRecord:
     """Record a calibration of a module, and keep its report. Raises NotFound, Refused."""
     module = service.module(name)
-    command = make_from(CalibrateModule, told, module=module, by=by)
-    if told.report:
+    command = make_from(CalibrateModule, new, module=module, by=by)
+    if new.report:
         check(service, command, by)  # a refused request must not leave a file behind
-        file = await asyncio.to_thread(service.parts.blobs.put, told.report)
+        file = await asyncio.to_thread(service.parts.blobs.put, new.report)
         command = msgspec.structs.replace(command, file=file)
     await service.kernel.execute(command, by)
     return make_from(CalibrationRecord, command)

@@ -105,14 +105,14 @@ class CheckedCampaign(msgspec.Struct):
 async def submit_campaign(service: LabService, new: NewCampaign, request: str) -> tuple[str, Estimate]:
     """Check the whole campaign, store its table and workflow, and submit it; with ``dry_run``, only check.
     Raises SpecError, SpecErrors with each fault and its row, NotFound, Refused, KeyReused."""
-    told, deadline, workcell, checked = await _read(service, new)
-    return await keep_campaign(service, new, told, workcell, checked, deadline, request)
+    content, deadline, workcell, checked = await _read(service, new)
+    return await keep_campaign(service, new, content, workcell, checked, deadline, request)
 
 
 async def keep_campaign(
     service: LabService,
     new: NewCampaign,
-    told: CampaignSource,
+    content: CampaignSource,
     workcell: str,
     checked: CheckedCampaign,
     deadline: int,
@@ -120,15 +120,15 @@ async def keep_campaign(
     cloned_from: CampaignId = NOBODYS,
 ) -> tuple[str, Estimate]:
     """Store the table and workflow of a checked campaign, and submit it. Raises Refused, KeyReused."""
-    estimate = _estimate(service, told, workcell, checked)
+    estimate = _estimate(service, content, workcell, checked)
     if new.dry_run:
         return "", estimate
-    table = b"\n".join(msgspec.json.encode(line.payload) for line in told.lines)
+    table = b"\n".join(msgspec.json.encode(line.payload) for line in content.lines)
     definition = msgspec.json.encode(new.workflow)
     blobs = service.parts.blobs
     command = _command(
         new,
-        told,
+        content,
         estimate,
         checked,
         deadline,
@@ -149,24 +149,24 @@ async def keep_campaign(
 
 async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Estimate, LabForecast]:
     """Check the whole campaign, and make its forecast. Raises as ``submit_campaign``."""
-    told, deadline, workcell, checked = await _read(service, new)
-    estimate = _estimate(service, told, workcell, checked)
-    command = _command(new, told, estimate, checked, deadline)
+    content, deadline, workcell, checked = await _read(service, new)
+    estimate = _estimate(service, content, workcell, checked)
+    command = _command(new, content, estimate, checked, deadline)
     return estimate, await service.forecasts.forecast_campaign(command, checked.rows, new.user)
 
 
 async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, CheckedCampaign]:
     """The content of a campaign file, its deadline (UTC ns), its workcell, and the result of the check."""
     service.expect_role(new.user, "submitter")  # before anything is planned or stored
-    told = await service.run_beside(len(new.text), parse_campaign, new.text, new.name, new.files)
-    deadline = _parse_deadline(service, told)
-    workcell = service.workcell(told.file.workcell or await _find_workcell(service, new.workflow)).name
-    return told, deadline, workcell, await check_rows(service, new, told, workcell)
+    content = await service.run_beside(len(new.text), parse_campaign, new.text, new.name, new.files)
+    deadline = _parse_deadline(service, content)
+    workcell = service.workcell(content.file.workcell or await _find_workcell(service, new.workflow)).name
+    return content, deadline, workcell, await check_rows(service, new, content, workcell)
 
 
 def _command(
     new: NewCampaign,
-    told: CampaignSource,
+    content: CampaignSource,
     estimate: Estimate,
     checked: CheckedCampaign,
     deadline: int,
@@ -177,20 +177,20 @@ def _command(
     cloned_from: CampaignId = NOBODYS,
 ) -> SubmitCampaign:
     return SubmitCampaign(
-        name=told.file.campaign,
+        name=content.file.campaign,
         user=find_person(new.user),
         workflow=estimate.workflow,
         workcell=estimate.workcell,
-        rows=len(told.lines),
+        rows=len(content.lines),
         table=table,
         definition=definition,
-        terms=msgspec.structs.replace(told.terms, deadline=deadline),
+        terms=msgspec.structs.replace(content.terms, deadline=deadline),
         request=request,
-        demand=sum_demand(checked.plans, len(told.lines) / len(checked.plans)),
+        demand=sum_demand(checked.plans, len(content.lines) / len(checked.plans)),
         propose=new.propose,
-        visibility=told.file.visibility,
+        visibility=content.file.visibility,
         cloned_from=cloned_from,
-        due=told.file.due,
+        due=content.file.due,
     )
 
 
@@ -209,16 +209,16 @@ def _expect_same(service: LabService, name: CampaignId, command: SubmitCampaign)
         )
 
 
-def _parse_deadline(service: LabService, told: CampaignSource) -> int:
-    if not told.file.deadline:
+def _parse_deadline(service: LabService, content: CampaignSource) -> int:
+    if not content.file.deadline:
         return 0
     now = service.kernel.clock.now_ns()
     try:
-        found = parse_until(told.file.deadline, now)
+        found = parse_until(content.file.deadline, now)
     except BadInput as error:
-        raise told.source.error(error.message, ("deadline",), remedy=error.remedy) from None
+        raise content.source.error(error.message, ("deadline",), remedy=error.remedy) from None
     if found <= now:
-        raise told.source.error(
+        raise content.source.error(
             "The deadline has passed.", ("deadline",), remedy="Give a time in the future."
         )
     return found
@@ -239,15 +239,15 @@ def _choose_rows(lines: Sequence[RowLine]) -> list[int]:
 
 
 async def check_rows(
-    service: LabService, new: NewCampaign, told: CampaignSource, workcell: str
+    service: LabService, new: NewCampaign, content: CampaignSource, workcell: str
 ) -> CheckedCampaign:
     """Plan rows. Raises SpecErrors with the faults of all rows."""
-    checked, rows = CheckedCampaign(FindingList(new.name)), _choose_rows(told.lines)
+    checked, rows = CheckedCampaign(FindingList(new.name)), _choose_rows(content.lines)
     for first in range(0, len(rows), CHECKED_AT_ONCE):
         part = rows[first : first + CHECKED_AT_ONCE]
         size = len(new.workflow.text) * len(part)
-        await service.run_beside(size, _plan_rows, service, new, told, workcell, part, checked)
-    _check_stop_rule(told, checked)
+        await service.run_beside(size, _plan_rows, service, new, content, workcell, part, checked)
+    _check_stop_rule(content, checked)
     checked.report.raise_if_failed()
     return checked
 
@@ -255,7 +255,7 @@ async def check_rows(
 def _plan_rows(
     service: LabService,
     new: NewCampaign,
-    told: CampaignSource,
+    content: CampaignSource,
     workcell: str,
     rows: Sequence[int],
     checked: CheckedCampaign,
@@ -263,14 +263,14 @@ def _plan_rows(
     cell, bench = service.workcell(workcell), service.read_bench(workcell)
     source = parse_workflow(new.workflow.text, new.workflow.name)
     for row in rows:
-        line = told.lines[row]
-        payload, due = take_due(line.payload, told.file.due)
-        if told.file.due and (wrong := explain_no_time(due)):
-            place = line.place_of(f"payload.{told.file.due}")
+        line = content.lines[row]
+        payload, due = take_due(line.payload, content.file.due)
+        if content.file.due and (wrong := explain_no_time(due)):
+            place = line.place_of(f"payload.{content.file.due}")
             checked.report.error(
                 f"Row {row}: {wrong}",
                 place,
-                field=told.file.due,
+                field=content.file.due,
                 remedy="Write 2026-05-04T10:30, or nothing.",
             )
         try:
@@ -314,27 +314,29 @@ def _report_row(report: FindingList, row: int, line: RowLine, finding: Finding, 
     )
 
 
-def _check_stop_rule(told: CampaignSource, checked: CheckedCampaign) -> None:
-    until = told.terms.until
+def _check_stop_rule(content: CampaignSource, checked: CheckedCampaign) -> None:
+    until = content.terms.until
     if until is None or not checked.plans:
         return
     known = {step.key for plan in checked.plans for step in plan.steps}
     for key in sorted(find_reads(until) - known):
-        place = told.source.place(("until",))
+        place = content.source.place(("until",))
         remedy = near(key, known, "step")
         checked.report.error(f"The workflow has no step {key!r}.", place, field="until", remedy=remedy)
 
 
-def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: CheckedCampaign) -> Estimate:
+def _estimate(
+    service: LabService, content: CampaignSource, workcell: str, checked: CheckedCampaign
+) -> Estimate:
     plans = checked.plans
-    times = len(told.lines) / len(plans)
+    times = len(content.lines) / len(plans)
     asked = sum_demand(plans, times)
     busiest = max(asked.modules, key=asked.modules.__getitem__)
     return Estimate(
-        name=told.file.campaign,
+        name=content.file.campaign,
         workflow=plans[0].workflow,
         workcell=workcell,
-        rows=len(told.lines),
+        rows=len(content.lines),
         checked=len(plans),
         module_time_s=asked.module_time_s,
         modules=asked.modules,

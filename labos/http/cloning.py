@@ -41,7 +41,7 @@ async def clone_campaign(
         visibility=asked.visibility or service.kernel.state.campaigns.visibility_of(first.campaign),
     )
     rows = [TableLine(table.read_row(number), f"rows of {name}") for number in range(len(table))]
-    told = CampaignSource(file, parse("labos: 1\n", f"campaign {name}"), rows, terms)
+    content = CampaignSource(file, parse("labos: 1\n", f"campaign {name}"), rows, terms)
     new = NewCampaign(
         text="",
         workflow=workflow,
@@ -51,8 +51,10 @@ async def clone_campaign(
         propose=asked.propose,
     )
     workcell = service.workcell(first.workcell).name
-    checked = await check_rows(service, new, told, workcell)
-    return await keep_campaign(service, new, told, workcell, checked, terms.deadline, request, first.campaign)
+    checked = await check_rows(service, new, content, workcell)
+    return await keep_campaign(
+        service, new, content, workcell, checked, terms.deadline, request, first.campaign
+    )
 
 
 def _read(log: Log, name: str) -> tuple[CampaignSubmitted, Terms]:

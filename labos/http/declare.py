@@ -13,13 +13,13 @@ from labos.http.service import LabService
 
 
 async def declare_bench(
-    service: LabService, told: Mapping[str, Sequence[str]], workcell: str, by: str, *, empty: bool
+    service: LabService, contents: Mapping[str, Sequence[str]], workcell: str, by: str, *, empty: bool
 ) -> dict[str, list[str]]:
     """Declare the content of stations, bottom to top; with ``empty``, stations without a declaration are
     empty. Returns what was declared. Raises Refused, NotFound, BadInput."""
     bench = service.kernel.state.bench
     stations: dict[StationName, tuple[str, ...]] = {}
-    for name, types in told.items():
+    for name, types in contents.items():
         station = service.station(name)
         if station in stations or any(shelf in stations for shelf in bench.shelves.get(station, ())):
             raise BadInput(f"{local(station)} is declared twice.", remedy="Say it once.")

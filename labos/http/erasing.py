@@ -77,8 +77,8 @@ def _list_words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[i
     if found:
         return [(position, reference) for reference in found]
     kind = TYPES.get(record.head.type)
-    told = msgspec.json.decode(record.payload)
-    if kind is not None and any(told.get(name) for name in find_fields_of_words(kind)):
+    content = msgspec.json.decode(record.payload)
+    if kind is not None and any(content.get(name) for name in find_fields_of_words(kind)):
         raise Refused(
             f"The words of position {position} stand in the log itself: they were written before words could "
             "be erased, or by LabOS.",

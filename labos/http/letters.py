@@ -124,8 +124,8 @@ class Letters:
             raise Unreadable("The reply answers another question.")
         return _decode(_reply, sealed.message)
 
-    def _seal(self, way: bytes, nonce: bytes, said: LetterRequest | LetterReply) -> bytes:
-        message, at_ns = _encode(said), self._clock.now_ns()
+    def _seal(self, way: bytes, nonce: bytes, letter: LetterRequest | LetterReply) -> bytes:
+        message, at_ns = _encode(letter), self._clock.now_ns()
         return _encode(_Sealed(at_ns, nonce, self._mac(way, at_ns, nonce, message), message))
 
     def _open(self, way: bytes, payload: bytes) -> _Sealed:

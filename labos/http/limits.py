@@ -113,9 +113,9 @@ def check_person(name: str, field: str) -> str:
     return name
 
 
-def name_in_emergency(said: str) -> str:
+def name_in_emergency(text: str) -> str:
     """The name of the person who requests an emergency stop. No name leads to a refusal."""
-    name = "".join(char if char.isprintable() and char != "/" else " " for char in said[:LONGEST_PERSON])
+    name = "".join(char if char.isprintable() and char != "/" else " " for char in text[:LONGEST_PERSON])
     return "somebody" if name.strip().casefold() in ("", OWN_NAME) else name
 
 
@@ -143,12 +143,12 @@ def asker_of(kind: type[msgspec.Struct]) -> str:
     return next((name for name, hint in hints.items() if WHO_ASKS in getattr(hint, "__metadata__", ())), "")
 
 
-def check_fields(told: msgspec.Struct) -> None:
+def check_fields(request: msgspec.Struct) -> None:
     """Checks of a request that its types do not make: the requesting user, and the depth and size of its
     tables. Raises BadInput."""
-    asker = asker_of(type(told))
-    for field in told.__struct_fields__:
-        value = getattr(told, field)
+    asker = asker_of(type(request))
+    for field in request.__struct_fields__:
+        value = getattr(request, field)
         if field == asker and field != "said_by":
             check_person(value, field)
         elif field in ("payload", "facts", "result"):

@@ -150,7 +150,7 @@ class KernelLink:
         headers = tuple(
             (name, value) for name, value in request.scope["headers"] if PASSED_ON.fullmatch(name)
         )
-        body = asked.told.get("body")
+        body = asked.arguments.get("body")
         letter = SentOn(
             request.method,
             request.scope["path"],

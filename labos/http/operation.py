@@ -145,7 +145,7 @@ class AdmittedRequest(msgspec.Struct, frozen=True):
 
     request: Request
     who: Who
-    told: dict[str, msgspec.Struct]
+    arguments: dict[str, msgspec.Struct]
     key: str
     digest: str
     logged: LoggedRequest | None = None
@@ -231,30 +231,32 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             if link is not None:
                 await link.up_to_date(wire.read_position(request))
             who = await self._admit(api, request)
-            told = await self._read(api, request, who)
+            arguments = await self._read(api, request, who)
 
             async def work() -> Response:
-                return respond(self, await self.handler(Call(api, request, who), **told))
+                return respond(self, await self.handler(Call(api, request, who), **arguments))
 
             key = wire.read_key(request) if self.method == "POST" and not self.secret else ""
-            if getattr(told.get("body"), "dry_run", False):
+            if getattr(arguments.get("body"), "dry_run", False):
                 key = ""  # a check changes nothing
-            asked = ""
+            digest = ""
             path = request.url.path
             if key:
-                asked = make_digest_of_request(
-                    path, who.user or wire.read_header(request, "labos-user"), told
+                digest = make_digest_of_request(
+                    path, who.user or wire.read_header(request, "labos-user"), arguments
                 )
             logged = None
             if key and not self.logs_key and api.service.marks is not None:
-                again = RepeatedRequest(api, self, request, who, told)
+                again = RepeatedRequest(api, self, request, who, arguments)
                 mark = mark_of(who.user, path, key)
-                logged = LoggedRequest(api.service.marks, mark, key, asked, again.answer)
+                logged = LoggedRequest(api.service.marks, mark, key, digest, again.answer)
             if link is not None:
-                found = await link.answer(self, AdmittedRequest(request, who, told, key, asked, logged), work)
+                found = await link.answer(
+                    self, AdmittedRequest(request, who, arguments, key, digest, logged), work
+                )
             elif key:
                 found = await api.idempotent.answer_once(
-                    key, path, asked, work, user=who.user, logs_key=self.logs_key, logged=logged
+                    key, path, digest, work, user=who.user, logs_key=self.logs_key, logged=logged
                 )
             else:
                 found = await work()
@@ -266,10 +268,10 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     async def _admit(self, api: Api, request: Request) -> Who:
         if self.needs == "nobody":
             return Who("open")
-        told = request.scope.get(ADMITTED)
-        if told is not None:
-            api.gate.confirm(told, self.needs)
-            return typing.cast(Who, told)
+        admitted = request.scope.get(ADMITTED)
+        if admitted is not None:
+            api.gate.confirm(admitted, self.needs)
+            return typing.cast(Who, admitted)
         try:
             return await api.gate.admit(request, self.needs, by_home=self.by_home, by_link=self.by_link)
         except (NotSignedIn, Forbidden):
@@ -278,18 +280,18 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             raise
 
     async def _read(self, api: Api, request: Request, who: Who) -> dict[str, msgspec.Struct]:
-        shape, told = self.shape, {}
+        shape, arguments = self.shape, {}
         if shape.path is not None:
-            told["path"] = wire.read_path(request, shape.path)
+            arguments["path"] = wire.read_path(request, shape.path)
         query = wire.read_query(request, shape.query, shape.lists)
         if query is not None:
-            told["query"] = query
+            arguments["query"] = query
         if shape.body is not None:
             asker = who.actor if who.is_known else ""
-            told["body"] = await wire.read_body(
+            arguments["body"] = await wire.read_body(
                 request, api.arriving, shape.body, self.largest_body, asker=asker
             )
-        return told
+        return arguments
 
 
 def list_operations(names: Mapping[str, Any], tag: str) -> tuple[Operation, ...]:

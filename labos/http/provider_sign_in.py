@@ -63,28 +63,28 @@ class FinishedSignIn(msgspec.Struct, frozen=True):
     wait_s: float = 0.0
 
 
-async def begin(call: Call, told: BeginSignIn) -> Response:
+async def begin(call: Call, body: BeginSignIn) -> Response:
     """Raises Refused, NotFound, NotSignedIn, TooManyTries."""
     way = _find_way(call)
-    if told.device:
+    if body.device:
         begun, shown = await way.begin_device()
         found = ProviderSignIn(
             begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0)
         )
     else:
-        begun = await way.begin(told.port)
+        begun = await way.begin(body.port)
         found = ProviderSignIn(begun.address, begun.state, begun.browser)
     return answer_secret(found)
 
 
-async def finish(call: Call, told: FinishSignIn) -> Response:
+async def finish(call: Call, body: FinishSignIn) -> Response:
     """Raises Refused, NotFound, NotSignedIn, BadInput."""
     from labos.services.accounts.command_line import RetryAfter  # few labs have a provider
 
     way, accounts = _find_way(call), call.api.gate.accounts
-    sent = {"state": told.state, "code": told.code, "iss": told.iss, "error": told.error}
+    sent = {"state": body.state, "code": body.code, "iss": body.iss, "error": body.error}
     try:
-        claims = await way.finish({name: text for name, text in sent.items() if text}, told.key)
+        claims = await way.finish({name: text for name, text in sent.items() if text}, body.key)
         if isinstance(claims, RetryAfter):
             return answer_secret(FinishedSignIn(wait_s=claims.seconds))
         user = await find_user_meant(call.api, way.provider, claims)
@@ -92,7 +92,7 @@ async def finish(call: Call, told: FinishSignIn) -> Response:
         accounts.tell_try("wrong")
         raise
     accounts.tell_try("right")
-    secret, token = await accounts.make_token(user, told.label, told.scope, min(told.days, way.most_days))
+    secret, token = await accounts.make_token(user, body.label, body.scope, min(body.days, way.most_days))
     return answer_secret(FinishedSignIn(user, token.expires_at, secret))
 
 

@@ -88,17 +88,17 @@ def _name_cookie(secure: bool) -> str:
 
 async def find_user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> str:
     """The user for a provider's claims; a new user, if the provider file allows it. Raises NotSignedIn."""
-    accounts, told, state = api.gate.accounts, provider.told, api.kernel.state
-    user = await accounts.user_of(told.issuer, claims.subject)
-    if not user and told.new_users:
+    accounts, settings, state = api.gate.accounts, provider.settings, api.kernel.state
+    user = await accounts.user_of(settings.issuer, claims.subject)
+    if not user and settings.new_users:
         user = f"u-{make_id()}"
-        await accounts.link(told.issuer, claims.subject, user)
-    if user and told.new_users and user not in state.users.known:  # perhaps linked before a crash
+        await accounts.link(settings.issuer, claims.subject, user)
+    if user and settings.new_users and user not in state.users.known:  # perhaps linked before a crash
         await api.kernel.execute(AddUser(user), LABOS)
     if not user:
         raise NotSignedIn(
             "The identity provider knows you, but this lab does not.",
-            remedy=f"Ask an admin of the lab to run: labos user link NAME {told.issuer} {claims.subject}",
+            remedy=f"Ask an admin of the lab to run: labos user link NAME {settings.issuer} {claims.subject}",
         )
     if state.users.get(user) is None:
         raise NotSignedIn(f"The user {user} is disabled.", remedy="Ask an admin of the lab.")
@@ -114,16 +114,16 @@ async def find_user_meant(api: Api, provider: Provider, claims: ProviderClaims) 
 
 def _list_changes(api: Api, provider: Provider, user: str, claimed: frozenset[str]) -> list[Command]:
     """The commands that give the user the group and the roles of the provider file; others stay unchanged."""
-    told, state = provider.told, api.kernel.state
+    settings, state = provider.settings, api.kernel.state
     found: list[Command] = []
-    wanted = next((group for claim, group in told.groups.items() if claim in claimed), "")
+    wanted = next((group for claim, group in settings.groups.items() if claim in claimed), "")
     present = state.shares.group_of.get(user, "")
-    if present != wanted and (present in told.groups.values() or not present):
+    if present != wanted and (present in settings.groups.values() or not present):
         found += [RemoveMember(present, user)] if present else []
         found += [AddMember(wanted, user)] if wanted else []
     subject = user_subject(user)
     held = state.users.roles.get(subject, {})
-    named = [(claim in claimed, grant) for claim, grants in told.roles.items() for grant in grants]
+    named = [(claim in claimed, grant) for claim, grants in settings.roles.items() for grant in grants]
     given: dict[str, Role] = {}
     for _, grant in filter(lambda pair: pair[0], named):
         given[grant.workcell] = max(grant.role, given.get(grant.workcell, grant.role), key=rank)

@@ -151,7 +151,7 @@ class RepeatedRequest(msgspec.Struct, frozen=True):
     operation: Operation
     request: Request
     who: Who
-    told: Mapping[str, msgspec.Struct]
+    arguments: Mapping[str, msgspec.Struct]
 
     async def answer(self, mark: str, position: int) -> Response:
         """Its answer at the time when it was carried out; its first event is at ``position``. Raises
@@ -171,7 +171,7 @@ class RepeatedRequest(msgspec.Struct, frozen=True):
                 return respond(self.operation, self.operation.recall(kernel.events_of_command()))
             parts = _RecordedParts(self.api.service.parts, kernel)
             call = Call(self.api, self.request, self.who, LabService(parts, Feed()))
-            return respond(self.operation, await self.operation.handler(call, **self.told))
+            return respond(self.operation, await self.operation.handler(call, **self.arguments))
         except StoreError:
             raise
         except Exception as error:

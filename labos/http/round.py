@@ -139,7 +139,7 @@ def round_view(state: LabState) -> Round:
     )
 
 
-def _make_round_station(state: LabState, name: StationName, said: bool) -> RoundStation:
+def _make_round_station(state: LabState, name: StationName, described: bool) -> RoundStation:
     bench, station = state.bench, state.bench.stations[name]
     return RoundStation(
         station=local(name),
@@ -150,7 +150,7 @@ def _make_round_station(state: LabState, name: StationName, said: bool) -> Round
         recorded=list(list_recorded(state, name)),
         types={item: bench.labware[item].type for item in station.labware},
         perhaps=[item.id for item in bench.labware.values() if name in item.maybe],
-        said=said,
+        said=described,
         must_be_said=must_describe(state, name),
     )
 
@@ -159,7 +159,7 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
     """Accept a person's report, station by station: an impossible one is refused with its reason, all others
     are recorded."""
     refused: list[RoundRefusal] = []
-    said: dict[StationName, SayContents] = {}
+    reported: dict[StationName, SayContents] = {}
     confirmed: dict[StationName, ConfirmStations] = {}
     for written, contents in (*words.stations.items(), *((name, None) for name in words.as_recorded)):
         try:
@@ -168,16 +168,16 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
                 confirmed[name] = ConfirmStations((name,), by)
             else:
                 _expect_known(service, name, contents)
-                said[name] = SayContents(name, by, tuple(contents))
+                reported[name] = SayContents(name, by, tuple(contents))
         except LabosError as error:
             refused.append(RoundRefusal(written, error.message, error.remedy))
     taken = {name for name in confirmed if name in service.kernel.state.shorter.said}
     finish = words.finish and check_role(service.kernel.state, by, "operator", WHOLE_LAB) is None
-    command = ReportRound(by, tuple(said.values()), tuple(confirmed), finish)
+    command = ReportRound(by, tuple(reported.values()), tuple(confirmed), finish)
     events = await service.kernel.execute(command, by)
     answered = any(isinstance(event, InterventionResolved) and event.choice == "checked" for event in events)
     taken.update(name for event in events if isinstance(event, StationsChecked) for name in event.stations)
-    for name, word in (*said.items(), *confirmed.items()):
+    for name, word in (*reported.items(), *confirmed.items()):
         if name not in taken:
             try:
                 check(service, word, by)
@@ -185,8 +185,8 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
                 refused.append(RoundRefusal(local(name), error.message, error.remedy))
     left = list(map(local, list_to_say(service.kernel.state)))
     why_not = _explain_open(service, by) if words.finish and not (answered or left) else ""
-    said_now = [local(name) for name in (*said, *confirmed) if name in taken]
-    return RoundResult(said_now, refused, left, answered, why_not)
+    recorded = [local(name) for name in (*reported, *confirmed) if name in taken]
+    return RoundResult(recorded, refused, left, answered, why_not)
 
 
 def _explain_open(service: LabService, by: str) -> str:

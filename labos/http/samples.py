@@ -38,8 +38,8 @@ async def register_samples(
     rows = await service.run_beside(len(text), read_sheet, text, report)
     only = _find_plate(service, labware, station)
     plates = _sort_by_plate(service, rows, only, report)
-    for plate, mine in plates.items():
-        await _check(service, service.kernel.state.bench.labware[plate], mine, report)
+    for plate, lines in plates.items():
+        await _check(service, service.kernel.state.bench.labware[plate], lines, report)
     if not rows and not report.errors:
         report.error("The sheet has no rows.", remedy="Write one for each sample.")
     if report.errors:
@@ -47,9 +47,9 @@ async def register_samples(
     blobs = service.parts.blobs
     # Stored before an event names them.
     await asyncio.to_thread(blobs.put, text.encode())
-    told = [await asyncio.to_thread(_pack, service, plate, mine) for plate, mine in plates.items()]
-    await service.kernel.execute(RegisterSamples(digest(text.encode()), tuple(told), replace), actor)
-    return {str(plate.labware): plate.count for plate in told}
+    packed = [await asyncio.to_thread(_pack, service, plate, lines) for plate, lines in plates.items()]
+    await service.kernel.execute(RegisterSamples(digest(text.encode()), tuple(packed), replace), actor)
+    return {str(plate.labware): plate.count for plate in packed}
 
 
 def _find_plate(service: LabService, labware: str, station: str) -> Labware | None:
@@ -78,11 +78,11 @@ def _sort_by_plate(
             break
         plate = only
         if row.plate:
-            told = named.get(row.plate) or named.setdefault(row.plate, _find_labware(service, row.plate))
-            if isinstance(told, BadInput):
-                report.error(told.message, row.plate_at, field="plate", remedy=told.remedy)
+            answer = named.get(row.plate) or named.setdefault(row.plate, _find_labware(service, row.plate))
+            if isinstance(answer, BadInput):
+                report.error(answer.message, row.plate_at, field="plate", remedy=answer.remedy)
                 continue
-            plate = told
+            plate = answer
         elif only is None:
             plate = None
         if plate is None:

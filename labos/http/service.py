@@ -327,9 +327,10 @@ class LabService:
         state = self.kernel.state
         known = state.runs.queued.get(run) if state.bookings.open else None
         waits = list_without_gap(state, known, self.kernel.clock.now_ns()) if known is not None else []
-        told = {wait.reason.sentence: wait.reason.remedy for wait in waits}
+        remedies = {wait.reason.sentence: wait.reason.remedy for wait in waits}
         return [
-            Finding("warning", f"{said[0].upper()}{said[1:]}.", remedy=todo) for said, todo in told.items()
+            Finding("warning", f"{sentence[0].upper()}{sentence[1:]}.", remedy=todo)
+            for sentence, todo in remedies.items()
         ]
 
     def expect_own(self, experiment: str, user: str) -> None:
@@ -479,8 +480,8 @@ class LabService:
         answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
         if answer.intervention not in self.kernel.state.interventions.open:
             await self.kernel.flush()
-            if said := await asyncio.to_thread(describe_answer, self.parts.store, intervention):
-                raise Refused(said, remedy="See its consequences: labos interventions --all")
+            if text := await asyncio.to_thread(describe_answer, self.parts.store, intervention):
+                raise Refused(text, remedy="See its consequences: labos interventions --all")
         await self.kernel.execute(answer, by)
 
     async def emergency_stop(self, target: str, by: str) -> StopReport:

@@ -151,18 +151,18 @@ def expect_users(state: LabState) -> None:
         )
 
 
-async def sign_in(call: Call, told: SignIn) -> Response:
+async def sign_in(call: Call, body: SignIn) -> Response:
     expect_users(call.kernel.state)
     gate, accounts = call.api.gate, call.api.gate.accounts
     client = call.request.client
-    await accounts.expect_password(told.user, told.password, client.host if client is not None else "")
-    if told.token:
-        secret, token = await accounts.make_token(told.user, told.label, told.scope, told.days)
-        return answer_secret(SignedIn(told.user, token.expires_at, secret))
+    await accounts.expect_password(body.user, body.password, client.host if client is not None else "")
+    if body.token:
+        secret, token = await accounts.make_token(body.user, body.label, body.scope, body.days)
+        return answer_secret(SignedIn(body.user, token.expires_at, secret))
     secret, session = await accounts.begin_session(
-        told.user, "password", before=call.request.cookies.get(gate.cookie, "")
+        body.user, "password", before=call.request.cookies.get(gate.cookie, "")
     )
-    answer = answer_secret(SignedIn(told.user, session.expires_at))
+    answer = answer_secret(SignedIn(body.user, session.expires_at))
     give_cookie(gate, answer, secret, session)
     return answer
 
@@ -217,25 +217,25 @@ async def find_identity(call: Call) -> Identity:
     )
 
 
-async def make_token(call: Call, told: NewToken) -> MadeToken:
+async def make_token(call: Call, body: NewToken) -> MadeToken:
     """Raises Forbidden, NotFound, BadInput."""
     expect_users(call.kernel.state)
-    user = told.user or call.who.user
+    user = body.user or call.who.user
     if not user:
         raise BadInput("The token is nobody's.", remedy="Say whose it is: --user NAME")
     expect_self_or_admin(call, user)
-    credential, days = call.who.credential, told.days
+    credential, days = call.who.credential, body.days
     if credential is not None:
-        if not allows(credential.scope, told.scope):
+        if not allows(credential.scope, body.scope):
             raise Forbidden(
                 f"The token {credential.token} is good for what a {credential.scope} may do, and makes none "
-                f"for {told.scope}.",
+                f"for {body.scope}.",
                 remedy=SIGN_IN,
             )
         if credential.token:  # a stolen token must not live on in tokens that were made with it
             now = call.kernel.clock.now_ns()
             days = min(days, (credential.until - now) / _DAY)
-    secret, token = await call.api.gate.accounts.make_token(user, told.label, told.scope, days)
+    secret, token = await call.api.gate.accounts.make_token(user, body.label, body.scope, days)
     return MadeToken(token, secret)
 
 
@@ -252,7 +252,7 @@ async def revoke_token(call: Call, id_: str) -> Token:
     return await call.api.gate.accounts.revoke_token(id_, "" if any_ else call.who.user)
 
 
-async def change_password(call: Call, user: str, told: NewPassword) -> None:
+async def change_password(call: Call, user: str, body: NewPassword) -> None:
     """Raises Forbidden, NotFound, NotSignedIn for a wrong present password, BadInput for an unsuitable new
     one."""
     expect_self_or_admin(call, user)
@@ -264,21 +264,21 @@ async def change_password(call: Call, user: str, told: NewPassword) -> None:
     if call.who.user == user and await accounts.has_password(user):
         client = call.request.client
         try:
-            await accounts.expect_password(user, told.present, client.host if client is not None else "")
+            await accounts.expect_password(user, body.present, client.host if client is not None else "")
         except NotSignedIn:
             raise Forbidden(
                 "The present password is wrong.", remedy="Ask an admin if you forgot it."
             ) from None
-    await accounts.set_password(user, told.password)
+    await accounts.set_password(user, body.password)
 
 
-async def change_person(call: Call, user: str, told: PersonDetails) -> Person:
+async def change_person(call: Call, user: str, body: PersonDetails) -> Person:
     """Raises Forbidden, NotFound."""
     expect_self_or_admin(call, user)
     accounts = call.api.gate.accounts
     present = (await accounts.people()).get(user, Person(user))
-    name = present.name if told.name is None else told.name
-    mail = present.mail if told.mail is None else told.mail
+    name = present.name if body.name is None else body.name
+    mail = present.mail if body.mail is None else body.mail
     person = Person(user, name, mail)
     await accounts.set_person(person)
     return person

@@ -58,33 +58,33 @@ class Replenishment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     instead: Annotated[bool, says("the rest of the old packs was taken out; `false` if left out")] = False
 
 
-async def load(service: LabService, told: Load, by: str) -> list[str]:
+async def load(service: LabService, request: Load, by: str) -> list[str]:
     """Labware was put on a station; returns the ids that it got (none on a stack). Raises Refused."""
-    name = service.station(told.station)
-    service.expect_labware(told.labware)
-    events = await service.kernel.execute(LoadStation(name, told.labware, told.count, told.lot), by)
+    name = service.station(request.station)
+    service.expect_labware(request.labware)
+    events = await service.kernel.execute(LoadStation(name, request.labware, request.count, request.lot), by)
     return [event.labware for event in events if isinstance(event, LabwarePlaced)]
 
 
-async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str], int]:
+async def unload(service: LabService, request: Unload, by: str) -> tuple[list[str], int]:
     """Labware was taken away; returns its ids, and the number of pieces without one. Raises Refused."""
-    name = service.station(told.station)
-    labware = service.labware(told.labware).id if told.labware else LabwareId("")
-    command = UnloadStation(name, by, labware, told.count)
+    name = service.station(request.station)
+    labware = service.labware(request.labware).id if request.labware else LabwareId("")
+    command = UnloadStation(name, by, labware, request.count)
     events = await service.kernel.execute(command, by)
     gone = [event.labware for event in events if isinstance(event, LabwareRemoved)]
     nameless = sum(event.count for event in events if isinstance(event, StationUnloaded))
     return [str(item) for item in gone], nameless
 
 
-async def replenish(service: LabService, module: str, told: Replenishment, by: str) -> float:
+async def replenish(service: LabService, module: str, request: Replenishment, by: str) -> float:
     """A resource was replenished; returns the amount. Raises Refused."""
     name = service.module(module)
     today = day_of(service.kernel.clock.now_ns())
     units = service.kernel.state.modules.by_name[name].spec.units
-    amount = in_unit(told.amount, told.unit, units.get(told.resource, ""), told.resource)
-    pack = (amount, told.lot, told.expires, told.instead)
-    command = Replenish(name, told.resource, *pack, today)
+    amount = in_unit(request.amount, request.unit, units.get(request.resource, ""), request.resource)
+    pack = (amount, request.lot, request.expires, request.instead)
+    command = Replenish(name, request.resource, *pack, today)
     events = await service.kernel.execute(command, by)
     return sum(event.amount for event in events if isinstance(event, ResourceReplenished))
 

@@ -13,13 +13,13 @@ from labos.http.bodies import NewPose
 from labos.http.service import LabService
 
 
-async def teach(service: LabService, name: str, told: NewPose, by: str) -> int:
+async def teach(service: LabService, name: str, new: NewPose, by: str) -> int:
     """Record a new pose of a module; returns its version. Raises NotFound, BadInput, Refused."""
-    module, station, kind = service.module(name), service.station(told.station), told.labware_type
+    module, station, kind = service.module(name), service.station(new.station), new.labware_type
     if kind:
         service.expect_labware(kind)
         _expect_types(service, service.kernel.state.modules.by_name[module])
-    command = TeachLocation(module, station, tuple(told.pose), by, told.why, kind)
+    command = TeachLocation(module, station, tuple(new.pose), by, new.why, kind)
     if await service.kernel.execute(command, by):
         service.parts.follow_workcells([module])  # its node reads the poses when it starts
     taught = service.kernel.state.modules.by_name[module].find_taught(station, kind)

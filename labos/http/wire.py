@@ -50,14 +50,14 @@ async def read_body(
     ``asker``. Raises BadInput."""
     raw = await arriving.read(request, most)
     try:
-        told = msgspec.json.decode(raw or b"{}", type=kind)
+        body = msgspec.json.decode(raw or b"{}", type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise BadInput(f"The request cannot be read: {_explain_error(error)}.", remedy=SEND) from None
     field = asker_of(kind)
     if asker and field:
-        setattr(told, field, asker)
-    check_fields(told)
-    return told
+        setattr(body, field, asker)
+    check_fields(body)
+    return body
 
 
 def read_path(request: Request, kind: type[T]) -> T:
@@ -120,10 +120,10 @@ def read_key(request: Request) -> str:
 
 def read_position(request: Request) -> int:
     """The position in the log that the client knows; 0 if it names none. Raises BadInput."""
-    said = request.headers.get(POSITION, "0")
-    if not (said.isascii() and said.isdecimal() and len(said) <= 19):
-        raise BadInput(f"The header LabOS-Position is {said[:40]!r}.", remedy="Write a whole number.")
-    return int(said)
+    text = request.headers.get(POSITION, "0")
+    if not (text.isascii() and text.isdecimal() and len(text) <= 19):
+        raise BadInput(f"The header LabOS-Position is {text[:40]!r}.", remedy="Write a whole number.")
+    return int(text)
 
 
 def read_header(request: Request, name: str) -> str:

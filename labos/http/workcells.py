@@ -51,13 +51,13 @@ class WorkcellChange(msgspec.Struct, frozen=True):
     transfers: Difference = Difference()
 
 
-async def apply_workcell(service: LabService, told: WorkcellFile, by: str) -> WorkcellChange:
+async def apply_workcell(service: LabService, file: WorkcellFile, by: str) -> WorkcellChange:
     """Apply a workcell file to the running lab, or only report its effects. Raises SpecErrors, Refused."""
     service.expect_role(by, "admin")
     descriptions = service.parts.descriptions
-    sent = {**told.labware, **told.files}
-    size = len(told.text) + sum(map(len, sent.values()))
-    compiled = await service.run_beside(size, parse_workcell, told.text, descriptions, told.name, sent)
+    sent = {**file.labware, **file.files}
+    size = len(file.text) + sum(map(len, sent.values()))
+    compiled = await service.run_beside(size, parse_workcell, file.text, descriptions, file.name, sent)
     new, state = compiled.workcell, service.kernel.state
     _refuse_on_site(service, new)
     blockers = tuple(f"{found.message} {found.remedy}".strip() for found in list_obstacles(state, new))
@@ -76,7 +76,7 @@ async def apply_workcell(service: LabService, told: WorkcellFile, by: str) -> Wo
         compiled.findings,
         _make_difference(_list_ways(before), _list_ways(new)),
     )
-    if told.dry_run:
+    if file.dry_run:
         return found
     if blockers:
         raise Refused(f"{new.name} cannot be changed: {blockers[0]}", remedy=" ".join(blockers[1:]))
@@ -111,8 +111,14 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
 
 def _list_connection(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
     """The fields that determine how a module's device is reached."""
-    told = spec.config
-    return spec.driver, told.get("interface"), told.get("config"), told.get("about"), told.get("extends")
+    config = spec.config
+    return (
+        spec.driver,
+        config.get("interface"),
+        config.get("config"),
+        config.get("about"),
+        config.get("extends"),
+    )
 
 
 def _make_applied(state: LabState, cell: str) -> Workcell:

@@ -58,10 +58,10 @@ async def find_outcome(
 def describe_error(error: BaseException) -> str:
     """An error as text for people, within the length limit of the log."""
     try:
-        said = str(error)
+        text = str(error)
     except Exception as fault:  # the driver may have its own class of errors
-        said = f"(its text cannot be read: {type(fault).__name__})"
-    return cut(said if isinstance(error, LabosError) else f"{type(error).__name__}: {said}")
+        text = f"(its text cannot be read: {type(fault).__name__})"
+    return cut(text if isinstance(error, LabosError) else f"{type(error).__name__}: {text}")
 
 
 def _make_success(name: str, result: Any) -> Outcome:
@@ -80,8 +80,8 @@ def _make_success(name: str, result: Any) -> Outcome:
     return Outcome(True, "all", plain)
 
 
-def _parse_effects(said: str) -> EffectsDone:
-    match said:
+def _parse_effects(text: str) -> EffectsDone:
+    match text:
         case "all" | "none" | "partial":
-            return said
+            return text
     return "unknown"

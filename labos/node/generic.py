@@ -46,14 +46,14 @@ VERBS = {("sealed", True): "seal", ("sealed", False): "peel"}
 """The simulated bench's words for setting a variable of labware; otherwise the action's name is used."""
 
 
-def attach_files(told: Any) -> Any:
+def attach_files(result: Any) -> Any:
     """A result from a description, with its files in the form ``{file: name, text: content}`` as
     attachments."""
-    if isinstance(told, dict) and told.keys() == {"file", "text"}:
-        return Attachment(str(told["file"]), str(told["text"]).encode())
-    if isinstance(told, dict):
-        return {name: attach_files(value) for name, value in told.items()}
-    return [attach_files(value) for value in told] if isinstance(told, list) else told
+    if isinstance(result, dict) and result.keys() == {"file", "text"}:
+        return Attachment(str(result["file"]), str(result["text"]).encode())
+    if isinstance(result, dict):
+        return {name: attach_files(value) for name, value in result.items()}
+    return [attach_files(value) for value in result] if isinstance(result, list) else result
 
 
 class GenericDevice:

@@ -280,8 +280,8 @@ class NodeServer:
 
     async def _on_resources(self, _: bytes) -> bytes:
         try:
-            told = await self.node.resources()
-            levels = {str(name): float(level) for name, level in told.items()}
+            resources = await self.node.resources()
+            levels = {str(name): float(level) for name, level in resources.items()}
             if flaw := find_flaw(levels):
                 raise DeviceError(f"The levels of {self.module} cannot be told: {flaw}.")
             return _encode(ResourcesReport(levels))
@@ -334,14 +334,16 @@ class NodeServer:
             return self._reply(
                 "refused", f"The request is for journal {cut(start.journal, 80)}; this is {journal.id}."
             )
-        if told := self._reply_from_journal(start.action, start.attempt, start.position):
-            if told.attempt != start.attempt and told.status not in ("void", "forgotten"):
+        if reply := self._reply_from_journal(start.action, start.attempt, start.position):
+            if reply.attempt != start.attempt and reply.status not in ("void", "forgotten"):
                 # This attempt must not run later either, after the earlier one is forgotten.
                 journal.forbid_attempts(start.action, start.attempt, start.position)
-                if told.status != "finished":
-                    told = self._reply("refused", f"Attempt {told.attempt} is {told.status}.", told.attempt)
+                if reply.status != "finished":
+                    reply = self._reply(
+                        "refused", f"Attempt {reply.attempt} is {reply.status}.", reply.attempt
+                    )
             await journal.sync()
-            return told
+            return reply
         try:
             if spec is None:
                 offers = ", ".join(action.name for action in self._description.actions)
@@ -394,8 +396,8 @@ class NodeServer:
         attempt = self._begun.get(start.action)
         if attempt is None or attempt.attempt != start.attempt:
             await self.journal.sync()
-            told = self._reply_from_journal(start.action, start.attempt, start.position)
-            return told or self._reply("unheard")
+            reply = self._reply_from_journal(start.action, start.attempt, start.position)
+            return reply or self._reply("unheard")
         del self._begun[start.action]
         try:
             await self.journal.sync()
@@ -439,14 +441,14 @@ class NodeServer:
         return None
 
     async def _on_ask(self, ask: Ask) -> ActionReply:
-        told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
-        if ask.void and (told is None or (told.attempt and told.attempt != ask.attempt)):
+        reply = self._reply_from_journal(ask.action, ask.attempt, ask.position)
+        if ask.void and (reply is None or (reply.attempt and reply.attempt != ask.attempt)):
             self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)
             self._gathering.break_up(ask.action, "the lab has asked for it meanwhile.")
         await self.journal.sync()
         # During the write, the action may have ended, or its acceptance may have failed.
-        told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
-        return told or self._reply("unheard")
+        reply = self._reply_from_journal(ask.action, ask.attempt, ask.position)
+        return reply or self._reply("unheard")
 
     async def _carry_out(
         self,
@@ -526,12 +528,12 @@ class NodeServer:
         stopped = self._stops != stops and self._condition.error
         if not stopped and self._condition.judge(spec, outcome):
             self._admin.note_recovery()
-        told = [attempt for attempt in attempts if attempt.action not in self._unanswered]
-        for attempt in told:
+        answered = [attempt for attempt in attempts if attempt.action not in self._unanswered]
+        for attempt in answered:
             published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
             key = self._keys.result(self.module, attempt.action)
             await self._publish(key, partial(_itself, published))
-        if told or self._condition.error or spec.recovers:
+        if answered or self._condition.error or spec.recovers:
             await self._publish_state()
         await self._sync_if_possible()
 

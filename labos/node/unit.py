@@ -58,8 +58,8 @@ def find_pinned_unit(setup: Setup) -> str:
 def read_known_unit(file: Path) -> str:
     """The serial number in a file; empty if there is none. Raises NotConnected."""
     try:
-        told = json.loads(file.read_text(encoding="utf-8"))
-        return str(told["serial"])
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return str(content["serial"])
     except FileNotFoundError:
         return ""
     except (OSError, ValueError, KeyError, TypeError) as error:

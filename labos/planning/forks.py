@@ -65,7 +65,7 @@ def find_branches(
     possible = [
         (way, motions)
         for way, motions in path.ways
-        if all(known.get(what, value) == value for what, value in way.said)
+        if all(known.get(what, value) == value for what, value in way.decisions)
         and _is_possible(way, plan, steps, troubles)
     ]
     flying = _list_undecided([way for way, _ in possible], run, steps)

@@ -38,11 +38,11 @@ class Discovery:
     def close(self) -> None:
         self._tasks.cancel()
 
-    async def find_unlogged(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[FoundAction]:
+    async def find_unlogged(self, module: ModuleName, entries: Sequence[Unacknowledged]) -> list[FoundAction]:
         """The actions in a node's journal that are not in the log. An action that ended long ago is no longer
         in memory, but its request is in the log. Raises StoreError."""
         found: dict[ActionId, FoundAction] = {}
-        for entry in told[:MOST_LOOKED_FOR]:
+        for entry in entries[:MOST_LOOKED_FOR]:
             name = ActionId(entry.action)
             if self._is_known(module, name):
                 continue

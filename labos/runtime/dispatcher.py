@@ -182,9 +182,9 @@ class Dispatcher:
             telling[action] = self._spawn(self._tell_settled(module, action, done))
 
     async def _tell_settled(self, module: ModuleName, action: ActionId, done: bool) -> None:
-        told = {"action": action, "done": done}
+        args = {"action": action, "done": done}
         try:
-            request = AdminRequest(self._kernel.lab, self._kernel.epoch, "settled", told)
+            request = AdminRequest(self._kernel.lab, self._kernel.epoch, "settled", args)
             await self._bus.query(self._keys.operation(module, "admin"), _encode(request), self._answer_s)
         except (BusError, StoreError) as error:
             _log.info("not_told", module=module, action=action, why=str(error))
@@ -303,8 +303,15 @@ class Dispatcher:
 
     def _finish(self, action: Action, attempt: int, journal: str, outcome: Outcome) -> None:
         ended_ns = find_device_time(action, outcome.ended_ns, self._kernel.clock.now_ns())
-        said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, ended_ns, outcome.collided)
-        self._kernel.submit(FinishAction(action.id, attempt, *said, journal), str(action.module))
+        fields = (
+            outcome.succeeded,
+            outcome.effects,
+            outcome.result,
+            outcome.error,
+            ended_ns,
+            outcome.collided,
+        )
+        self._kernel.submit(FinishAction(action.id, attempt, *fields, journal), str(action.module))
 
     # -- publications ------------------------------------------------------------------------
 
@@ -328,11 +335,11 @@ class Dispatcher:
             if settled is not None and settled.module == module and 0 < result.attempt < MOST_ATTEMPTS:
                 self._ask_late(module, name, result.attempt)
             return
-        told = find_device_time(action, result.outcome.ended_ns, self._kernel.clock.now_ns())
+        ended_ns = find_device_time(action, result.outcome.ended_ns, self._kernel.clock.now_ns())
         why = explain_disbelief(action, module, result.journal, result.attempt)
         if not why and named != result.action:
             why = f"it came under the key of action {named}"
-        if told and not why:
+        if ended_ns and not why:
             self._finish(action, result.attempt, result.journal, result.outcome)
             return
         of_earlier = module == action.module and 0 < result.attempt < action.attempt
@@ -365,8 +372,8 @@ class Dispatcher:
                     continue
                 outcome = reply.outcome if reply.status == "finished" else None
                 if outcome is not None and reply.journal == known.journal and 0 < reply.attempt <= attempt:
-                    said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error)
-                    report = FinishAction(name, reply.attempt, *said, collided=outcome.collided)
+                    fields = (outcome.succeeded, outcome.effects, outcome.result, outcome.error)
+                    report = FinishAction(name, reply.attempt, *fields, collided=outcome.collided)
                     self._kernel.submit(report, str(module))
                 return
         except LabosError as error:

@@ -101,8 +101,8 @@ class FileDesk:
         found = []
         for path in self._arriving.iterdir():
             with contextlib.suppress(FileNotFoundError):
-                told = path.stat()
-                found.append((told.st_mtime, told.st_size, path))
+                status = path.stat()
+                found.append((status.st_mtime, status.st_size, path))
         found.sort(reverse=True)
         size, stale = 0, self._clock.now_ns() / 1e9 - STALE_S
         for number, (touched, bytes_, path) in enumerate(found, 2):

@@ -170,7 +170,7 @@ class FollowedKernel(FoldedLab):
             self._grown = [pair for pair in self._grown if pair[1] is not grown]
 
     async def _follow(self) -> None:
-        told = ""
+        logged = ""
         while True:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._looking.wait(), POLL_S)
@@ -179,9 +179,9 @@ class FollowedKernel(FoldedLab):
             try:
                 await self._catch_up()
             except StoreError as error:
-                if str(error) != told:
+                if str(error) != logged:
                     _log.warning("log_not_read", why=str(error))
-                told = str(error)
+                logged = str(error)
                 self._tell_waiting(asked, error)
                 await asyncio.sleep(LOST_PAUSE_S)
             except Exception as error:  # the next attempt may succeed, and no request may wait without end
@@ -189,7 +189,7 @@ class FollowedKernel(FoldedLab):
                 self._tell_waiting(asked, StoreUnavailable(f"The log could not be followed: {error!r}."))
                 await asyncio.sleep(LOST_PAUSE_S)
             else:
-                told = ""
+                logged = ""
                 self._tell_waiting(asked)
 
     @staticmethod

@@ -96,7 +96,7 @@ class ForecastProcess:
         )
         try:
             async with asyncio.timeout(GIVE_UP_S):
-                told, said = await process.communicate(data)
+                output, errors = await process.communicate(data)
         except TimeoutError:
             raise Refused(
                 f"The forecast took longer than {GIVE_UP_S:g} s and was given up.",
@@ -108,12 +108,12 @@ class ForecastProcess:
                 await process.wait()
         self._expect_open()
         if process.returncode:
-            last = said.decode(errors="replace").strip().splitlines()[-1:]
+            last = errors.decode(errors="replace").strip().splitlines()[-1:]
             raise Refused(
                 f"The forecast failed: {' '.join(last) or f'exit code {process.returncode}'}.",
                 remedy="The lab continues without it; please report this.",
             )
-        return await asyncio.to_thread(msgspec.msgpack.decode, told, type=ForecastResult)
+        return await asyncio.to_thread(msgspec.msgpack.decode, output, type=ForecastResult)
 
     def _expect_open(self) -> None:
         if self._is_closed:

@@ -250,11 +250,11 @@ class KernelLog(ABC):
         self._lost_why = error
         self._unwritten.clear()
         self._picture = None
-        told = make_in_doubt_error(error) if type(error) is StoreUnavailable else error
+        failure = make_in_doubt_error(error) if type(error) is StoreUnavailable else error
         waiting, self._waiting = self._waiting, deque()
         for _, future in waiting:
             if not future.done():
-                future.set_exception(told)
+                future.set_exception(failure)
         if self._closing:
             return
         if isinstance(error, Fenced):

@@ -47,8 +47,8 @@ class Observer:
     async def observe(self, module: ModuleName) -> dict[StationName, Any]:
         """The observations of a module, by station. Raises BusError if it does not answer, StoreError."""
         seen = (await observe_module(self._kernel, self._bus, module, self._answer_s)).get("labware")
-        told = seen if isinstance(seen, Mapping) else {}
-        return {resolve_station(module, str(place)): what for place, what in told.items()}
+        sights = seen if isinstance(seen, Mapping) else {}
+        return {resolve_station(module, str(place)): sight for place, sight in sights.items()}
 
 
 class ObservingListener(ABC, Generic[Name]):

@@ -145,15 +145,15 @@ class Reconciler(ObservingListener[InterventionId]):
         ``observes``."""
         found = []
         for name, module in self._kernel.state.modules.by_name.items():
-            told = module.spec.config.get("config", module.spec.config)
-            sees = told.get("observes", ()) if isinstance(told, Mapping) else ()
-            mine = (
+            config = module.spec.config.get("config", module.spec.config)
+            sees = config.get("observes", ()) if isinstance(config, Mapping) else ()
+            observed = (
                 {resolve_station(name, str(place)) for place in sees}
                 if isinstance(sees, list | tuple)
                 else set()
             )
-            mine.update(self._kernel.state.bench.by_module.get(name, ()))
-            if name != first and mine & wanted:
+            observed.update(self._kernel.state.bench.by_module.get(name, ()))
+            if name != first and observed & wanted:
                 found.append(name)
         return found
 
@@ -161,5 +161,5 @@ class Reconciler(ObservingListener[InterventionId]):
 def read_sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
     """The command for a node's observation of a station: whether there is something, how much, or a barcode;
     null if the node cannot tell."""
-    said = read_contents(state, what) if station in state.bench.stations else None
-    return ObserveStation(station, by, *said) if said is not None else None
+    contents = read_contents(state, what) if station in state.bench.stations else None
+    return ObserveStation(station, by, *contents) if contents is not None else None

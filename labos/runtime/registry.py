@@ -309,9 +309,9 @@ class Registry:
 
     def _lose(self, module: ModuleName, instance: str, why: str) -> None:
         stopped = self._is_stopping(module)
-        told = "LabOS has told it to end" if stopped else why
+        reason = "LabOS has told it to end" if stopped else why
         try:
-            self._kernel.submit(LoseNode(module, instance, told, stopped), str(module))
+            self._kernel.submit(LoseNode(module, instance, reason, stopped), str(module))
         except LabosError as error:
             _log.info("loss_not_written", module=module, why=str(error))  # seen again when the log is open
 

@@ -94,9 +94,9 @@ class Verifier(ObservingListener[ActionId]):
             except BusError as error:
                 why = str(error).rstrip(".")
             for place in places:
-                said = read_contents(self._kernel.state, sights.get(place))
-                if said is not None:
-                    observed.append(Seen(place, local(observer), *said))
+                contents = read_contents(self._kernel.state, sights.get(place))
+                if contents is not None:
+                    observed.append(Seen(place, local(observer), *contents))
                 else:
                     what = why or "it does not say"
                     unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
@@ -113,8 +113,8 @@ class Verifier(ObservingListener[ActionId]):
             strange = sight.labware and sight.labware not in station.labware
             if strange or sight.count not in (None, stands):
                 # The station differs from the log, independent of this action.
-                told = ObserveStation(sight.station, sight.by, sight.count, sight.labware)
-                self._submit(told, action)
+                command = ObserveStation(sight.station, sight.by, sight.count, sight.labware)
+                self._submit(command, action)
 
     def _submit(self, command: VerifyAction | ObserveStation, action: Action) -> None:
         answer = self._kernel.submit(command, str(action.module))

@@ -59,18 +59,18 @@ class RowHistory(msgspec.Struct):
 def list_campaign_histories(log: Log) -> dict[str, CampaignHistory]:
     """Every campaign of the log, in order of its submission."""
     folded = Campaigns()
-    told: dict[str, CampaignHistory] = {}
+    histories: dict[str, CampaignHistory] = {}
     for event, head in decode_events(log.select(LogQuery(types=TYPES))):
         if isinstance(event, CampaignCompleted):
-            told[event.campaign].ended_at = head.recorded_at
+            histories[event.campaign].ended_at = head.recorded_at
         elif isinstance(event, CampaignArchived | CampaignUnarchived):
-            told[event.campaign].archived = isinstance(event, CampaignArchived)
+            histories[event.campaign].archived = isinstance(event, CampaignArchived)
         handler = HANDLERS.get(type(event))
         if handler is not None:
             handler(folded, event, head.recorded_at)  # type: ignore[operator]
         if isinstance(event, CampaignSubmitted):
-            told[event.campaign] = CampaignHistory(folded.open[event.campaign], event.visibility)
-    return told
+            histories[event.campaign] = CampaignHistory(folded.open[event.campaign], event.visibility)
+    return histories
 
 
 def read_campaign_history(log: Log, name: str) -> CampaignHistory:

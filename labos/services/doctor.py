@@ -64,14 +64,14 @@ MOST_DRIFTS = 5
 def check_space(folder: Path) -> DoctorFinding:
     """Free space on the disk of a folder."""
     free = shutil.disk_usage(folder).free
-    told = f"{free / 1e9:.1f} GB are free on the disk of {folder}."
+    result = f"{free / 1e9:.1f} GB are free on the disk of {folder}."
     if free < LEAST_BYTES:
         return DoctorFinding(
-            "disk space", "fault", told, "Make room: the kernel stops when its log cannot be written."
+            "disk space", "fault", result, "Make room: the kernel stops when its log cannot be written."
         )
     if free < LITTLE_BYTES:
-        return DoctorFinding("disk space", "warning", told, "Make room before it runs out.")
-    return DoctorFinding("disk space", "ok", told)
+        return DoctorFinding("disk space", "warning", result, "Make room before it runs out.")
+    return DoctorFinding("disk space", "ok", result)
 
 
 def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
@@ -82,10 +82,12 @@ def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
         at, folder, position, took = found["at"], found["folder"], found["position"], found["took_s"]
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, KeyError, TypeError):
         return DoctorFinding("backup", "warning", "Nobody has tried yet whether a backup comes back.", remedy)
-    told = f"On {show_time(at)} the backup in {folder} came back, up to position {position}, in {took:.1f} s."
+    result = (
+        f"On {show_time(at)} the backup in {folder} came back, up to position {position}, in {took:.1f} s."
+    )
     if now_ns - at > LONG_UNREHEARSED_NS:
-        return DoctorFinding("backup", "warning", told, remedy)
-    return DoctorFinding("backup", "ok", told)
+        return DoctorFinding("backup", "warning", result, remedy)
+    return DoctorFinding("backup", "ok", result)
 
 
 def check_durations(found: Sequence[Drift]) -> DoctorFinding:
@@ -99,8 +101,8 @@ def check_durations(found: Sequence[Drift]) -> DoctorFinding:
         for drift in found[:MOST_DRIFTS]
     ]
     more = f"; and {len(found) - MOST_DRIFTS} more" if len(found) > MOST_DRIFTS else ""
-    told = f"{'; '.join(named)}{more}. The scheduler goes by what it takes."
-    return DoctorFinding("durations", "warning", told, "Is the device well? Else correct its `duration`.")
+    result = f"{'; '.join(named)}{more}. The scheduler goes by what it takes."
+    return DoctorFinding("durations", "warning", result, "Is the device well? Else correct its `duration`.")
 
 
 def check_calibrations(state: LabState, now_ns: int) -> list[DoctorFinding]:
@@ -125,9 +127,11 @@ def check_calibrations(state: LabState, now_ns: int) -> list[DoctorFinding]:
         for until, of, one in soon[:MOST_NAMED]
     ]
     more = f"; and {len(soon) - MOST_NAMED} more" if len(soon) > MOST_NAMED else ""
-    told = f"Calibrations: {'; '.join(named)}{more}. No run waits for that."
+    result = f"Calibrations: {'; '.join(named)}{more}. No run waits for that."
     return [
-        DoctorFinding("calibrations", "warning", told, "Calibrate; then: labos calibrate MODULE --until DATE")
+        DoctorFinding(
+            "calibrations", "warning", result, "Calibrate; then: labos calibrate MODULE --until DATE"
+        )
     ]
 
 
@@ -146,12 +150,12 @@ def check_sync(folder: Path) -> DoctorFinding:
     finally:
         path.unlink(missing_ok=True)
     median = statistics.median(took)
-    told = f"A small write is durable after {median * 1e3:.1f} ms (median of {SYNCS})."
+    result = f"A small write is durable after {median * 1e3:.1f} ms (median of {SYNCS})."
     remedy = "Put the database on a local SSD: an action takes three such writes."
     if median > SLOWEST_SYNC_S:
-        return DoctorFinding("disk sync", "fault", told, remedy)
+        return DoctorFinding("disk sync", "fault", result, remedy)
     return DoctorFinding(
-        "disk sync", "warning" if median > SLOW_SYNC_S else "ok", told, remedy * (median > SLOW_SYNC_S)
+        "disk sync", "warning" if median > SLOW_SYNC_S else "ok", result, remedy * (median > SLOW_SYNC_S)
     )
 
 
@@ -162,18 +166,18 @@ def check_permissions(paths: Iterable[Path]) -> DoctorFinding:
     there = [path for path in paths if path.exists()]
     foreign = [path for path in there if path.stat().st_uid != os.getuid()]
     if foreign and os.getuid() != 0:
-        told = f"{foreign[0]} belongs to another user than the one who asks."
+        result = f"{foreign[0]} belongs to another user than the one who asks."
         return DoctorFinding(
-            "permissions", "fault", told, "Run LabOS as the user who owns the lab's folder, or chown it."
+            "permissions", "fault", result, "Run LabOS as the user who owns the lab's folder, or chown it."
         )
     users = {path.stat().st_uid for path in there}
     if len(users) > 1:
-        told = f"What is in {there[0]} belongs to several users."
-        return DoctorFinding("permissions", "fault", told, "chown -R to the user who runs the lab.")
+        result = f"What is in {there[0]} belongs to several users."
+        return DoctorFinding("permissions", "fault", result, "chown -R to the user who runs the lab.")
     open_ = [path for path in there if path.stat().st_mode & 0o077]
     if open_:
-        told = f"Others may read {open_[0]}{f' and {len(open_) - 1} more' if len(open_) > 1 else ''}."
-        return DoctorFinding("permissions", "fault", told, f"chmod -R go= {open_[0]}")
+        result = f"Others may read {open_[0]}{f' and {len(open_) - 1} more' if len(open_) > 1 else ''}."
+        return DoctorFinding("permissions", "fault", result, f"chmod -R go= {open_[0]}")
     return DoctorFinding(
         "permissions", "ok", f"{len(there)} private files and folders are their owner's alone."
     )
@@ -186,13 +190,13 @@ def check_certificates(authority: Authority, now_ns: int) -> list[DoctorFinding]
     found = [finding for entry in admitted if (finding := _check_certificate(entry, now_ns))]
     ends = authority.find_end()
     if ends - now_ns < CA_LITTLE_NS:
-        told = f"The authority in {authority.folder} ends {show_time(ends)}, and all certificates with it."
+        result = f"The authority in {authority.folder} ends {show_time(ends)}, and all certificates with it."
         remedy = "Make another authority (labos pki init --pki FOLDER), and issue all certificates anew."
-        found.append(DoctorFinding("authority", "warning" if ends > now_ns else "fault", told, remedy))
+        found.append(DoctorFinding("authority", "warning" if ends > now_ns else "fault", result, remedy))
     if not found:
         first = min((entry.not_after for entry in admitted), default=ends)
-        told = f"{len(admitted)} certificates of the bus are valid, the first ends {show_time(first)}."
-        found.append(DoctorFinding("certificates", "ok", told))
+        result = f"{len(admitted)} certificates of the bus are valid, the first ends {show_time(first)}."
+        found.append(DoctorFinding("certificates", "ok", result))
     return found
 
 
@@ -222,21 +226,23 @@ def _check_node(one: Mapping[str, Any], version: str) -> list[DoctorFinding]:
         found.append(DoctorFinding(about, "ok", f"{name} answers: {answer}."))
     else:
         state: State = "warning" if answer == "out" else "fault"
-        told = f"{name} cannot work ({answer}): {str(one.get('why', '')).rstrip('.')}."
-        found.append(DoctorFinding(about, state, told, f"labos nodes --check {name} says what to do."))
+        result = f"{name} cannot work ({answer}): {str(one.get('why', '')).rstrip('.')}."
+        found.append(DoctorFinding(about, state, result, f"labos nodes --check {name} says what to do."))
     if not checked:
         return found
     if checked["labos"] and checked["labos"] != version:
-        told = f"The node of {name} is LabOS {checked['labos']}, the kernel {version}."
+        result = f"The node of {name} is LabOS {checked['labos']}, the kernel {version}."
         found.append(
-            DoctorFinding(f"version {name}", "warning", told, "Install the same version on its computer.")
+            DoctorFinding(f"version {name}", "warning", result, "Install the same version on its computer.")
         )
     ahead = checked.get("clock_ahead_s")
     if ahead is not None and abs(ahead) > CLOCK_OFF_S:
         side = "ahead of" if ahead > 0 else "behind"
-        told = f"The clock of {name}'s computer is {abs(ahead):.1f} s {side} the kernel's."
+        result = f"The clock of {name}'s computer is {abs(ahead):.1f} s {side} the kernel's."
         wrong: State = "fault" if abs(ahead) > CLOCK_WRONG_S else "warning"
         found.append(
-            DoctorFinding(f"clock {name}", wrong, told, "Let both follow the same time server (chrony, NTP).")
+            DoctorFinding(
+                f"clock {name}", wrong, result, "Let both follow the same time server (chrony, NTP)."
+            )
         )
     return found

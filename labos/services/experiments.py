@@ -41,35 +41,35 @@ class ExperimentHistory(msgspec.Struct):
 
 def list_experiment_histories(log: Log) -> dict[str, ExperimentHistory]:
     """Every experiment of the log, in order of its start."""
-    told: dict[str, ExperimentHistory] = {}
+    histories: dict[str, ExperimentHistory] = {}
     home: dict[str, str] = {}
     for event, head in decode_events(log.select(LogQuery(types=TYPES))):
         match event:
             case ExperimentStarted():
-                told[event.experiment] = make_from(
+                histories[event.experiment] = make_from(
                     ExperimentHistory, event, id=event.experiment, started_at=head.recorded_at
                 )
             case ExperimentCancelled():
-                told[event.experiment].status, told[event.experiment].why = "cancelled", event.why
+                histories[event.experiment].status, histories[event.experiment].why = "cancelled", event.why
             case ExperimentClosing():
-                told[event.experiment].status, told[event.experiment].why = "closing", event.why
+                histories[event.experiment].status, histories[event.experiment].why = "closing", event.why
             case ExperimentEnded():
-                story = told[event.experiment]
+                story = histories[event.experiment]
                 story.status, story.ended_at = "ended", head.recorded_at
                 story.why = story.why or event.why
-            case StartsPaused() if event.target in told:
-                story = told[event.target]
+            case StartsPaused() if event.target in histories:
+                story = histories[event.target]
                 if story.status == "open":
                     story.status, story.why = "paused", event.why
-            case StartsResumed() if event.target in told:
-                story = told[event.target]
+            case StartsResumed() if event.target in histories:
+                story = histories[event.target]
                 if story.status == "paused":
                     story.status, story.why = "open", ""
             case ExperimentNoted():
-                told[event.experiment].notes += 1
-            case RunSubmitted() if event.experiment in told:
+                histories[event.experiment].notes += 1
+            case RunSubmitted() if event.experiment in histories:
                 home[event.run] = event.experiment
-                told[event.experiment].runs[event.run] = "alive"
+                histories[event.experiment].runs[event.run] = "alive"
             case RunCompleted() | RunFailed() | RunCancelled() if event.run in home:
-                told[home[event.run]].runs[event.run] = event.TYPE.partition(".")[2]
-    return told
+                histories[home[event.run]].runs[event.run] = event.TYPE.partition(".")[2]
+    return histories

@@ -70,7 +70,7 @@ class InterventionHistory(msgspec.Struct):
 
 def list_intervention_histories(log: Log) -> dict[str, InterventionHistory]:
     """Every question of the log, in the order in which they were asked. Raises LogTooNew, LogDamaged."""
-    told: dict[str, InterventionHistory] = {}
+    histories: dict[str, InterventionHistory] = {}
     plans: dict[str, str] = {}
     workflows: dict[str, str] = {}
     for event, head in decode_events(log.select(LogQuery(types=TYPES))):
@@ -80,16 +80,16 @@ def list_intervention_histories(log: Log) -> dict[str, InterventionHistory]:
             case RunSubmitted():
                 workflows[event.run] = plans.get(event.plan, "")
             case InterventionRequested():
-                told[event.intervention] = _begin_history(
+                histories[event.intervention] = _begin_history(
                     event, workflows.get(event.run, ""), head.recorded_at
                 )
             case InterventionOverdue():
-                told[event.intervention].overdue = True
+                histories[event.intervention].overdue = True
             case InterventionResolved():
-                story = told[event.intervention]
+                story = histories[event.intervention]
                 story.choice, story.by, story.note = event.choice, event.by, event.note
                 story.resolved_at = head.recorded_at
-    return told
+    return histories
 
 
 def describe_answer(log: Log, name: str) -> str:

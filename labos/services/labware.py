@@ -81,7 +81,7 @@ def list_labware_histories(log: Log, upto: int | None = None) -> dict[str, Labwa
 
 def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, LabwareHistory]:
     """The histories that follow from records; ``names`` gives runs and steps their names."""
-    told: dict[str, LabwareHistory] = {}
+    histories: dict[str, LabwareHistory] = {}
     acts: dict[str, str] = {}
     for record in records:
         event = decode_event(record)
@@ -89,13 +89,13 @@ def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, Lab
             acts[event.action] = _act(event, names)
         elif isinstance(event, b.LabwareEvent):
             if isinstance(event, b.LabwarePlaced):
-                told[event.labware] = LabwareHistory(event.labware, event.type)
+                histories[event.labware] = LabwareHistory(event.labware, event.type)
             if isinstance(event, b.BarcodeRead):
-                _take_away(told, event)
-            story = told.get(event.labware)
+                _take_away(histories, event)
+            story = histories.get(event.labware)
             if story is not None:
                 _add(story, event, record, _find_actor(event, record, acts, names))
-    return told
+    return histories
 
 
 def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) -> None:
@@ -131,9 +131,9 @@ def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) 
             story.changes.append(LabwareChange(at, "owner", owner_name(event.owner), by, proof))
 
 
-def _take_away(told: dict[str, LabwareHistory], event: b.BarcodeRead) -> None:
+def _take_away(histories: dict[str, LabwareHistory], event: b.BarcodeRead) -> None:
     """A barcode is on one piece of labware at a time; labware that is gone keeps its own."""
-    for story in told.values():
+    for story in histories.values():
         if story.barcode == event.barcode and story.id != event.labware and not story.gone:
             story.barcode = ""
 

@@ -43,11 +43,11 @@ def check_retention(home: Path, now_ns: int) -> DoctorFinding | None:
     if found is None:
         return None
     steps = (("Old segments were moved", found.moved_at), ("unused files removed", found.removed_at))
-    told = ", ".join(f"{what} {f'on {show_time(at)}' if at else 'never'}" for what, at in steps) + "."
+    result = ", ".join(f"{what} {f'on {show_time(at)}' if at else 'never'}" for what, at in steps) + "."
     if now_ns - min(at for _, at in steps) > LONG_AGO_NS:
         remedy = "Why did it stop? systemctl status labos-retention (docs/backup.md)"
-        return DoctorFinding("retention", "warning", told, remedy)
-    return DoctorFinding("retention", "ok", told)
+        return DoctorFinding("retention", "warning", result, remedy)
+    return DoctorFinding("retention", "ok", result)
 
 
 def _read(home: Path) -> Retention | None:

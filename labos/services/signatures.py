@@ -128,8 +128,8 @@ def check_signatures(log: Log) -> VerifiedPart:
         "others now."
         for each in broken
     )
-    told = f"{len(found)} signatures are under the records that were signed."
-    return VerifiedPart("signatures", len(found), told, faults, tuple(each.position for each in broken))
+    result = f"{len(found)} signatures are under the records that were signed."
+    return VerifiedPart("signatures", len(found), result, faults, tuple(each.position for each in broken))
 
 
 def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:
@@ -144,10 +144,10 @@ def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned
 def _make_signature(
     log: Log,
     record: Record,
-    said: tuple[str, Kind, RunSigned | RecordsSigned],
+    signed: tuple[str, Kind, RunSigned | RecordsSigned],
     known: dict[str, Signed],
 ) -> Signature:
-    subject, kind, event = said
+    subject, kind, event = signed
     if subject not in known:
         known[subject] = _digest_subject(log, subject, kind)
     runs = event.runs if isinstance(event, RecordsSigned) else 0

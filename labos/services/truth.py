@@ -44,11 +44,11 @@ def list_differences(
             any_slot = next((p for p, held in places.items() if p.startswith(own) and held == [plate]), "")
             where = f"{own}{slot}" if slot else any_slot if slot is None else ""
             truth = [*truth, *places.pop(where, [])] if where else truth
-        told = ["?"] * len(station.stock) + [plates.get(item, item) for item in resting]
-        if len(truth) != len(told):
-            found.append(f"{local(name)}: bench {truth}, log {told}")
+        recorded = ["?"] * len(station.stock) + [plates.get(item, item) for item in resting]
+        if len(truth) != len(recorded):
+            found.append(f"{local(name)}: bench {truth}, log {recorded}")
             continue
-        named = told[len(station.stock) :]
+        named = recorded[len(station.stock) :]
         really = truth[len(station.stock) :]
         if sorted(named) != sorted(really):
             found.append(f"{local(name)}: bench {really}, log {named}")
@@ -140,7 +140,7 @@ def find_repeated_work(world: World, records: Sequence[Record], workcell: str = 
     """Devices that finished some work more often than the log has ends of it."""
     done = Counter((m.device, WORK[m.verb]) for m in world.motions() if m.verb in WORK)
     names: dict[str, tuple[str, str]] = {}
-    told: Counter[tuple[str, str]] = Counter()
+    recorded: Counter[tuple[str, str]] = Counter()
     for record in records:
         if not record.head.type.startswith("action."):
             continue
@@ -148,11 +148,11 @@ def find_repeated_work(world: World, records: Sequence[Record], workcell: str = 
         if isinstance(event, ActionRequested) and workcell in ("", workcell_of(event.module)):
             names[event.action] = (local(event.module), event.name)
         elif isinstance(event, ActionSucceeded | ActionFailed | ActionReconciled) and event.action in names:
-            told[names[event.action]] += 1
+            recorded[names[event.action]] += 1
     return [
-        f"{device} did {name} {count} times, the log says {told[device, name]}"
+        f"{device} did {name} {count} times, the log says {recorded[device, name]}"
         for (device, name), count in sorted(done.items())
-        if count > told[device, name] and (name != WORK["read"] or (device, name) in names.values())
+        if count > recorded[device, name] and (name != WORK["read"] or (device, name) in names.values())
     ]
 
 

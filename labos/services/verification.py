@@ -91,16 +91,16 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
     if found is None:
         return VerifiedPart("snapshot", 0, "There is no snapshot.")
     if not found.genuine:
-        said = f"The snapshot of position {found.position} is not used: {found.fault}."
-        broken = (said,) if found.fault.startswith("its seal") else ()
-        return VerifiedPart("snapshot", 1, said, broken, (found.position,) if broken else ())
+        refusal = f"The snapshot of position {found.position} is not used: {found.fault}."
+        broken = (refusal,) if found.fault.startswith("its seal") else ()
+        return VerifiedPart("snapshot", 1, refusal, broken, (found.position,) if broken else ())
     if found.on_log != found.hash:
         there = "which the log does not reach" if found.on_log is None else "where the log has another record"
         fault = f"The sealed snapshot is of position {found.position}, {there}: the log was cut or rewritten."
         return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
     if found.fingerprint != fold_fingerprint():
-        told = f"The snapshot of position {found.position} is sealed; another version of LabOS made it."
-        return VerifiedPart("snapshot", 1, told)
+        result = f"The snapshot of position {found.position} is sealed; another version of LabOS made it."
+        return VerifiedPart("snapshot", 1, result)
     state = LabState()
     for row in store.replay(0, found.position):
         evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
@@ -157,9 +157,9 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
                 f"The blob {digest}, which nothing in the log needs, has other bytes than were stored."
             )
     unnamed = len(others - mentioned)
-    told = f"Blobs: the log names {len(named)}, {len(named) - len(positions)} are there and whole"
-    told += f"; {unnamed} are there that it does not name." if unnamed else "."
-    return VerifiedPart("blobs", len(named) + len(others), told, tuple(faults), tuple(positions))
+    result = f"Blobs: the log names {len(named)}, {len(named) - len(positions)} are there and whole"
+    result += f"; {unnamed} are there that it does not name." if unnamed else "."
+    return VerifiedPart("blobs", len(named) + len(others), result, tuple(faults), tuple(positions))
 
 
 def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
@@ -178,10 +178,10 @@ def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Journal]]:
         try:
             found[path.stem] = Journal.read(path.read_bytes())
         except (JournalDamaged, OSError) as error:
-            said = error.message if isinstance(error, LabosError) else str(error)
-            faults.append(f"The journal {path} is damaged: {said}")
-    told = f"Journals: {len(found)} of {len(files)} can be read."
-    return VerifiedPart("journals", len(files), told, tuple(faults)), found
+            why = error.message if isinstance(error, LabosError) else str(error)
+            faults.append(f"The journal {path} is damaged: {why}")
+    result = f"Journals: {len(found)} of {len(files)} can be read."
+    return VerifiedPart("journals", len(files), result, tuple(faults)), found
 
 
 def check_benches(folder: Path) -> VerifiedPart:

@@ -57,11 +57,11 @@ def check_words(store: WordsStore) -> VerifiedPart:
         if name not in erased
     ]
     found.sort()
-    told = f"Words beside the log: {whole} are those that were written, {gone} were erased"
-    told += f", {apart} in a newer copy of this log." if apart else "."
+    result = f"Words beside the log: {whole} are those that were written, {gone} were erased"
+    result += f", {apart} in a newer copy of this log." if apart else "."
     faults = tuple(f"Position {position}: {fault}." for position, fault in found)
     return VerifiedPart(
-        "words", whole + gone + apart + len(found), told, faults, tuple(at for at, _ in found)
+        "words", whole + gone + apart + len(found), result, faults, tuple(at for at, _ in found)
     )
 
 

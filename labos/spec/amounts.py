@@ -44,9 +44,9 @@ def compute_amount(
     name, path = str(values.get(in_file["arg"], "")), in_file["path"].split(".")
     otherwise = float(in_file["otherwise"]) if in_file["otherwise"] else None
     content = file_of(name)
-    said = None if content is None else _read_from_file(name, content, path, values, must=otherwise is None)
-    if said is not None or otherwise is None:
-        return Count(said or 0.0)
+    amount = None if content is None else _read_from_file(name, content, path, values, must=otherwise is None)
+    if amount is not None or otherwise is None:
+        return Count(amount or 0.0)
     if content is None:
         why = "it is not here" if name else "no file is named"
         return Count(otherwise, why, "Put the file beside the workflow, and name it.")

@@ -57,13 +57,13 @@ class TransferReader:
 
     def find_agreed(self, uses: Iterable[Use]) -> set[TransferEnd]:
         """The ends on which all of these uses agree; of the arguments only the values are compared."""
-        said: dict[tuple[What, ModuleName, StationName], set[str | None]] = {}
+        values_at: dict[tuple[What, ModuleName, StationName], set[str | None]] = {}
         for use in uses:
             for end in self.list_ends(use.module, use.action, use.args):
-                said.setdefault((end.what, end.arm, end.station), set()).add(end.value)
+                values_at.setdefault((end.what, end.arm, end.station), set()).add(end.value)
         return {
             TransferEnd(what, arm, station, "", value)
-            for (what, arm, station), values in said.items()
+            for (what, arm, station), values in values_at.items()
             if len(values) == 1 and (value := next(iter(values))) is not None
         }
 
@@ -80,13 +80,13 @@ class TransferReader:
                 station = self._find_station(args.get(written.get(end, "")), module)
                 if station is None or self._stations[station].reach.get(arm) != ():
                     continue
-                if said := args.get(written.get(grip, "")):
+                if given := args.get(written.get(grip, "")):
                     choices = known[grip].choices
-                    value = said if isinstance(said, str) and (not choices or said in choices) else None
+                    value = given if isinstance(given, str) and (not choices or given in choices) else None
                     yield TransferEnd("grip", arm, station, written[grip], value)
                 through = f"{end}_{APPROACH}"
-                if module in self._own and (said := args.get(written.get(through, ""))):
-                    way = self._find_station(said, module)
+                if module in self._own and (given := args.get(written.get(through, ""))):
+                    way = self._find_station(given, module)
                     yield TransferEnd(APPROACH, arm, station, written[through], local(way) if way else None)
 
     def _find_station(self, text: Any, module: str) -> StationName | None:
@@ -107,8 +107,8 @@ def add_ends(file: WorkcellFile, agreed: Iterable[TransferEnd]) -> tuple[Workcel
             continue
         entry = stations.get(place, StationEntry())
         stations[place] = entry.model_copy(update={"reach": {**entry.reach, arm: [value]}})
-        told = f"The workflows say that {arm} grips {value} here."
-        comments.setdefault(f"stations.{place}", []).append(told)
+        comment = f"The workflows say that {arm} grips {value} here."
+        comments.setdefault(f"stations.{place}", []).append(comment)
     modules = [_add_approaches(entry, approaches.get(entry.name, {})) for entry in file.modules]
     return file.model_copy(update={"stations": stations, "modules": modules}), comments
 

@@ -140,14 +140,14 @@ def _check_references(file: WorkflowFile, known: Mapping[str, str], remarks: Rem
     names = [entry.name for path, entry in _iterate_entries(file) if _is_step(path) and entry.module]
     found = False
     for path, entry in _iterate_entries(file):
-        said = [
+        references = [
             (name, (*path, where))
             for where, value in _list_values(entry)
             for name in _list_steps_meant(value)
         ]
         if entry.module.startswith(SAME_AS) and entry.module not in known:
-            said.append((entry.module.removeprefix(SAME_AS).strip(), (*path, "module")))
-        for name, at in said:
+            references.append((entry.module.removeprefix(SAME_AS).strip(), (*path, "module")))
+        for name, at in references:
             found = True
             _check_reference(entry, name, at, names, remarks)
     for key in file.hold:

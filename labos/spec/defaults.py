@@ -57,9 +57,9 @@ class Defaults:
         module = self._find_module(entry, scope)
         retry, timeout = entry.retry, entry.timeout
         if retry is None and module is not None and module.retry is not None:
-            said = module.retry
-            reset = said.reset and entry.action != "reset"
-            retry = RetryEntry(times=said.times, delay=said.delay_s, reset=reset)
+            default = module.retry
+            reset = default.reset and entry.action != "reset"
+            retry = RetryEntry(times=default.times, delay=default.delay_s, reset=reset)
         if timeout is None and module is not None:
             timeout = module.timeout_s
         kept = {"retry": None if retry == NONE else retry, "timeout": None if timeout == NONE else timeout}

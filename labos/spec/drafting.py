@@ -72,7 +72,7 @@ def draft_stations(
     reach them. A module's own node gets the workflow's word for a place that it was not taught. ``stations``
     are the known ones."""
     written = dict(file.stations)
-    told: set[str] = set()
+    warned: set[str] = set()
     words: dict[str, dict[str, str]] = {}
     for use in uses:
         action = described[use.module].action(use.action) if use.module in described else None
@@ -82,8 +82,8 @@ def draft_stations(
             name = _find(stations, text, use.module)
             if name is None:
                 name = _declare(text, described, file, written)
-                if text not in told:
-                    told.add(text)
+                if text not in warned:
+                    warned.add(text)
                     what = name if _find(stations, name, "") else f"a nest, {name}"
                     remarks.add_warning(
                         f"Nobody describes the place {text!r} ({use.where}): it is taken for {what}.",

@@ -10,10 +10,10 @@ from labos.spec.mismatch import describe_mismatch
 from labos.spec.parts import Part
 
 
-def find_first_flaw(model: type[Part], told: Any) -> str:
+def find_first_flaw(model: type[Part], table: Any) -> str:
     """The first fault of a table; empty if it has none."""
     try:
-        model.model_validate(told)
+        model.model_validate(table)
     except ValidationError as errors:
         return describe_flaw(errors)
     return ""

@@ -186,8 +186,8 @@ def _write_text(
         comments.setdefault(field, []).extend(texts)
     for finding in findings:
         where = "" if finding.file == form.file else f" of {PurePath(finding.file).name}"
-        told = f"Line {finding.line}{where}: {finding.message}"
-        comments.setdefault(_find_home(finding.field, form, file), []).append(told)
+        comment = f"Line {finding.line}{where}: {finding.message}"
+        comments.setdefault(_find_home(finding.field, form, file), []).append(comment)
     return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True, by_alias=True)}, comments, below)
 
 

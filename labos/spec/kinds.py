@@ -14,10 +14,10 @@ from labos.spec.source import Path_
 def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks) -> None:
     """A type without a description can be used, but may be a typing error: a warning is given once, at its
     first place."""
-    told = {*known, ""}
+    seen = {*known, ""}
     for kind, path, key in _list_named(file):
-        if kind not in told:
-            told.add(kind)
+        if kind not in seen:
+            seen.add(kind)
             meant = near(kind, known)
             remedy = "Describe it in a labware file, and name that under `labware:`."
             if meant.startswith("Did you mean"):

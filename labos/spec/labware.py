@@ -127,8 +127,8 @@ class _Reader:
         except SpecError as error:
             self.remarks.report.keep(make_finding(error))
             return
-        told = validate(LabwareFile, form, report)
-        for name, kind in told.labware.items() if told is not None else ():
+        content = validate(LabwareFile, form, report)
+        for name, kind in content.labware.items() if content is not None else ():
             if name in self.types:
                 message = f"The labware type {name!r} is defined in {self._by[name]} too."
                 remedy = "Remove or rename one of them."

@@ -137,7 +137,7 @@ class PlanBranches:
             elif (index, message) not in self._warned:
                 faults.append((index, message, remedy))
 
-        plain = way.plain and not way.said
+        plain = way.plain and not way.decisions
         dry = self.paper(self.plan, way.steps, tell, warn)
         if not plain:
             spare = list(self.inputs)
@@ -166,16 +166,16 @@ class PlanBranches:
     def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
         """Store faults with the way on which they were found."""
         for index, message, remedy in faults[:3]:
-            told = (index, f"{self._describe_way(way)}: {_start_lower_case(message)}", remedy)
-            if told not in self.errors:
-                self.errors.append(told)
+            fault = (index, f"{self._describe_way(way)}: {_start_lower_case(message)}", remedy)
+            if fault not in self.errors:
+                self.errors.append(fault)
 
     def _describe_way(self, way: Way) -> str:
         steps = self.plan.steps
         parts = [f"{steps[index].key!r} fails and is skipped" for index in sorted(way.without)]
         parts += [f"{steps[index].key!r} fails and is recovered from" for index in sorted(way.rescued)]
         texts = {find_decision(step.when): step.when.text for step in steps if step.when is not None}
-        for what, value in way.said:
+        for what, value in way.decisions:
             text = texts.get((what, True)) or texts[what, False]
             holds = value == ((what, True) in texts)
             parts.append(f"`{text}` {'holds' if holds else 'does not hold'}")
@@ -184,13 +184,13 @@ class PlanBranches:
 
 def find_first_way(plan: Plan) -> tuple[int, ...]:
     """The steps of a way without a failure. If steps exclude each other, those written first are used."""
-    said: dict[str, bool] = {}
+    decisions: dict[str, bool] = {}
     steps: list[int] = []
     for index in sort_steps(plan, main_steps(plan)):
         condition = plan.steps[index].when
         if condition is not None:
             what, positive = find_decision(condition)
-            if said.setdefault(what, positive) != positive:
+            if decisions.setdefault(what, positive) != positive:
                 continue
         steps.append(index)
     return tuple(steps)

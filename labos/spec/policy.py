@@ -73,7 +73,7 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     return CompiledPolicy(source.digest, policy)
 
 
-def _make_limits(said: BookingsEntry) -> BookingLimits:
+def _make_limits(entry: BookingsEntry) -> BookingLimits:
     usual = BookingLimits()
-    total = max(usual.total_hours, said.hours or 0.0) if said.total_hours is None else said.total_hours
-    return BookingLimits(said.hours, total, said.days_ahead)
+    total = max(usual.total_hours, entry.hours or 0.0) if entry.total_hours is None else entry.total_hours
+    return BookingLimits(entry.hours, total, entry.days_ahead)

@@ -80,19 +80,19 @@ class RestMapping(Part):
 
     def request(self, action: str) -> Request | None:
         """The request that starts an action; None if the table has none."""
-        told = self.actions.get(action) or self.action
-        return None if told is None else request_of(told)
+        fields = self.actions.get(action) or self.action
+        return None if fields is None else request_of(fields)
 
 
-def request_of(told: dict[str, Any]) -> Request:
+def request_of(fields: dict[str, Any]) -> Request:
     """A request in the form of the file: pydantic's models reserve the name ``json``."""
-    return Request.model_validate({"json_" if key == "json" else key: value for key, value in told.items()})
+    return Request.model_validate({"json_" if key == "json" else key: value for key, value in fields.items()})
 
 
-def find_flaw(told: Any) -> str:
+def find_flaw(table: Any) -> str:
     """The fault of a mapping, as text; empty if it has none."""
     try:
-        mapping = RestMapping.model_validate(told)
+        mapping = RestMapping.model_validate(table)
         for written in (mapping.action, mapping.reset, mapping.stop, *mapping.actions.values()):
             if written is not None:
                 request_of(written)

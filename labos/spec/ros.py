@@ -77,11 +77,11 @@ def make_wei_mapping(address: str) -> dict[str, Any]:
     service = {"status": "action_response", "done": [0], "error": "action_msg", "result": "action_msg"}
     fields = {"action_handle": "{action}", "vars": "{vars}"}
     action = f"{address}/action_handler"
-    told = {"type": "wei_services/srv/WeiDescription", "result": "description_response"}
+    reply = {"type": "wei_services/srv/WeiDescription", "result": "description_response"}
     return {
         "action": {"service": action, "type": "wei_services/srv/WeiActions", "fields": fields, **service},
         "state": {"topic": f"{address}/state", "idle": WEI_AT_REST},
-        "about": {"service": f"{address}/description_handler", **told},
+        "about": {"service": f"{address}/description_handler", **reply},
     }
 
 

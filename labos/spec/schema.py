@@ -451,9 +451,9 @@ def _describe(name: str, part: dict[str, Any]) -> None:
             items = content.pop("items")
             content.pop("type")
             content["anyOf"] = [items, {"type": "array", "items": items}]
-        told = DESCRIPTIONS.get(name, {}).get(field)
-        if told:
-            content["description"] = told
+        description = DESCRIPTIONS.get(name, {}).get(field)
+        if description:
+            content["description"] = description
         if content.get("default", 0) is None:
             del content["default"]
     part.pop("title", None)

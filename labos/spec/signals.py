@@ -75,7 +75,7 @@ class Actuation(Part):
     def is_proven(self) -> bool:
         """Whether its end condition contains the id of this action: then the end is certain, even after lost
         messages."""
-        return any("{id}" in str(told.is_) for told in self.done)
+        return any("{id}" in str(condition.is_) for condition in self.done)
 
 
 class DeviceState(Part):

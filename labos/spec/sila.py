@@ -35,6 +35,6 @@ class SilaMapping(Part):
     @property
     def properties(self) -> set[str]:
         """All properties that the table names."""
-        told = [*self.state.busy, *self.state.error, *self.labware.values()]
+        conditions = [*self.state.busy, *self.state.error, *self.labware.values()]
         names = {*self.resources.values(), *self.observe.values(), self.state.why}
-        return {name for name in names | {condition.pv for condition in told} if name}
+        return {name for name in names | {condition.pv for condition in conditions} if name}

@@ -78,13 +78,13 @@ def explain_broken(driver: str, descriptions: Mapping[str, Description]) -> str:
 
 def check_table(kind: DriverTable, source: Source, report: FindingList) -> Any:
     """A table in the form of the driver's model; None, with errors in the report, if it does not fit."""
-    told = validate(kind.model, source, report)
-    if told is None:
+    table = validate(kind.model, source, report)
+    if table is None:
         return None
     before, remarks = report.errors, Remarks(source, report)
-    for flaw in kind.flaws(told):
+    for flaw in kind.flaws(table):
         remarks.error(flaw.message, flaw.path, flaw.remedy)
-    return told if report.errors == before else None
+    return table if report.errors == before else None
 
 
 def read_source(written: Any, beside: Source, sent: Mapping[str, bytes] | None = None) -> Source:
@@ -143,9 +143,9 @@ def read_table(kind: DriverTable, written: Any) -> Any:
             remedy="Write either of them below `config:`.",
         )
     report = FindingList(source.file)
-    told = check_table(kind, source, report)
+    table = check_table(kind, source, report)
     report.raise_if_failed()
-    return told
+    return table
 
 
 def _strip_places(value: Any) -> Any:
@@ -165,5 +165,5 @@ def _strip_places(value: Any) -> Any:
 
 def make_plain_table(source: Source) -> dict[str, Any]:
     """A table in plain containers, as it is stored with the lab."""
-    told: dict[str, Any] = make_plain(source.data)
-    return told
+    table: dict[str, Any] = make_plain(source.data)
+    return table

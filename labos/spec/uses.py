@@ -143,15 +143,15 @@ def _iterate_uses(source: Source) -> Iterator[Use]:
                 step, fields = reference
                 result_use = ResultUse(entry.module, entry.action, arg, tuple(fields))
                 result_uses.setdefault(_NUMBER.sub("", step), []).append(result_use)
-    told: list[Use] = []
+    uses: list[Use] = []
     for one in expand_lists(file):
         for path, entry in iterate_entries(one):
             if entry.module and not list_keys([entry.module, entry.action]):
                 where = f"{PurePath(source.file).name}, line {form.place(path).line}"
                 read = tuple(result_uses.get(entry.name, ()))
                 use = Use(entry.module, entry.action, entry.args, where, read)
-                if use not in told and not is_left_open(entry):
-                    told.append(use)
+                if use not in uses and not is_left_open(entry):
+                    uses.append(use)
                     yield use
 
 

@@ -203,7 +203,7 @@ class _Modules:
     def _describe(self, entry: ModuleEntry, path: Path_) -> Description | None:
         """The description from its own ``about:``, otherwise from its driver; with the additions of
         ``extends``."""
-        told = "about" if entry.about is not None else "extends"
+        field = "about" if entry.about is not None else "extends"
         if entry.about is not None and (entry.driver or entry.extends is not None):
             other = "driver" if entry.driver else "extends"
             message = "`about:` describes a node that no driver describes."
@@ -219,7 +219,7 @@ class _Modules:
                 return found
             return extend(found, entry.extends)
         except BadEffect as error:
-            at = (*path, told, "actions", error.action, "effects", error.index)
+            at = (*path, field, "actions", error.action, "effects", error.index)
             self.remarks.error(f"In {error.action!r} {error}.", at, error.remedy)
             return None
 
@@ -251,12 +251,12 @@ class _Modules:
                 self.remarks.error(error.message, at, error.remedy)
             return None
         report = FindingList(source.file)
-        told = check_table(kind, source, report)
+        table = check_table(kind, source, report)
         self.remarks.report.take(report)
-        if told is None:
+        if table is None:
             return None
         self._tables[entry.name] = source
-        return kind.describe(told)
+        return kind.describe(table)
 
     def make_digest(self, source: Source, labware: Sequence[str]) -> str:
         """The digest of the file, of its tables in separate files, and of ``labware`` files."""
@@ -418,24 +418,24 @@ class _Modules:
             if not stations.list_shelves(place.name)
         ]
         if watched:
-            told_of = config.get("observes")
-            written = map(str, told_of) if isinstance(told_of, list | tuple) else ()
+            observes = config.get("observes")
+            written = map(str, observes) if isinstance(observes, list | tuple) else ()
             config["observes"] = list(dict.fromkeys([*written, *watched]))
         poses, poses_of = self._list_poses(name, description, stations)
-        told: dict[str, Any] = {"config": config, "poses": poses}
+        settings: dict[str, Any] = {"config": config, "poses": poses}
         if poses_of:
-            told["poses_of"] = poses_of
+            settings["poses_of"] = poses_of
         if is_configured(entry.interface, entry.config):
-            told["interface"] = entry.interface
+            settings["interface"] = entry.interface
         if table is not None:
-            told["offers"] = make_about(description)
+            settings["offers"] = make_about(description)
         if entry.about is not None:
-            told["about"] = entry.about.model_dump(exclude_defaults=True)
+            settings["about"] = entry.about.model_dump(exclude_defaults=True)
         if entry.extends is not None:
-            told["extends"] = entry.extends.model_dump(exclude_defaults=True)
+            settings["extends"] = entry.extends.model_dump(exclude_defaults=True)
         if entry.coordinates is not None:
-            told["coordinates"] = entry.coordinates
-        return told
+            settings["coordinates"] = entry.coordinates
+        return settings
 
     def _list_poses(
         self, name: str, description: Description, stations: Stations

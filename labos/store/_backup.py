@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -71,9 +71,6 @@ class Backup(msgspec.Struct, frozen=True):
     @property
     def hash(self) -> str:
         return self.segments[-1].hash if self.segments else GENESIS.hex()
-
-
-Told = Callable[[str], None]
 
 
 def backup(

@@ -131,9 +131,9 @@ class LogReader:
             at = decode_folded(envelope)
         except (TypeError, ValueError, msgspec.MsgspecError) as error:
             raise report_damage(self.name, position, f"its envelope cannot be read ({error})") from None
-        if at.lab != (told := self._lab_id()):
+        if at.lab != (lab := self._lab_id()):
             raise report_damage(
-                self.name, position, f"it is of the lab {at.lab}, but the head row says {told}"
+                self.name, position, f"it is of the lab {at.lab}, but the head row says {lab}"
             )
         return bytes(hash_), at.recorded_at
 

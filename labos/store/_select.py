@@ -34,8 +34,8 @@ def make_selection(query: LogQuery, contains: Contains) -> Select[Any]:
         # In a payload the text has the form of JSON.
         quoted = msgspec.json.encode(query.mentions)[1:-1]
         beside = select(words.c.position).where(contains(words.c.text, query.mentions))
-        told = (contains(c.payload, quoted), contains(c.stream, query.mentions), c.position.in_(beside))
-        conditions.append(or_(*told))
+        matches = (contains(c.payload, quoted), contains(c.stream, query.mentions), c.position.in_(beside))
+        conditions.append(or_(*matches))
     if query.since_ns is not None:
         conditions.append(c.recorded_at >= query.since_ns)
     if query.until_ns is not None:

@@ -57,13 +57,13 @@ def read_words_copy(folder: Path) -> Iterator[StoredWords]:
         return
     for number, line in enumerate(path.read_bytes().splitlines(), 1):
         try:
-            told = _decoder.decode(line)
-            kept = Kept(told.reference, bytes.fromhex(told.salt), told.text)
+            entry = _decoder.decode(line)
+            kept = Kept(entry.reference, bytes.fromhex(entry.salt), entry.text)
         except (msgspec.MsgspecError, ValueError) as error:
             raise _report_damage(0, f"{path}:{number}: this is no text of a backup ({error})") from None
         if not kept.is_genuine:
-            raise _report_damage(told.position, f"{path}:{number}: the text is not the one that was written")
-        yield StoredWords(kept, told.position, told.erased_at)
+            raise _report_damage(entry.position, f"{path}:{number}: the text is not the one that was written")
+        yield StoredWords(kept, entry.position, entry.erased_at)
 
 
 class WordsExpected:

@@ -38,6 +38,6 @@ class KernelMetrics:
 
     def text(self) -> str:
         """Everything, in Prometheus' text format."""
-        told = self.registry.text() + describe_process()
+        text = self.registry.text() + describe_process()
         self.series.set(self.registry.counts)
-        return told
+        return text

@@ -87,9 +87,9 @@ class NodeMetrics(MetricGroup):
         """Ask this node for its state, in its own event loop."""
 
         def ask() -> StateReport:
-            told: Future[StateReport] = Future()
-            loop.call_soon_threadsafe(lambda: told.set_result(node.state()))  # RuntimeError if it is closed
-            return told.result(PATIENCE_S)
+            answer: Future[StateReport] = Future()
+            loop.call_soon_threadsafe(lambda: answer.set_result(node.state()))  # RuntimeError if it is closed
+            return answer.result(PATIENCE_S)
 
         self._ask = ask
 

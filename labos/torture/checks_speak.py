@@ -149,11 +149,11 @@ def _check_consumed(
         return
     for resource, had in before.items():
         amounts = [effect.amount for effect in spends if effect.resource == resource]
-        said = [float(amount) for amount in amounts if isinstance(amount, int | float)]
+        uses = [float(amount) for amount in amounts if isinstance(amount, int | float)]
         left = on.bench.world.find_level("device", resource)
-        if had is None or left is None or len(said) < len(amounts) or abs(had - left - sum(said)) < 1e-6:
+        if had is None or left is None or len(uses) < len(amounts) or abs(had - left - sum(uses)) < 1e-6:
             continue
-        raise Failed(f"{spec.name} says that it uses {sum(said):g} {resource}; it used {had - left:g}")
+        raise Failed(f"{spec.name} says that it uses {sum(uses):g} {resource}; it used {had - left:g}")
 
 
 async def check_set_points(on: Session) -> str:

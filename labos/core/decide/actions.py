@@ -233,7 +233,7 @@ def _add_labware_types(
     set them."""
     if args.get(LABWARE_TYPE) != "" and args.get(PLATE_TYPE) != "":
         return args
-    told = dict(args)
+    new_args = dict(args)
     for effect in list_carried(effects):
         if effect.stock:
             types = {LABWARE_TYPE: split_item(state.bench.stations[effect.stock].stock[-1])[0]}
@@ -243,8 +243,8 @@ def _add_labware_types(
                 types[PLATE_TYPE] = state.bench.labware[effect.plate].type
         else:
             continue
-        told |= {name: kind for name, kind in types.items() if told.get(name) == ""}
-    return told
+        new_args |= {name: kind for name, kind in types.items() if new_args.get(name) == ""}
+    return new_args
 
 
 def _fill_in_wells(
@@ -385,7 +385,7 @@ def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
     settled = state.actions.settled.get(command.action)
     if settled is None:
         return []
-    told: EffectsDone = "all" if command.succeeded else command.effects
+    effects: EffectsDone = "all" if command.succeeded else command.effects
     events: list[Event] = [
         ActionEvidence(
             command.action,
@@ -394,17 +394,17 @@ def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
             settled.module,
             command.attempt,
             command.succeeded,
-            told,
+            effects,
             settled.effects,
             command.error,
         )
     ]
-    if told != settled.effects:
+    if effects != settled.effects:
         name = local(settled.module)
         events.append(
             state.interventions.ask(
                 LateResult(action=command.action, module=settled.module),
-                f"{name} now says that an action settled as {settled.effects!r} took place as {told!r}. "
+                f"{name} now says that an action settled as {settled.effects!r} took place as {effects!r}. "
                 "Labware may stand elsewhere than recorded.",
             )
         )

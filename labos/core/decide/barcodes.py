@@ -52,8 +52,8 @@ def record_barcodes(state: LabState, action: Action, result: Any, by: str = "") 
 def _report_contradiction(
     state: LabState, action: Action, labware: Labware, other: Labware | None, code: str
 ) -> list[Event]:
-    here = local(labware.station)
-    told = f"{local(action.module)} read the barcode {code} at {here}, where {labware.id} should stand."
+    place = local(labware.station)
+    reading = f"{local(action.module)} read the barcode {code} at {place}, where {labware.id} should stand."
     known = f" {labware.id} bears {labware.barcode}." if labware.barcode else ""
     events: list[Event] = []
     places = (labware.station, NOWHERE)
@@ -70,14 +70,14 @@ def _report_contradiction(
         if other.station and not other.moving:
             topic = msgspec.structs.replace(topic, other=other.id, elsewhere=other.station)
             places = (labware.station, other.station)
-            why = f"its barcode was read at {here}"
+            why = f"its barcode was read at {place}"
             both = (other.station, labware.station)
             events.append(LabwareUncertain(other.id, action.run, both, why, action.id))
     why = f"the barcode {code} was read in its place"
     return [
         LabwareUncertain(labware.id, action.run, places, why, action.id),
         *events,
-        state.interventions.ask(topic, f"{told}{known} What stands there?"),
+        state.interventions.ask(topic, f"{reading}{known} What stands there?"),
     ]
 
 

@@ -18,12 +18,12 @@ WHERE_IT_IS = ("lost_labware", "failed_run")
 def withdraw_answered(state: LabState, events: Sequence[Event], by: str) -> list[Event]:
     """Withdraw the questions that these events answer: all labware of the question was taken away or placed
     by them, or had left the bench before."""
-    told = {labware for event in events if (labware := _find_settled(state, event))}
+    settled = {labware for event in events if (labware := _find_settled(state, event))}
     return [
         InterventionResolved(question.id, "withdrawn", "labos", f"taken away, or put elsewhere, by {by}")
         for question in state.interventions.open.values()
-        if (names := _find_asked_for(question)) & told
-        and all(n in told or n not in state.bench.labware for n in names)
+        if (names := _find_asked_for(question)) & settled
+        and all(n in settled or n not in state.bench.labware for n in names)
     ]
 
 

@@ -121,8 +121,8 @@ def report_round(state: LabState, command: ReportRound) -> Decision:
 
 
 def _report_round(state: LabState, command: ReportRound) -> Iterator[Event]:
-    for said in command.stations:
-        yield from _list_possible(say_contents(state, said))
+    for contents in command.stations:
+        yield from _list_possible(say_contents(state, contents))
     for name in command.as_recorded:
         yield from _list_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
     asked = state.interventions.open_about(ShorterLog)

@@ -119,9 +119,9 @@ def _list_stack_events(
 def _remove_missing(station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
     """The events for labware that was recorded there and is missing. They come first, so that there is room
     for the other labware."""
-    told = {piece for pair in pieces for piece in pair}
+    present = {piece for pair in pieces for piece in pair}
     why = f"{by} did not find it at {local(station.spec.name)}"
-    return [LabwareUncertain(item, "", (GONE,), why) for item in station.labware if item not in told]
+    return [LabwareUncertain(item, "", (GONE,), why) for item in station.labware if item not in present]
 
 
 def _place_or_observe(

@@ -87,8 +87,8 @@ def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
     if experiment.status != ExperimentStatus.OPEN:
         again = record_repeat(command.experiment, "cancel", command.why)
         return chain(again, cancel_all(state, runs, command.stay, command.why) if command.stay else ())
-    said = f": {command.why}" if command.why else ""
-    ended = ExperimentCancelled(command.experiment, f"cancelled by {command.by}{said}")
+    reason = f": {command.why}" if command.why else ""
+    ended = ExperimentCancelled(command.experiment, f"cancelled by {command.by}{reason}")
     return chain([ended], cancel_all(state, runs, command.stay, command.why))
 
 

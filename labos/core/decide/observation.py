@@ -174,11 +174,11 @@ class Sight:
 
     def events(self) -> Iterator[Event]:
         """The events that place labware, and that withdraw questions which the observation has answered."""
-        told: set[LabwareId] = set()
+        placed: set[LabwareId] = set()
         for question in list(self._state.interventions.open.values()):
-            yield from self._answer(question, told)
+            yield from self._answer(question, placed)
         for name, place in self._found.items():
-            if name not in told:
+            if name not in placed:
                 yield self._make_event(name, place)
         for name, left in self._left.items():
             if name not in self._found and tuple(left) != self._before[name]:
@@ -190,8 +190,8 @@ class Sight:
             return LabwareRemoved(name, "", place, "discarded")
         return LabwareObserved(name, "", place, self._by)
 
-    def _answer(self, question: Intervention, told: set[LabwareId]) -> Iterator[Event]:
-        """The events for a question about labware that was found. ``told`` is labware that other events of
+    def _answer(self, question: Intervention, placed: set[LabwareId]) -> Iterator[Event]:
+        """The events for a question about labware that was found. ``placed`` is labware that other events of
         this observation place."""
         withdrawn = InterventionResolved(
             question.id, "withdrawn", "labos", f"seen by {self._by}, where it stands"
@@ -199,7 +199,7 @@ class Sight:
         topic = question.topic
         if isinstance(topic, UnknownAction):
             action = self._state.actions.open.get(ActionId(question.subject))
-            choice = self._find_outcome(action, told) if action is not None else ""
+            choice = self._find_outcome(action, placed) if action is not None else ""
             if action is not None and choice:
                 yield withdrawn
                 yield from settle(self._state, action, choice, self._by)
@@ -235,12 +235,12 @@ class Sight:
         place = self._found.get(name)
         return place is None or self._state.bench.stations[place].spec.kind == "gripper"
 
-    def _find_outcome(self, action: Action, told: set[LabwareId]) -> str:
+    def _find_outcome(self, action: Action, placed: set[LabwareId]) -> str:
         """The outcome of an unknown action, if the place of its labware shows it; otherwise empty."""
         names = [e.labware for e in list_moved(action.effects)]
         choice = find_shown_outcome(self._state, action, self._found.get(names[0])) if names else ""
         if choice:
-            told.add(names[0])
+            placed.add(names[0])
         return choice
 
 

@@ -97,8 +97,8 @@ def limit_result(result: Any) -> Any:
 def is_read_later(state: LabState, action: Action) -> bool:
     """Whether later steps of its run read the result of an action."""
     run = state.runs.active.get(action.run)
-    told = bool(action.looks)  # its device has already reported the result
-    return run is not None and not told and action.step in state.runs.plan_of(run).feeds
+    reported = bool(action.looks)  # its device has already reported the result
+    return run is not None and not reported and action.step in state.runs.plan_of(run).feeds
 
 
 def find_shown_outcome(state: LabState, action: Action, place: StationName | None) -> str:

@@ -127,8 +127,8 @@ def _let_go_on(state: LabState, proposal: Proposal, command: ApproveProposal) ->
 
 def refuse(state: LabState, proposal: Proposal, command: RefuseProposal) -> Iterator[Event]:
     subject, kind = proposal.subject, proposal.kind
-    said = f": {command.why}" if command.why else ""
-    why = f"{command.by} did not approve it{said}"
+    reason = f": {command.why}" if command.why else ""
+    why = f"{command.by} did not approve it{reason}"
     yield ApprovalRefused(subject, kind, proposal.digest, command.by, command.why)
     follows: Decision = []
     if kind == "run":

@@ -85,11 +85,11 @@ def check_rights(state: LabState, command: Command, actor: str) -> Denied | None
         return wrong
     if right.role is None:
         return Denied("inside", f"{type(command).__name__} is asked for by LabOS itself only.")
-    said = getattr(command, right.asker) if right.asker else person
-    if said != person and not (right.asker == "by" and said == actor):
+    asker = getattr(command, right.asker) if right.asker else person
+    if asker != person and not (right.asker == "by" and asker == actor):
         return Denied(
             "not_you",
-            f"{person} cannot ask in the name of {said}.",
+            f"{person} cannot ask in the name of {asker}.",
             "Leave it out who asks. Only a service account acts on behalf of others.",
         )
     for target in right.touches(state, command):

@@ -143,8 +143,8 @@ def record_journal(
     ]
     fresh = [entry for entry in found if entry.action not in actions.open]
     again = [entry.name for entry in found if entry.action in actions.open]
-    for told in (state.shorter.evidence, state.shorter.answered):
-        if f"position {beyond}" in told.get(str(module), ""):
+    for reports in (state.shorter.evidence, state.shorter.answered):
+        if f"position {beyond}" in reports.get(str(module), ""):
             beyond = 0  # it has reported this before
     knows = []
     if fresh:

@@ -154,9 +154,9 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     places = shelves[: command.count] if shelves is not None else [command.station] * command.count
     unknown = [place for place in dict.fromkeys(places) if not state.bench.stations[place].known]
     events: list[Event] = [StationDeclared(place, ()) for place in unknown]
-    if told := next((name for name in (*command.set, *command.unset) if name in FOLLOWS), ""):
-        remedy = FOLLOWS[told]
-        return Rejection("not_accepted", f"{told!r} of labware is not said in this way.", remedy)
+    if variable := next((name for name in (*command.set, *command.unset) if name in FOLLOWS), ""):
+        remedy = FOLLOWS[variable]
+        return Rejection("not_accepted", f"{variable!r} of labware is not said in this way.", remedy)
     if spec.kind == "stack":
         if command.set or command.unset:
             names = ", ".join((*command.set, *command.unset))

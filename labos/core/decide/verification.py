@@ -179,8 +179,8 @@ def _find_whereabouts(
 
 def _describe_sights(sights: Iterable[Seen]) -> str:
     """The observations, as text for people."""
-    told = []
+    texts = []
     for seen in sights:
         what = seen.labware or ("something" if seen.count is None else f"{seen.count or 'nothing'}")
-        told.append(f"{seen.by} saw {what} at {local(seen.station)}")
-    return ", ".join(told)
+        texts.append(f"{seen.by} saw {what} at {local(seen.station)}")
+    return ", ".join(texts)

@@ -32,10 +32,10 @@ from labos.core.topics import DeviceWaits, PlannedWork, UnknownAction
 def ask_about_waiting_device(state: LabState, action: Action) -> InterventionRequested:
     """The question about the module that stands still during this action."""
     name = local(action.module)
-    said = state.modules.by_name[action.module].error.rstrip(".") or "it does not say why"
+    error = state.modules.by_name[action.module].error.rstrip(".") or "it does not say why"
     return state.interventions.ask(
         DeviceWaits(run=action.run, module=action.module),
-        f"{name} stands still in the midst of {action.name!r} of {action.run}: {said}. "
+        f"{name} stands still in the midst of {action.name!r} of {action.run}: {error}. "
         "The step goes on by itself when that is put right.",
     )
 

@@ -88,7 +88,7 @@ def _describe_labware(state: LabState, name: LabwareId) -> str:
 
 def _describe_arguments(args: dict[str, Any]) -> str:
     """The arguments as text, without places and times."""
-    told = {name: value for name, value in args.items() if name not in ("within", "source", "target")}
-    if "instruction" in told:
-        return str(told["instruction"])
-    return ", ".join(f"{name} {value}" for name, value in told.items() if value not in ("", None))
+    shown = {name: value for name, value in args.items() if name not in ("within", "source", "target")}
+    if "instruction" in shown:
+        return str(shown["instruction"])
+    return ", ".join(f"{name} {value}" for name, value in shown.items() if value not in ("", None))

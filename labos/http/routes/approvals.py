@@ -284,8 +284,8 @@ def _find_proposal(call: Call, path: OfProposal) -> Proposal:
 
 
 def _make_view(state: LabState, proposal: Proposal) -> ProposalView:
-    said = describe_waiting(state, proposal.subject)
-    return make_from(ProposalView, proposal, sentence=said, terms=_find_terms(state, proposal))
+    sentence = describe_waiting(state, proposal.subject)
+    return make_from(ProposalView, proposal, sentence=sentence, terms=_find_terms(state, proposal))
 
 
 def _find_terms(state: LabState, proposal: Proposal) -> Terms | None:

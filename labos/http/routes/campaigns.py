@@ -89,8 +89,8 @@ async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     """The campaign is checked row by row. If a row cannot be carried out, nothing is submitted, and `details`
     of the problem lists each fault with its row."""
     name, estimate = await submit_campaign(call.service, body, call.key)
-    told = CampaignSubmission(name, estimate, describe_waiting(call.kernel.state, name))
-    return wire.answer(told, 200 if body.dry_run else 201)
+    submission = CampaignSubmission(name, estimate, describe_waiting(call.kernel.state, name))
+    return wire.answer(submission, 200 if body.dry_run else 201)
 
 
 @Operation(
@@ -187,8 +187,8 @@ async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Respons
     original, except the deadline: the copy has none."""
     call.expect_seen(path.campaign)
     name, estimate = await clone_campaign(call.service, path.campaign, body, body.by, call.key)
-    told = CampaignSubmission(name, estimate, describe_waiting(call.kernel.state, name))
-    return wire.answer(told, 200 if body.dry_run else 201)
+    submission = CampaignSubmission(name, estimate, describe_waiting(call.kernel.state, name))
+    return wire.answer(submission, 200 if body.dry_run else 201)
 
 
 @Operation(

@@ -136,8 +136,8 @@ async def cancel(call: Call, body: ControlRequest) -> ControlResult:
 
 def recall_stop(events: list[Event]) -> StopReport:
     """The answer to an earlier stop of modules: nothing is stopped again."""
-    (told,) = (event for event in events if isinstance(event, StopReported))
-    return StopReport(told.stopped, told.silent)
+    (report,) = (event for event in events if isinstance(event, StopReported))
+    return StopReport(report.stopped, report.silent)
 
 
 @Operation(

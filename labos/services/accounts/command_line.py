@@ -77,21 +77,21 @@ class CommandLineSignIn:
     @property
     def most_days(self) -> float:
         """The longest validity, in days, of a token that is issued here."""
-        told = self.provider.told.command_line
-        return told.days if told is not None else 0.0
+        client = self.provider.settings.command_line
+        return client.days if client is not None else 0.0
 
     def _make_client(self, port: int = 0) -> ProviderClient:
-        told = self.provider.told
-        if told.command_line is None:
+        settings = self.provider.settings
+        if settings.command_line is None:
             raise NotFound(
                 "This lab lets nobody sign in from a command line with its identity provider.",
                 remedy="Sign in with a password (labos login --user NAME), or let oidc.yaml name a "
                 "`command_line` client.",
             )
         return ProviderClient(
-            told.command_line.client_id,
-            told.secret_of_command_line,
-            make_return_url(told.lab, port),
+            settings.command_line.client_id,
+            settings.secret_of_command_line,
+            make_return_url(settings.lab, port),
         )
 
     async def begin(self, port: int) -> AuthorizationRequest:
@@ -112,7 +112,7 @@ class CommandLineSignIn:
         self._devices = {state: device for state, device in self._devices.items() if device.until > now}
         if len(self._devices) >= MOST_DEVICES:
             raise TooManyTries("Too many people are typing codes in.", wait_s=60.0)
-        form = {"client_id": client.id, "scope": " ".join(self.provider.told.scopes)}
+        form = {"client_id": client.id, "scope": " ".join(self.provider.settings.scopes)}
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             shown = await ask_provider(
                 http,

@@ -110,7 +110,7 @@ class ProviderTokens(msgspec.Struct, frozen=True):
 class Provider:
     """One identity provider. Raises BadInput where joserfc is not installed."""
 
-    def __init__(self, told: ProviderFile, clock: Clock, way_back: str) -> None:
+    def __init__(self, settings: ProviderFile, clock: Clock, way_back: str) -> None:
         try:
             import joserfc  # noqa: F401
         except ModuleNotFoundError:
@@ -118,8 +118,10 @@ class Provider:
                 "Signing in with an identity provider needs joserfc, which is not installed.",
                 remedy='Run: pip install "labos-sdl[oidc]"',
             ) from None
-        self.told, self.clock = told, clock
-        self._browsers = ProviderClient(told.client_id, told.secret, told.lab.rstrip("/") + way_back)
+        self.settings, self.clock = settings, clock
+        self._browsers = ProviderClient(
+            settings.client_id, settings.secret, settings.lab.rstrip("/") + way_back
+        )
         self._pending: dict[str, Pending] = {}
         self._known: tuple[ProviderMetadata, float] | None = None
         self._keys: KeySet | None = None
@@ -139,7 +141,7 @@ class Provider:
             "response_type": "code",
             "client_id": client.id,
             "redirect_uri": client.way_back,
-            "scope": " ".join(self.told.scopes),
+            "scope": " ".join(self.settings.scopes),
             "state": state,
             "nonce": nonce,
             "code_challenge": _encode_unpadded(hashlib.sha256(verifier.encode()).digest()),
@@ -162,9 +164,9 @@ class Provider:
         if by_command_line is (pending.client == self._browsers):
             raise make_refusal("somebody else went there")
         known = await self.discover()
-        said = answer.get("iss", "")
-        if said != known.issuer and (said or known.authorization_response_iss_parameter_supported):
-            raise make_refusal(f"the answer is of {said[:100]!r}")
+        issuer = answer.get("iss", "")
+        if issuer != known.issuer and (issuer or known.authorization_response_iss_parameter_supported):
+            raise make_refusal(f"the answer is of {issuer[:100]!r}")
         if "error" in answer or not answer.get("code"):
             raise make_refusal(f"the provider says {answer.get('error', 'nothing')[:100]!r}")
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
@@ -189,11 +191,11 @@ class Provider:
         now = self.clock.monotonic()
         if self._known is not None and now < self._known[1]:
             return self._known[0]
-        address = self.told.issuer.rstrip("/") + "/.well-known/openid-configuration"
+        address = self.settings.issuer.rstrip("/") + "/.well-known/openid-configuration"
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             found = await ask_provider(http, "GET", address, ProviderMetadata)
-        if found.issuer != self.told.issuer:
-            raise make_refusal(f"{address} is of {found.issuer[:100]!r}, not of {self.told.issuer!r}")
+        if found.issuer != self.settings.issuer:
+            raise make_refusal(f"{address} is of {found.issuer[:100]!r}, not of {self.settings.issuer!r}")
         self._known, self._keys = (found, now + KNOWN_S), None
         return found
 
@@ -217,9 +219,9 @@ class Provider:
         from joserfc.jwk import KeySet
 
         if self._keys is None:
-            told: Any = await ask_provider(http, "GET", known.jwks_uri, dict)
+            answer: Any = await ask_provider(http, "GET", known.jwks_uri, dict)
             try:
-                self._keys = KeySet.import_key_set(told)
+                self._keys = KeySet.import_key_set(answer)
             except (JoseError, ValueError, KeyError, TypeError) as error:
                 raise make_refusal(f"its keys cannot be read ({type(error).__name__})") from None
         return self._keys
@@ -264,17 +266,17 @@ class Provider:
         self, http: httpx.AsyncClient, known: ProviderMetadata, tokens: ProviderTokens, claims: dict[str, Any]
     ) -> ProviderClaims:
         """The claims with name and groups: some providers send these only on a separate request."""
-        if known.userinfo_endpoint and self.told.groups_claim not in claims:
+        if known.userinfo_endpoint and self.settings.groups_claim not in claims:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
             more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
             if more.get("sub") != claims["sub"]:
                 raise make_refusal("it tells of somebody else")
             claims = {**more, **claims}
-        groups = claims.get(self.told.groups_claim, [])
+        groups = claims.get(self.settings.groups_claim, [])
         return ProviderClaims(
             str(claims["sub"])[:500],
-            str(claims.get("name", ""))[:500] if self.told.keep_names else "",
-            str(claims.get("email", ""))[:254] if self.told.keep_names else "",
+            str(claims.get("name", ""))[:500] if self.settings.keep_names else "",
+            str(claims.get("email", ""))[:254] if self.settings.keep_names else "",
             tuple(str(group) for group in groups) if isinstance(groups, list) else (str(groups),),
         )
 

@@ -87,16 +87,16 @@ def ask(what: str, call: Callable[[], T]) -> T:
     try:
         return call()
     except GlobusAPIError as error:
-        told = f"{error.http_status} {error.code or ''}: {error.message or error.text[:200]}"
+        text = f"{error.http_status} {error.code or ''}: {error.message or error.text[:200]}"
         if error.http_status in NOT_LET_IN:
             raise GlobusRefused(
-                f"{what} does not let the program in ({told}).",
+                f"{what} does not let the program in ({text}).",
                 remedy="Sign in again, with the scopes that are needed; then start the program again: "
                 "it goes on where it was.",
             ) from error
         if error.http_status == TOO_MANY or error.http_status >= 500:
-            raise GlobusUnreachable(f"{what} does not answer ({told}).", remedy=_LATER) from error
-        raise GlobusRefused(f"{what} takes no such request ({told}).") from error
+            raise GlobusUnreachable(f"{what} does not answer ({text}).", remedy=_LATER) from error
+        raise GlobusRefused(f"{what} takes no such request ({text}).") from error
     except NetworkError as error:
         raise GlobusUnreachable(f"{what} does not answer ({error}).", remedy=_LATER) from error
 
@@ -163,5 +163,5 @@ def _stop_repetitions(client: Any) -> Iterator[None]:
 def _find_pause(cause: BaseException | None) -> float:
     """The seconds to wait that an answer with status 429 or 503 demands."""
     headers = getattr(cause, "headers", None) or {}
-    told = str(headers.get("Retry-After", ""))
-    return float(told) if told.isdecimal() else 0.0
+    text = str(headers.get("Retry-After", ""))
+    return float(text) if text.isdecimal() else 0.0

@@ -162,8 +162,8 @@ class GlobusExecutor(ComputesOnce, Executor):
     def _make_batch(self, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
         if function not in self._functions:
             code = self._forms.pack_buffers([self._forms.serialize(function)])
-            told = {"function_name": function.__name__, "function_code": code, "serialized": True}
-            answer = wait_for(SERVICE, self._patience, lambda: self._asked.register_function(told))
+            registration = {"function_name": function.__name__, "function_code": code, "serialized": True}
+            answer = wait_for(SERVICE, self._patience, lambda: self._asked.register_function(registration))
             self._functions[function] = str(answer["function_uuid"])
         try:
             payload = self._forms.pack_buffers([self._forms.serialize(args), self._forms.serialize({})])

@@ -118,8 +118,8 @@ def _wait(client: Any, task: str, sha256: str, patience: GlobusTimes) -> Moved:
     ended = wait_for(SERVICE, patience, look)
     why = ended.get("fatal_error") or {}
     if ended["status"] == "FAILED":
-        told = f"{why.get('code', '')}: {why.get('description', '')}".strip(": ") or "no reason is given"
-        raise GlobusFailed(f"The task {task} of {SERVICE} failed: {told}.")
+        reason = f"{why.get('code', '')}: {why.get('description', '')}".strip(": ") or "no reason is given"
+        raise GlobusFailed(f"The task {task} of {SERVICE} failed: {reason}.")
     if ended["status"] != "SUCCEEDED":
         raise GlobusRefused(
             f"The task {task} of {SERVICE} stands still ({ended['status']}).",

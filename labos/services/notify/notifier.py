@@ -38,7 +38,7 @@ GIVEN_UP_S = 3 * 86_400
 IDLE_S = 60.0
 """The log is read at least every so many seconds, also without a signal."""
 
-Told = tuple[Notice, Sequence[Due]] | SettledNotice
+OutboxItem = tuple[Notice, Sequence[Due]] | SettledNotice
 
 _log = structlog.get_logger(__name__)
 
@@ -204,9 +204,9 @@ class Notifier:
     def _take_in(self, event: Event, head: Envelope) -> None:
         now = self.clock.now_ns()
         if isinstance(event, KernelStarted):
-            told = self._tell_restart(event, head, now)
+            items = self._tell_restart(event, head, now)
             self._started = (head.id, head.position)
-            self.outbox.take_in(told, now, position=head.position, epoch=event.epoch)
+            self.outbox.take_in(items, now, position=head.position, epoch=event.epoch)
             return
         item = read_event(event, head)
         if isinstance(item, SettledNotice) and self.outbox.is_open(item.key):
@@ -221,16 +221,16 @@ class Notifier:
             return True
         return bool(notice.key) and self.outbox.is_open(notice.key)
 
-    def _tell_restart(self, event: KernelStarted, head: Envelope, now: int) -> list[Told]:
+    def _tell_restart(self, event: KernelStarted, head: Envelope, now: int) -> list[OutboxItem]:
         """A new kernel finds out by itself which nodes are alive; and it shows that a kernel runs again."""
-        told: list[Told] = [
+        items: list[OutboxItem] = [
             SettledNotice(module_key(""), "a new kernel looks for its nodes", all=True, quietly=True)
         ]
         before = self.outbox.note("epoch") or 0
         if before and self.outbox.note("closed") != before and not self.outbox.is_open(KERNEL):
             notice = report_kernel_gone(head, before, event.epoch)
-            told.append((notice, plan(self.book, notice, now)))
-        return [*told, SettledNotice(KERNEL, "the kernel runs again")]
+            items.append((notice, plan(self.book, notice, now)))
+        return [*items, SettledNotice(KERNEL, "the kernel runs again")]
 
     def _tell_of_death(self) -> None:
         """The kernel has stopped. People are notified once for each start of a kernel, also if the outbox

@@ -93,12 +93,12 @@ class Outbox:
             self._keep(notes)
 
     def take_in(
-        self, told: Sequence[tuple[Notice, Sequence[Due]] | SettledNotice], now: int, **notes: int
+        self, items: Sequence[tuple[Notice, Sequence[Due]] | SettledNotice], now: int, **notes: int
     ) -> None:
         """Store notices with all their messages, and settle those that were answered; all in one
         transaction."""
         with self._write_transaction():
-            for item in told:
+            for item in items:
                 if isinstance(item, SettledNotice):
                     self._settle(item, now)
                 else:

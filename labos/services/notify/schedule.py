@@ -33,15 +33,15 @@ def plan(book: Book, notice: Notice, now: int) -> list[Due]:
     for number, level in enumerate(book.levels):
         base += 0 if notice.key == KERNEL else int(level.after * SECOND)
         caring = [name for name in dict.fromkeys(level.notify) if notice.topic in book.contacts[name].about]
-        told = [
+        messages = [
             Due(name, number, find_audible_time(book, book.contacts[name], base, urgent=notice.urgent))
             for name in caring
         ]
-        found += told
-        if told and not notice.key:
+        found += messages
+        if messages and not notice.key:
             break
-        if told and not notice.urgent:
-            base = min(due.at for due in told)
+        if messages and not notice.urgent:
+            base = min(due.at for due in messages)
     return found
 
 

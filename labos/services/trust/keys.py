@@ -161,9 +161,9 @@ def read_public_keys(path: Path) -> list[PublicKey]:
     return [parse_public_key(line) for line in lines if line.strip()]
 
 
-def read_given_keys(said: Sequence[str]) -> list[PublicKey]:
+def read_given_keys(arguments: Sequence[str]) -> list[PublicKey]:
     """Public keys as arguments of a command: each is a file or the key itself. Raises BadInput."""
     found: list[PublicKey] = []
-    for each in said:
+    for each in arguments:
         found.extend(read_public_keys(Path(each)) if Path(each).is_file() else [parse_public_key(each)])
     return found

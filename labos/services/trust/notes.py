@@ -40,8 +40,8 @@ class PublicKey(msgspec.Struct, frozen=True):
 
     @property
     def id(self) -> bytes:
-        said = self.name.encode() + b"\n" + bytes([self.kind]) + self.raw
-        return hashlib.sha256(said).digest()[:4]
+        data = self.name.encode() + b"\n" + bytes([self.kind]) + self.raw
+        return hashlib.sha256(data).digest()[:4]
 
     @property
     def text(self) -> str:
@@ -83,11 +83,11 @@ class SigningKey(msgspec.Struct, frozen=True):
 
     def sign(self, text: str, time_s: int = 0) -> NoteSignature:
         """Sign a text; a cosignature contains ``time_s`` (UTC, since 1970)."""
-        said = text.encode()
+        data = text.encode()
         if self.kind == COSIGNS:
-            signature = time_s.to_bytes(8) + self._key().sign(_encode_cosigned(said, time_s))
+            signature = time_s.to_bytes(8) + self._key().sign(_encode_cosigned(data, time_s))
         else:
-            signature = self._key().sign(said)
+            signature = self._key().sign(data)
         return NoteSignature(self.name, self.public.id, signature)
 
     def _key(self) -> Ed25519PrivateKey:

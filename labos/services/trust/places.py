@@ -62,15 +62,15 @@ class HttpPlace:
             )
 
 
-def place_of(said: str) -> PublishPlace:
+def place_of(text: str) -> PublishPlace:
     """A folder, or an ``http(s)`` URL. Raises BadInput for another kind of URL."""
-    if said.startswith(("http://", "https://")):
-        return HttpPlace(said)
-    if "://" in said:
+    if text.startswith(("http://", "https://")):
+        return HttpPlace(text)
+    if "://" in text:
         raise BadInput(
-            f"Checkpoints cannot be kept at {said}.", remedy="Name a folder, or a URL with http(s)."
+            f"Checkpoints cannot be kept at {text}.", remedy="Name a folder, or a URL with http(s)."
         )
-    return Folder(Path(said))
+    return Folder(Path(text))
 
 
 def name_checkpoint(size: int) -> str:

@@ -49,7 +49,7 @@ LARGEST = 4 << 30
 
 _line = msgspec.json.Decoder(ProvenEvent)
 _envelope = msgspec.json.Decoder(Envelope)
-_told_words = msgspec.json.Decoder(ToldWords)
+_words_decoder = msgspec.json.Decoder(ToldWords)
 _about = msgspec.json.Decoder(AboutBundle)
 
 
@@ -77,7 +77,7 @@ class BundleProof(msgspec.Struct, frozen=True):
 
     @property
     def faults(self) -> list[str]:
-        return [said for part in self.parts for said in part.faults]
+        return [fault for part in self.parts for fault in part.faults]
 
 
 class _Event(msgspec.Struct, frozen=True):
@@ -160,8 +160,8 @@ def _check_signature(
         return VerifiedPart("signature", 1, fault, (fault,)), ""
     signer = signers[-1]
     by_way = "" if signer in trust.keys else ", the successor of the key that was given"
-    told = f"The checkpoint of size {head.size} is signed by {signer.name} ({signer.id.hex()}){by_way}."
-    return VerifiedPart("signature", 1, told), signer.text
+    result = f"The checkpoint of size {head.size} is signed by {signer.name} ({signer.id.hex()}){by_way}."
+    return VerifiedPart("signature", 1, result), signer.text
 
 
 def _check_witnesses(note: Note, trust: Trust) -> Iterator[VerifiedPart]:
@@ -223,8 +223,8 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
             positions.append(at)
         else:
             good.append(event)
-    told = f"{len(good)} of {len(lines)} events are in the log that was signed."
-    return VerifiedPart("events", len(lines), told, tuple(faults), tuple(positions)), good
+    result = f"{len(good)} of {len(lines)} events are in the log that was signed."
+    return VerifiedPart("events", len(lines), result, tuple(faults), tuple(positions)), good
 
 
 def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
@@ -275,8 +275,8 @@ def _list_gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[st
     for number, event in enumerate(own, 1):
         if event.head.version != number:
             at = event.head.position
-            told = f"this is event {event.head.version} of {name}, number {number} is missing"
-            yield f"Position {at}: {told}.", [at]
+            gap = f"this is event {event.head.version} of {name}, number {number} is missing"
+            yield f"Position {at}: {gap}.", [at]
             break
     kinds = {event.head.type for event in own}
     if kind not in {BEGINS.get(each) for each in kinds}:
@@ -294,9 +294,9 @@ def _find_missing_rows(about: AboutBundle, own: Sequence[_Event]) -> Iterator[st
     for event in own:
         if event.head.type == CampaignCompleted.TYPE:
             end = msgspec.json.decode(event.payload, type=CampaignCompleted)
-            told = end.completed + end.failed + end.cancelled
-            if told != len(about.runs):
-                yield f"{about.of} had {told} runs, and {len(about.runs)} are here."
+            runs = end.completed + end.failed + end.cancelled
+            if runs != len(about.runs):
+                yield f"{about.of} had {runs} runs, and {len(about.runs)} are here."
 
 
 def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[VerifiedPart]:
@@ -320,8 +320,8 @@ def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[
             faults.append(f"Position {event.head.position}: {found.by} signed other records than these.")
             positions.append(event.head.position)
     if signed:
-        told = f"{about.of} is signed by {', '.join(signed)}."
-        yield VerifiedPart("signed by", len(signed), told, tuple(faults), tuple(positions))
+        result = f"{about.of} is signed by {', '.join(signed)}."
+        yield VerifiedPart("signed by", len(signed), result, tuple(faults), tuple(positions))
 
 
 def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[VerifiedPart]:
@@ -336,8 +336,8 @@ def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[
     found: set[str] = set()
     for number, line in enumerate(files.get(WORDS, b"").splitlines(), 1):
         try:
-            told = _told_words.decode(line)
-            kept = Kept(told.reference, bytes.fromhex(told.salt), told.text)
+            entry = _words_decoder.decode(line)
+            kept = Kept(entry.reference, bytes.fromhex(entry.salt), entry.text)
         except (msgspec.MsgspecError, ValueError) as error:
             faults.append(f"Line {number} of {WORDS} cannot be read ({error}).")
             continue
@@ -352,9 +352,9 @@ def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[
     if not named and not faults:
         return
     left_out = len(named) - len(found)
-    told_of = f"{len(found)} of {len(named)} texts of people are there, as they were written"
-    told_of += f"; {left_out} were erased or left out." if left_out else "."
-    yield VerifiedPart("words", len(named), told_of, tuple(faults), tuple(positions))
+    result = f"{len(found)} of {len(named)} texts of people are there, as they were written"
+    result += f"; {left_out} were erased or left out." if left_out else "."
+    yield VerifiedPart("words", len(named), result, tuple(faults), tuple(positions))
 
 
 def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> VerifiedPart:
@@ -376,8 +376,8 @@ def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> VerifiedP
     faults += [
         f"The bundle holds {name!r}, which nothing vouches for." for name in files if name not in known
     ]
-    told = f"{len(named)} files that the events name are there and whole."
-    return VerifiedPart("files", len(named), told, tuple(faults), tuple(positions))
+    result = f"{len(named)} files that the events name are there and whole."
+    return VerifiedPart("files", len(named), result, tuple(faults), tuple(positions))
 
 
 def _make_bundle_error(path: Path, why: str) -> BadInput:

@@ -44,11 +44,11 @@ class Parameters:
                 parameter.take(entry, "default")
             else:
                 parameter.put("required", True, entry.at, entry.at)
-            told = str(entry.get("description") or "")
+            description = str(entry.get("description") or "")
             if name in self.files:
-                told = f"path of a file; {told}" if told else "path of a file"
-            if told:
-                parameter.put("description", told, entry.at, entry.at)
+                description = f"path of a file; {description}" if description else "path of a file"
+            if description:
+                parameter.put("description", description, entry.at, entry.at)
             out.put(name, parameter, entry.at, entry.at)
         return out
 

@@ -34,17 +34,17 @@ class TransferTemplates:
         for key in KEYS:
             if data.get(key) is None:
                 continue
-            told = self.reader.expect_table(data[key], (key,), f"`{key}`")
-            self._read_templates(told.get("transfer_templates"), (key, "transfer_templates"))
-            self._read_overrides(told, (key, OVERRIDES))
-            self._read_capacity(told, (key, "capacity_cost_config"))
-            for name in told:
+            table = self.reader.expect_table(data[key], (key,), f"`{key}`")
+            self._read_templates(table.get("transfer_templates"), (key, "transfer_templates"))
+            self._read_overrides(table, (key, OVERRIDES))
+            self._read_capacity(table, (key, "capacity_cost_config"))
+            for name in table:
                 if name not in ("transfer_templates", OVERRIDES, "capacity_cost_config"):
                     self.reader.ignore((key, name))
         return self.found
 
-    def _read_overrides(self, told: SourceMapping, path: Path_) -> None:
-        overrides = self.reader.expect_table(told.get(OVERRIDES), path, f"`{OVERRIDES}`")
+    def _read_overrides(self, table: SourceMapping, path: Path_) -> None:
+        overrides = self.reader.expect_table(table.get(OVERRIDES), path, f"`{OVERRIDES}`")
         entries = self.reader.iterate_entries
         for source, rows, at in entries(
             overrides.get("source_overrides"), (*path, "source_overrides"), "`source_overrides`"
@@ -118,8 +118,8 @@ class TransferTemplates:
                 way.put(end, place, at, at)
         self.found.put(way, at)
 
-    def _read_capacity(self, told: SourceMapping, path: Path_) -> None:
-        config = self.reader.expect_table(told.get("capacity_cost_config"), path, "`capacity_cost_config`")
+    def _read_capacity(self, table: SourceMapping, path: Path_) -> None:
+        config = self.reader.expect_table(table.get("capacity_cost_config"), path, "`capacity_cost_config`")
         if config.get("enabled"):
             self.reader.warn_of_assumption(
                 path,

@@ -47,16 +47,18 @@ def rewrite_workcell(source: Source, report: FindingList) -> Source:
         path = ("modules", index)
         module = reader.expect_table(entry, path, "A module")
         modules.put(_rewrite_module(reader, module, path, locations), source.place(path))
-        told = others.get(str(module["name"]))
-        if told is not None:
-            modules[-1]["config"].put("representations", told, told.at, told.at)
+        places = others.get(str(module["name"]))
+        if places is not None:
+            modules[-1]["config"].put("representations", places, places.at, places.at)
     _tell_positions(reader, modules, locations)
     names = {str(module["name"]) for module in modules}
-    nobodys = {owner: told for owner, told in others.items() if owner not in names and owner != "workcell"}
+    nobodys = {
+        owner: places for owner, places in others.items() if owner not in names and owner != "workcell"
+    }
     if nobodys:
         left = SourceMapping(locations.at)
-        for owner, told in nobodys.items():
-            left.put(owner, told, told.at, told.at)
+        for owner, places in nobodys.items():
+            left.put(owner, places, places.at, places.at)
         config.put(NOBODYS, left, left.at, left.at)
     out.put("modules", modules, *find_places(data, "modules"))
     out.put("locations", locations, *find_places(data, "locations"))
@@ -145,12 +147,12 @@ def _tell_positions(reader: Reader, modules: SourceList, locations: SourceMappin
     for module in modules if taught else ():
         config = module["config"]
         own = locations.get(str(module["name"])) or {}
-        told = SourceMapping(taught.at)
+        representations = SourceMapping(taught.at)
         ways = {place: way for place, way in taught.items() if not own.get(place)}
         for place, way in {**ways, **(config.get("representations") or {})}.items():
-            told.put(place, way, taught.at, taught.at)
-        if told:
-            config.put("representations", told, told.at, told.at)
+            representations.put(place, way, taught.at, taught.at)
+        if representations:
+            config.put("representations", representations, representations.at, representations.at)
 
 
 def _read_locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapping]]:

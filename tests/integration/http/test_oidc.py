@@ -145,7 +145,7 @@ def test_new_users_get_an_id_that_says_nothing(
 ) -> None:
     provider = lab.runtime.gate.provider
     assert provider is not None
-    monkeypatch.setattr(provider, "told", provider.told.model_copy(update={"new_users": True}))
+    monkeypatch.setattr(provider, "settings", provider.settings.model_copy(update={"new_users": True}))
     assert sign_in(browser, "carol-heads").status_code == 200
     found = whoami(browser)
     assert re.fullmatch(r"u-[0-9a-f]{8}", found["user"])

@@ -343,7 +343,7 @@ def test_a_lab_without_a_client_for_it_asks_for_a_password(
 ) -> None:
     provider = lab.runtime.gate.provider
     assert provider is not None
-    monkeypatch.setattr(provider, "told", provider.told.model_copy(update={"command_line": None}))
+    monkeypatch.setattr(provider, "settings", provider.settings.model_copy(update={"command_line": None}))
     for more in ({}, {"device": True}):
         with pytest.raises(NotFound, match="from a command line"):
             anybody.begin_sign_in(1, **more)

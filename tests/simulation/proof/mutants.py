@@ -95,7 +95,7 @@ MUTANTS = (
             Change(
                 "node/server.py",
                 "            self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)\n",
-                '            return told or self._reply("void", attempt=ask.attempt)\n',
+                '            return reply or self._reply("void", attempt=ask.attempt)\n',
             ),
         ),
     ),
