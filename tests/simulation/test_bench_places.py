@@ -272,7 +272,7 @@ def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytes
 
 
 def test_without_asking_for_seals_tips_go_into_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding.StartCheck, "value", lambda self, requires: None)
+    monkeypatch.setattr(binding.StartCheck, "check_value", lambda self, requires: None)
     monkeypatch.setattr("labos.planning.stuck._check_labware_ahead", lambda state, run: None)
     for seed in SEEDS:
         crashes, _ = CORNER.run_anyhow(WAITING["seal"], seed, plan_with=make_bare_scheduler)
@@ -294,7 +294,7 @@ def test_a_cycler_waits_for_its_lid() -> None:
 
 
 def test_without_asking_for_the_lid_the_cycler_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding.StartCheck, "value", lambda self, requires: None)
+    monkeypatch.setattr(binding.StartCheck, "check_value", lambda self, requires: None)
     assert all(count_failed(seed) for seed in SEEDS)
 
 
