@@ -288,6 +288,8 @@ class KernelInfo(msgspec.Struct, frozen=True):
     speed: float = 1.0
     blobs: str = ""
     certificate: str = ""
+    searches_order: bool | None = None
+    """Whether it looks for an order of all waiting runs; None in a file of an older version."""
 
 
 class Ports(msgspec.Struct, frozen=True):

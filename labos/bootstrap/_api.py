@@ -29,6 +29,7 @@ from labos.http.server import HttpServer
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
 from labos.pki import PROCESS_NAME, PartyIdentity
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.ports import BlobStore, Bus
 from labos.runtime.followed import FollowedKernel, SendOn
 from labos.runtime.log_check import LogCheck
@@ -151,7 +152,8 @@ async def open_api(api_settings: ApiSettings) -> AsyncIterator[ApiRuntime]:
             open_store, settings.database, create=False, read_only=True, home=settings.home
         )
         stack.callback(store.close)
-        kernel = FollowedKernel(store, SystemClock(), Uuid7Ids())
+        plan_with = make_searching_scheduler if settings.searches_order else Scheduler
+        kernel = FollowedKernel(store, SystemClock(), Uuid7Ids(), plan_with)
         await kernel.open()
         if not kernel.state.lab.id:
             raise BadInput(

@@ -319,4 +319,5 @@ def _make_info(settings: Settings, lab: LabRuntime) -> KernelInfo:
         speed=lab.kernel.state.lab.pace,
         blobs=str(settings.blobs),
         certificate=str(Path(settings.tls_certificate).absolute()) if settings.tls_certificate else "",
+        searches_order=settings.searches_order,
     )

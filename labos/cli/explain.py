@@ -6,6 +6,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import has_kernel, say_if_dead
+from labos.cli._orders import KernelWaits, searches_order
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.cli.runs import show_duration
@@ -41,7 +42,11 @@ def command(where: Where, run: str, as_json: bool) -> None:
         stories, state = [run_history(store, name) for name in named], fold_state_at(store)
         lives = has_kernel(where.url)
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
-    now_of = [_describe_now(state, story, now, lives) for story in stories]
+    kernel, searches = KernelWaits(where) if lives else None, searches_order(where)
+    now_of = [list_sentences(state, story, now, kernel, searches=searches) for story in stories]
+    for story, waits in zip(stories, now_of, strict=True):
+        if not lives and not story.over:
+            waits.append("no kernel runs this lab now, so no step starts: labos up WORKCELL")
     runs = [
         {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
     ]
@@ -60,15 +65,16 @@ def command(where: Where, run: str, as_json: bool) -> None:
         click.echo(describe_progress(story))
 
 
-def _describe_now(state: LabState, story: RunHistory, now: int, lives: bool) -> list[str]:
-    waits = list_sentences(state, story, now)
-    if not lives and not story.over:
-        waits.append("no kernel runs this lab now, so no step starts: labos up WORKCELL")
-    return waits
-
-
-def list_sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
-    """The present actions and waits of a run."""
+def list_sentences(
+    state: LabState,
+    story: RunHistory,
+    now: int,
+    kernel: KernelWaits | None = None,
+    *,
+    searches: bool = False,
+) -> list[str]:
+    """The present actions and waits of a run; ``kernel`` says more if one runs the lab. ``searches``: the lab
+    looks for orders of its own."""
     if story.over:
         when = (
             f"It ended at {show_time(story.ended_at)}, after {show_duration(story, now)}."
@@ -95,7 +101,10 @@ def list_sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
     run = state.runs.get(RunId(story.id))
     if run is None:
         return found
-    for reason in list_reasons(state, run, now):
+    reasons = list_reasons(state, run, now)
+    if kernel is not None:
+        reasons = kernel.correct(state, run, now, reasons)
+    for reason in reasons:
         who = " It continues after a person or a device has acted." if reason.blocked and not asked else ""
         remedy = f" {reason.remedy}" if reason.remedy else ""
         found.append(
@@ -109,7 +118,7 @@ def list_sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
             found.append(f"{before} runs that were submitted before it wait too")
     found = found or ["It can continue, and will do so at once."]
     if run.due_at:
-        found.append(f"it is due at {tell_due(state, [story], now)[story.id]}")
+        found.append(f"it is due at {tell_due(state, [story], now, searches=searches)[story.id]}")
     return found
 
 

@@ -8,8 +8,9 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import find_lab_now, say_if_dead
+from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
 from labos.cli._options import ENDED_SHOWN, all_option, json_option
+from labos.cli._orders import KernelWaits, searches_order
 from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.core.ids import local
@@ -54,8 +55,9 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
         else:
             stories = {run: run_history(store, run)} if run else run_histories(store)
         now = find_lab_now(where.url, store.head())
-        waits = _find_waits(store, stories, now)
-        due = _find_due(store, stories, now)
+        lives = has_kernel(where.url)
+        waits = _find_waits(store, stories, now, KernelWaits(where) if lives else None)
+        due = _find_due(store, stories, now, where)
     if run and inside is None:
         show_json(_make_plain(stories[run], waits, due)) if as_json else _show_one(stories[run], waits, due)
         return
@@ -73,7 +75,9 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
 
-def _find_waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, list[str]]:
+def _find_waits(
+    store: Log, stories: dict[str, RunHistory], now: int, kernel: KernelWaits | None
+) -> dict[str, list[str]]:
     """Why runs wait, in sentences."""
     if all(story.over for story in stories.values()):
         return {}
@@ -86,15 +90,19 @@ def _find_waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[st
             found[question.run].append(f"a person has to answer {question.id} (labos resolve)")
     for run in alive[:WAITS_TOLD]:
         if run is not None:
-            found[run.id] += [reason.why for reason in list_reasons(state, run, now, scheduler)]
+            reasons = list_reasons(state, run, now, scheduler)
+            if kernel is not None:
+                reasons = kernel.correct(state, run, now, reasons)
+            found[run.id] += [reason.why for reason in reasons]
     return {run: reasons for run, reasons in found.items() if reasons}
 
 
-def _find_due(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, str]:
+def _find_due(store: Log, stories: dict[str, RunHistory], now: int, where: Where) -> dict[str, str]:
     """The due dates of runs, and whether the runs will keep them."""
     if not any(story.due_at for story in stories.values()):
         return {}
-    return tell_due(fold_state_at(store), stories.values(), now)
+    searches = searches_order(where)
+    return tell_due(fold_state_at(store), stories.values(), now, searches=searches)
 
 
 def _make_plain(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> dict[str, Any]:

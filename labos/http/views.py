@@ -34,7 +34,9 @@ from labos.http.lab_kernel import LabKernel
 from labos.planning.due import find_time_left
 from labos.planning.forecast import find_setup_under_way
 from labos.planning.obstacle import explain_wait
+from labos.runtime.followed import FoldedLab
 from labos.services.interventions import describe_whereabouts
+from labos.services.waits import list_unknown_reasons
 
 QUEUED_SHOWN = 100
 
@@ -424,7 +426,8 @@ def _make_step_view(
 
 
 def list_wait_views(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
-    """Why a run does not continue, in one sentence for each ready step."""
+    """Why a run does not continue, in one sentence for each ready step. Only the kernel itself knows the
+    orders that it has found."""
     plan = kernel.state.runs.plan_of(run)
 
     def view(step: int, wait: Wait) -> WaitView:
@@ -434,7 +437,11 @@ def list_wait_views(kernel: LabKernel, run: RunState, now: int) -> list[WaitView
     if kernel.suspended:
         return [_view_failed_planning(f"Nothing is started, since planning fails: {kernel.suspended}")]
     try:
-        return [view(step, wait) for step, wait in kernel.scheduler.list_waits(kernel.state, run, now)]
+        waits = kernel.scheduler.list_waits(kernel.state, run, now)
+        if not waits and isinstance(kernel, FoldedLab):
+            unknown = list_unknown_reasons(kernel.state, run, now)
+            return [WaitView(r.step, plan.steps[r.step].key, "sooner_after", r.why, False) for r in unknown]
+        return [view(step, wait) for step, wait in waits]
     except Exception as error:  # the rest of the view is still useful
         _log.exception("wait_not_explained", run=run.id)
         return [

@@ -30,7 +30,8 @@ class Planner:
     """``seconds`` is how long each search for an order may take, ``level`` the quantile of durations for
     planning, between 0 and 1. ``exact``: durations are known exactly, so no rehearsal draws other ones.
     The end of all counts ``end_weight`` times as much as the mean of all ends: more than once where no
-    further runs are expected."""
+    further runs are expected. ``searches``: the lab looks for an order of its own where none is
+    suggested."""
 
     def __init__(
         self,
@@ -41,7 +42,9 @@ class Planner:
         *,
         exact: bool = False,
         end_weight: int = 1,
+        searches: bool = False,
     ) -> None:
+        self._searches = searches
         self.name, self.seconds, self.level, self.exact = name, seconds, level, exact
         self.end_weight = end_weight
         self._solve = solver
@@ -58,7 +61,14 @@ class Planner:
             return None
         drawn = 0 if self.exact else DRAWN
         rehearsal = OrderRehearsal(
-            state, cell, now, self.level, runs, drawn=drawn, end_weight=self.end_weight
+            state,
+            cell,
+            now,
+            self.level,
+            runs,
+            drawn=drawn,
+            end_weight=self.end_weight,
+            searches=self._searches,
         )
         best = without = rehearsal.go(None)
         if rehearsal.order is not None:

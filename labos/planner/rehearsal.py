@@ -21,6 +21,7 @@ from labos.core.state import LabState, encode_picture, from_picture
 from labos.core.suggestions import OrderSuggested
 from labos.planner.lengths import draw, estimate_at_level
 from labos.planner.measure import Score, judge, rate_runs
+from labos.planning.own_order import OwnOrder
 from labos.planning.virtual import Lasts, Play, VirtualLab
 
 DRAWN = 3
@@ -40,7 +41,8 @@ class Way(msgspec.Struct):
 class OrderRehearsal:
     """Continues copies of a workcell with these runs; other waiting runs are left out. ``level`` is the
     quantile of durations for planning. ``drawn`` is the number of plays with drawn durations, if there are
-    windows. The end of all counts ``end_weight`` times as much as the mean of all ends."""
+    windows. The end of all counts ``end_weight`` times as much as the mean of all ends. ``searches``: the lab
+    looks for an order of its own where none is suggested."""
 
     def __init__(
         self,
@@ -52,8 +54,10 @@ class OrderRehearsal:
         *,
         drawn: int = DRAWN,
         end_weight: int = 1,
+        searches: bool = False,
     ) -> None:
         self.cell, self.now, self.level, self.end_weight = cell, now, level, end_weight
+        self._orders: dict[str, OwnOrder] | None = {} if searches else None
         copy = from_picture(encode_picture(state))
         copy.lab.paused.clear()  # paused work will continue at some time, and in the same order
         known = {run.id for run in runs}
@@ -100,7 +104,7 @@ class OrderRehearsal:
                 order.workcell, order.by, order.until, order.steps
             )
         lasts = _make_lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
-        way.plays.append(VirtualLab(state, self.now, lasts).go_on())
+        way.plays.append(VirtualLab(state, self.now, lasts, orders=self._orders).go_on())
 
 
 def _make_lasts(lengths: Lengths, pace: float, level: float, number: int) -> Lasts:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import structlog
 
@@ -87,9 +87,12 @@ class FoldedLab:
 
 
 class FollowedKernel(FoldedLab):
-    """Follows one log. ``open`` reads it; ``follow`` reads new events."""
+    """Follows one log. ``open`` reads it; ``follow`` reads new events. ``plan_with`` makes the scheduler that
+    explains why runs wait."""
 
-    def __init__(self, store: EventStore, clock: Clock, ids: Ids) -> None:
+    def __init__(
+        self, store: EventStore, clock: Clock, ids: Ids, plan_with: Callable[[], Scheduler] = Scheduler
+    ) -> None:
         self.clock, self.ids = clock, ids
         self.listeners: list[Listener] = []
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
@@ -98,7 +101,8 @@ class FollowedKernel(FoldedLab):
         self.state = LabState()
         self._store = store
         self._hash = GENESIS
-        self._scheduler = Scheduler(), -1
+        self._plan_with = plan_with
+        self._scheduler = plan_with(), -1
         self._looking = asyncio.Event()
         self._waiting: list[asyncio.Future[None]] = []
         self._grown: list[tuple[int, asyncio.Future[None]]] = []
@@ -110,7 +114,7 @@ class FollowedKernel(FoldedLab):
     def scheduler(self) -> Scheduler:
         """A scheduler that explains why runs wait; it starts none."""
         if self._scheduler[1] != self.state.position:
-            self._scheduler = Scheduler(), self.state.position
+            self._scheduler = self._plan_with(), self.state.position
         return self._scheduler[0]
 
     # -- commands ----------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from labos.services.log import Log, decode_events
 from labos.services.runs import RunBook
 from labos.services.times import iso_time
 from labos.services.twh import Meter, Twh
-from labos.services.waits import QUEUED_JUDGED, list_reasons
+from labos.services.waits import QUEUED_JUDGED, list_reasons, list_unknown_reasons
 
 
 class OpenRun(msgspec.Struct, frozen=True):
@@ -196,7 +196,9 @@ def _run(state: LabState, run: RunState, now: int) -> OpenRun:
         for action in state.actions.open.values()
         if action.run == run.id
     )
-    waits = [] if doing else list_reasons(state, run, now, Scheduler())
+    waits = (
+        [] if doing else list_reasons(state, run, now, Scheduler()) or list_unknown_reasons(state, run, now)
+    )
     status = "paused" if run.paused else run.status
     return OpenRun(
         run=run.id,

@@ -21,7 +21,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import describe_wait, find_remedy
 from labos.planning.obstacle import explain_wait
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, list_ready_steps
 
 NOTICED_NS = 1_000_000
 """For shorter pauses between events, no reason is computed."""
@@ -31,6 +31,10 @@ QUEUED_JUDGED = 12
 
 BEHIND = "runs that were submitted before go first"
 READY = "it may start and is about to"
+KEPT = "the lab lets others go first, so that all work ends sooner"
+
+KEPT_NS = 1_000_000_000
+"""A step that may start does so much sooner (wall time), unless the lab lets others go first."""
 
 
 class WaitReason(msgspec.Struct, frozen=True):
@@ -71,7 +75,8 @@ class WaitBook:
 
     def _charge(self, run: RunState, now: int, length: int) -> None:
         found = list_reasons(self.state, run, now, self.scheduler, causes=False)
-        self._note(run.id, found[0].why if found else READY, length)
+        may_start = KEPT if is_kept_back(self.state, run, now + length) else READY
+        self._note(run.id, found[0].why if found else may_start, length)
 
     def _note(self, run: str, why: str, length: int) -> None:
         times = self.charged.setdefault(run, {})
@@ -98,6 +103,22 @@ def list_reasons(
             if not isinstance(wait.reason, NotPending)
         ),
     ]
+
+
+def list_unknown_reasons(state: LabState, run: RunState, now: int) -> list[WaitReason]:
+    """Why a run probably does not continue for which ``list_reasons`` finds nothing."""
+    if not is_kept_back(state, run, now):
+        return []
+    ready = list_ready_steps(state, run) if run.has_started else state.runs.plans[run.plan].starts
+    return [WaitReason(step, KEPT) for step in ready[:1]]
+
+
+def is_kept_back(state: LabState, run: RunState, now: int) -> bool:
+    """Whether the lab lets others go before a run for which ``list_reasons`` finds no reason. The orders that
+    the lab has found are not in its log. But it keeps a step waiting only while something moves in the
+    workcell, and every other step has started after ``KEPT_NS``."""
+    is_moving = state.actions.is_any_moving(state.runs.plan_of(run).workcell)
+    return is_moving and not run.has(IN_FLIGHT, UNKNOWN) and now - state.recorded_at > KEPT_NS
 
 
 def _name_unknown(state: LabState, wait: Wait) -> Wait:

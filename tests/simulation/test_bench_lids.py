@@ -128,7 +128,7 @@ def crashes(seed: int, plan_with: Callable[[], Scheduler] = Scheduler) -> list[s
 @pytest.mark.slow
 def test_without_the_rule_tips_are_driven_into_lids(monkeypatch: pytest.MonkeyPatch) -> None:
     assert crashes(0) == []
-    monkeypatch.setattr(binding.StartCheck, "value", lambda *_: None)
+    monkeypatch.setattr(binding.StartCheck, "check_value", lambda *_: None)
     assert any("drives its tips into a lid" in crash for crash in crashes(0))
 
 
