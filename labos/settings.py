@@ -107,17 +107,17 @@ class Settings(msgspec.Struct, frozen=True):
     @property
     def reopen_s(self) -> float:
         """How long the kernel waits for a database that cannot be reached. Raises BadInput."""
-        said = self.on_database_loss or os.environ.get(ON_DATABASE_LOSS) or ""
-        if said in ("stop", "wait"):
-            return 0.0 if said == "stop" else math.inf
+        value = self.on_database_loss or os.environ.get(ON_DATABASE_LOSS) or ""
+        if value in ("stop", "wait"):
+            return 0.0 if value == "stop" else math.inf
         try:
-            seconds = float(said or PATIENCE_S)
+            seconds = float(value or PATIENCE_S)
             if seconds >= 0 and math.isfinite(seconds):
                 return seconds
         except ValueError:
             pass
         raise BadInput(
-            f"{said!r} says nothing about a database that is gone.",
+            f"{value!r} says nothing about a database that is gone.",
             remedy=f"Say stop, wait, or a number of seconds ({ON_DATABASE_LOSS}, --on-database-loss).",
         )
 
@@ -129,15 +129,15 @@ class Settings(msgspec.Struct, frozen=True):
     @property
     def silence_s(self) -> float:
         """How long a database may give no answer before it counts as lost. Raises BadInput."""
-        said = self.database_silence or os.environ.get(DATABASE_SILENCE) or SILENCE_S
+        value = self.database_silence or os.environ.get(DATABASE_SILENCE) or SILENCE_S
         try:
-            seconds = float(said)
+            seconds = float(value)
             if seconds >= 1:
                 return seconds
         except ValueError:
             pass
         raise BadInput(
-            f"{said!r} does not say how long a database may be silent.",
+            f"{value!r} does not say how long a database may be silent.",
             remedy=f"Say a number of seconds, 1 at the least ({DATABASE_SILENCE}, --database-silence).",
         )
 
@@ -145,10 +145,10 @@ class Settings(msgspec.Struct, frozen=True):
     def failures_borne(self) -> tuple[int, float]:
         """How many failures of a module lead to its quarantine, and within how many lab seconds; 0 for never.
         Raises BadInput."""
-        said = self.quarantine or os.environ.get(QUARANTINE) or PATIENCE
-        if said == "never":
+        value = self.quarantine or os.environ.get(QUARANTINE) or PATIENCE
+        if value == "never":
             return 0, 0.0
-        times, _, seconds = said.partition("/")
+        times, _, seconds = value.partition("/")
         try:
             found = int(times), float(seconds)
             if 1 <= found[0] <= FAILURES_KNOWN and 0 < found[1] < math.inf:
@@ -156,7 +156,7 @@ class Settings(msgspec.Struct, frozen=True):
         except ValueError:
             pass
         raise BadInput(
-            f"{said!r} does not say how often a module may fail.",
+            f"{value!r} does not say how often a module may fail.",
             remedy=f"Say never, or 5/600 for five times in 600 s ({QUARANTINE}, --quarantine); "
             f"more than {FAILURES_KNOWN} times are not counted.",
         )
@@ -164,10 +164,10 @@ class Settings(msgspec.Struct, frozen=True):
     @property
     def searches_order(self) -> bool:
         """Whether the lab searches for an order of all waiting runs. Raises BadInput."""
-        said = os.environ.get(ORDER) or "age"
-        if said in ("age", "search"):
-            return said == "search"
-        raise BadInput(f"{said!r} is no order of waiting runs.", remedy=f"Write age or search ({ORDER}).")
+        value = os.environ.get(ORDER) or "age"
+        if value in ("age", "search"):
+            return value == "search"
+        raise BadInput(f"{value!r} is no order of waiting runs.", remedy=f"Write age or search ({ORDER}).")
 
     @property
     def is_secure(self) -> bool:
@@ -239,11 +239,11 @@ class Settings(msgspec.Struct, frozen=True):
     def blobs(self) -> Path | str:
         """Where large payloads are stored: LABOS_BLOBS (a folder, or a URL such as ``s3://bucket/lab``), else
         where this lab has stored them, else ``blobs`` in the home."""
-        said = os.environ.get(BLOBS)
-        if not said:
+        value = os.environ.get(BLOBS)
+        if not value:
             known = _read(self.home / "kernel.json", KernelInfo)
-            said = known.blobs if known is not None else ""
-        return said if "://" in said else Path(said).absolute() if said else self.home / "blobs"
+            value = known.blobs if known is not None else ""
+        return value if "://" in value else Path(value).absolute() if value else self.home / "blobs"
 
     @property
     def arriving(self) -> Path:
