@@ -113,18 +113,22 @@ class Scheduler:
             if spot.bundle:
                 yield from self._let_in(state, spot.bundle, spot.run, now)
             else:
-                # Only now: until it is looked at, others may overtake it.
-                self.sleepers.wake((spot.run.id, spot.step))
-                wait = self.check_start(state, state.runs.active.get(spot.run.id), spot.step, now)
-                if wait is None:
-                    others = find_companions(state, spot.run, spot.step, now)
-                    for run, step in ((spot.run, spot.step), *others):
-                        self.sleepers.wake((run.id, step))
-                        self.patience.count_start(state, run, step, self.sleepers)
-                    named = tuple((run.id, step) for run, step in others)
-                    yield StepStart(spot.run.id, spot.step, others=named)
-                else:
-                    self.sleepers.sleep((spot.run.id, spot.step), wait)
+                yield from self._start_step(state, spot, now)
+
+    def _start_step(self, state: LabState, spot: Spot, now: int) -> Iterator[StepStart]:
+        """Propose a step of an active run, or let it sleep until it may start."""
+        run = spot.run
+        # Only now: until it is looked at, others may overtake it.
+        self.sleepers.wake((run.id, spot.step))
+        wait = self.check_start(state, state.runs.active.get(run.id), spot.step, now)
+        if wait is not None:
+            self.sleepers.sleep((run.id, spot.step), wait)
+            return
+        others = find_companions(state, run, spot.step, now)
+        for each, step in ((run, spot.step), *others):
+            self.sleepers.wake((each.id, step))
+            self.patience.count_start(state, each, step, self.sleepers)
+        yield StepStart(run.id, spot.step, others=tuple((each.id, step) for each, step in others))
 
     def check_start(
         self,
@@ -400,7 +404,18 @@ class Scheduler:
             yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
             if option.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
+            if not self.adviser.has_orders(state):
+                yield from self._start_first_steps(state, option.id, now)
             run = self.admission.find_first(state, bundle, now)
+
+    def _start_first_steps(self, state: LabState, name: RunId, now: int) -> Iterator[StepStart]:
+        """Propose the other first steps of a run that has just started: they go before those of runs that
+        still wait."""
+        run = state.runs.active.get(name)
+        if run is not None:
+            spots = [Spot(run, step) for step in list_ready_steps(state, run)]
+            for spot in self.ranking.sort(state, spots, self.patience, now):
+                yield from self._start_step(state, spot, now)
 
     def _is_overtaken(self, state: LabState, run: RunState) -> bool:
         """Whether a run has waited for so long that nobody's advice holds it up."""

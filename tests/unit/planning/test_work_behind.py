@@ -54,3 +54,11 @@ def test_another_run_that_came_first_goes_first_however_little_of_it_is_left() -
     for action in driver.list_flying():
         driver.finish(action)
     assert driver.pump() == [f"{first}#1"]
+
+
+def test_all_first_steps_of_a_run_go_before_those_of_the_next_run() -> None:
+    driver = lab()
+    both = plan(step("cam", duration_s=600.0), step("dev"), parallel=True)
+    driver.submit(both)
+    driver.submit(both)
+    assert driver.pump() == ["R1#0", "R1#1"]
