@@ -164,7 +164,7 @@ class Settings(msgspec.Struct, frozen=True):
     @property
     def searches_order(self) -> bool:
         """Whether the lab searches for an order of all waiting runs. Raises BadInput."""
-        said = os.environ.get(ORDER) or "search"
+        said = os.environ.get(ORDER) or "age"
         if said in ("age", "search"):
             return said == "search"
         raise BadInput(f"{said!r} is no order of waiting runs.", remedy=f"Write age or search ({ORDER}).")
