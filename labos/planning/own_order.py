@@ -168,6 +168,8 @@ class OwnOrders:
         runs = frozenset(run.id for run in (*inside, *waiting))
         known = self._known.get(cell)
         is_new = known is None or not runs <= known.runs
+        if known is not None and now < known.seen:
+            known.seen = now  # the clock was set back: nobody waits until it has caught up
         if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
             return False
         if not are_enough(state, [*inside, *waiting]):

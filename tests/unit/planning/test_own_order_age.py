@@ -132,3 +132,15 @@ def test_no_order_lets_more_than_eight_younger_runs_start_first() -> None:
     lab.go_on()
     started = list(lab.find_times(RunStarted))
     assert 1 < started.index(own.old) <= PATIENCE
+
+
+def test_a_search_goes_on_if_the_clock_is_set_back() -> None:
+    lab, own = make_lab(0, APART_S), OwnOrders()
+    waiting = sorted(lab.state.runs.queued.values(), key=lambda run: run.position)
+    own.search(lab.state, CELL, [], waiting, lab.now)
+    tried, now = own.known[CELL].tried, lab.now - 8 * 3600 * SECOND
+    for _ in range(2):
+        own.search(lab.state, CELL, [], waiting, now)
+        now = own.goes_on_at(CELL) or 0
+    assert own.known[CELL].tried > tried
+    assert now < lab.now
