@@ -11,7 +11,7 @@ from labos.services.waits import WaitReason, list_unknown_reasons
 from labos.settings import Settings, find_kernel, last_kernel
 
 
-def searches_order(where: Where) -> bool:
+def ask_order_setting(where: Where) -> bool:
     """Whether the lab looks for an order of all waiting runs: as its kernel says, else by the setting on this
     computer. Raises BadInput."""
     info = None if where.lab else last_kernel(where.home)
@@ -28,7 +28,7 @@ class KernelWaits:
         self._where = where
         self._reasons: dict[str, list[WaitReason]] | None = None
 
-    def correct(
+    def correct_reasons(
         self, state: LabState, run: RunState, now: int, reasons: list[WaitReason]
     ) -> list[WaitReason]:
         """The ``reasons`` that the log has for a run, corrected by what the kernel says. If none answers, the

@@ -6,7 +6,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import has_kernel, say_if_dead
-from labos.cli._orders import KernelWaits, searches_order
+from labos.cli._orders import KernelWaits, ask_order_setting
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.cli.runs import show_duration
@@ -42,7 +42,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
         stories, state = [run_history(store, name) for name in named], fold_state_at(store)
         lives = has_kernel(where.url)
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
-    kernel, searches = KernelWaits(where) if lives else None, searches_order(where)
+    kernel, searches = KernelWaits(where) if lives else None, ask_order_setting(where)
     now_of = [list_sentences(state, story, now, kernel, searches=searches) for story in stories]
     for story, waits in zip(stories, now_of, strict=True):
         if not lives and not story.over:
@@ -103,7 +103,7 @@ def list_sentences(
         return found
     reasons = list_reasons(state, run, now)
     if kernel is not None:
-        reasons = kernel.correct(state, run, now, reasons)
+        reasons = kernel.correct_reasons(state, run, now, reasons)
     for reason in reasons:
         who = " It continues after a person or a device has acted." if reason.blocked and not asked else ""
         remedy = f" {reason.remedy}" if reason.remedy else ""

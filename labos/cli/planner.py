@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from labos.cli._options import find_user, user_option
-from labos.cli._orders import searches_order
+from labos.cli._orders import ask_order_setting
 from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.errors import LabosError
 
@@ -96,7 +96,7 @@ def command(
 
     expect_solver()
     asker, watch = find_user(user), CellWatch()
-    searches = searches_order(where)
+    searches = ask_order_setting(where)
     planner = Planner(seconds=seconds, level=level, end_weight=end_weight, searches=searches)
     next_look: dict[str, float] = {}
     with end_in_order(), need_lab_of(where) as client, open_log(where, stored=True) as log:

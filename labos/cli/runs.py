@@ -10,7 +10,7 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
 from labos.cli._options import ENDED_SHOWN, all_option, json_option
-from labos.cli._orders import KernelWaits, searches_order
+from labos.cli._orders import KernelWaits, ask_order_setting
 from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.core.ids import local
@@ -92,7 +92,7 @@ def _find_waits(
         if run is not None:
             reasons = list_reasons(state, run, now, scheduler)
             if kernel is not None:
-                reasons = kernel.correct(state, run, now, reasons)
+                reasons = kernel.correct_reasons(state, run, now, reasons)
             found[run.id] += [reason.why for reason in reasons]
     return {run: reasons for run, reasons in found.items() if reasons}
 
@@ -101,7 +101,7 @@ def _find_due(store: Log, stories: dict[str, RunHistory], now: int, where: Where
     """The due dates of runs, and whether the runs will keep them."""
     if not any(story.due_at for story in stories.values()):
         return {}
-    searches = searches_order(where)
+    searches = ask_order_setting(where)
     return tell_due(fold_state_at(store), stories.values(), now, searches=searches)
 
 

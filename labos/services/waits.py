@@ -31,7 +31,7 @@ QUEUED_JUDGED = 12
 
 BEHIND = "runs that were submitted before go first"
 READY = "it may start and is about to"
-KEPT = "the lab lets others go first, so that all work ends sooner"
+KEPT = "it may start; probably the lab lets others go first, so that all work ends sooner"
 
 KEPT_NS = 1_000_000_000
 """A step that may start does so much sooner (wall time), unless the lab lets others go first."""
@@ -75,8 +75,7 @@ class WaitBook:
 
     def _charge(self, run: RunState, now: int, length: int) -> None:
         found = list_reasons(self.state, run, now, self.scheduler, causes=False)
-        may_start = KEPT if is_kept_back(self.state, run, now + length) else READY
-        self._note(run.id, found[0].why if found else may_start, length)
+        self._note(run.id, found[0].why if found else READY, length)
 
     def _note(self, run: str, why: str, length: int) -> None:
         times = self.charged.setdefault(run, {})

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from labos.bootstrap import LabThread, descriptions
-from labos.cli._orders import searches_order
+from labos.cli._orders import ask_order_setting
 from labos.cli._query import Where
 from labos.cli.explain import command as explain
 from labos.cli.runs import command as runs
@@ -105,7 +105,7 @@ def test_what_waits_by_the_labs_own_order_is_explained_so(
     assert info is not None
     assert info.searches_order
     monkeypatch.setenv(ORDER, "age")  # the kernel's word counts, not the setting of this program
-    assert searches_order(Where(lab.settings.home))
+    assert ask_order_setting(Where(lab.settings.home))
     alone = ["--home", str(lab.settings.home / "elsewhere"), "--database", info.database]
     told = CliRunner().invoke(explain, [long, *alone], catch_exceptions=False).stdout
     assert "waits: " in told, "by the log alone"
