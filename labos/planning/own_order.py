@@ -167,9 +167,8 @@ class OwnOrders:
         """Find an order for these runs, or a better one; whether it is another one than before."""
         runs = frozenset(run.id for run in (*inside, *waiting))
         known = self._known.get(cell)
-        is_new = known is None or not runs <= known.runs
-        if known is not None and now < known.seen:
-            known.seen = now  # the clock was set back: nobody waits until it has caught up
+        # If the clock was set back, the times of what was found count no more.
+        is_new = known is None or not runs <= known.runs or now < known.seen
         if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
             return False
         if not are_enough(state, [*inside, *waiting]):
@@ -195,7 +194,7 @@ class OwnOrders:
         names = [run.id for run in outline.runs]
         steps = tuple(Suggested(names[who], step, time) for time, who, step in sorted(found.starts))
         until = found.last + convert_lab_s(state, STALE_S)
-        was = known.due if known is not None else {}
+        was = known.due if known is not None and known.seen <= now else {}
         due = {(one.run, one.step): was.get((one.run, one.step), now) for one in steps if one.start <= now}
         barred = any(now - since > convert_lab_s(state, STALE_S) for since in due.values())
         order = OrderSuggested(cell, OWN, until, steps)
