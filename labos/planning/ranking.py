@@ -4,6 +4,8 @@ The rules are listed in ``docs/scheduling.md`` (*Which step goes first*)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from labos.core.runs import RunState
@@ -14,7 +16,6 @@ from labos.planning.reservations import Reservations
 from labos.planning.setup_order import SetupOrder
 from labos.planning.suggested import LAST, Adviser
 from labos.planning.urgency import is_urgent
-from labos.planning.waiting import Turn
 from labos.planning.work_behind import WorkBehind
 
 
@@ -64,15 +65,24 @@ class Ranking:
         """What may start, in the order in which it is tried."""
         return sorted(spots, key=lambda spot: self._rank(state, spot, patience, now))
 
-    def make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
-        """What orders waiting runs of the same needs and priority."""
-        own = self._rank_own(state, run, None)
-        return (
-            not is_urgent(state, run, now),
-            *self._find_share_used(state, now, run.user),
-            *own,
-            run.position,
-        )
+    def find_first(self, state: LabState, runs: Sequence[RunState], now: int) -> RunState | None:
+        """Who goes first among waiting runs of the same needs and priority; of equal ones the oldest."""
+        groups = [self._rank_group(state, run, now) for run in runs]
+        least = min(groups, default=None)
+        first = [run for run, group in zip(runs, groups, strict=True) if group == least]
+        if len(first) < 2:
+            return first[0] if first else None
+        return min(first, key=lambda run: (self._rank_own(state, run, None), run.position))
+
+    def rank_waiting(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
+        """The rank of a waiting run among those of the same needs and priority, without its age. The least
+        goes first."""
+        return *self._rank_group(state, run, now), *self._rank_own(state, run, None)
+
+    def _rank_group(self, state: LabState, run: RunState, now: int) -> tuple[bool, float, float]:
+        """Runs of urgent campaigns (False) go first, then by the share that the group has had, and the user
+        within it."""
+        return not is_urgent(state, run, now), *self._find_share_used(state, now, run.user)
 
     def _rank(self, state: LabState, spot: Spot, patience: OvertakeCounts, now: int) -> Rank:
         run, waits = spot.run, bool(spot.bundle)
