@@ -28,9 +28,8 @@ def on_requested(rows: RowChanges, event: p.ApprovalRequested, head: Envelope, a
         },
         event,
     )
-    campaign = rows.change(CAMPAIGNS, event.subject) if event.kind == "campaign" else None
-    if campaign is not None:
-        campaign["status"] = "proposed"
+    if event.kind == "campaign":
+        rows.update(CAMPAIGNS, event.subject, status="proposed")
 
 
 def on_given(rows: RowChanges, event: p.ApprovalGiven, head: Envelope, at: float) -> None:
@@ -42,11 +41,9 @@ def on_given(rows: RowChanges, event: p.ApprovalGiven, head: Envelope, at: float
     changed = rows.change(table, event.subject) if table is not None else None
     if changed is not None and event.priority is not None:
         changed["priority"] = event.priority
-    campaign = rows.change(CAMPAIGNS, event.subject) if event.kind == "campaign" else None
-    if campaign is not None:
-        campaign["status"] = "open"
-        if event.terms is not None:
-            set_terms(campaign, event.terms)
+    campaign = rows.update(CAMPAIGNS, event.subject, status="open") if event.kind == "campaign" else None
+    if campaign is not None and event.terms is not None:
+        set_terms(campaign, event.terms)
 
 
 def on_refused(rows: RowChanges, event: p.ApprovalRefused, head: Envelope, at: float) -> None:

@@ -185,9 +185,7 @@ def on_samples_registered(
     run = rows.get(RUNS, event.run) if event.run else None
     for well in before:
         if well not in labware["samples"] and (place := _place(well)) is not None:
-            gone = rows.change(ENTRIES, first + place)
-            if gone is not None:
-                gone["status"] = "replaced"
+            rows.update(ENTRIES, first + place, status="replaced")
     for well, sample in labware["samples"].items():
         place = _place(well)
         if place is None:

@@ -52,10 +52,10 @@ def on_asked(rows: RowChanges, event: i.InterventionRequested, head: Envelope, a
 
 
 def on_resolved(rows: RowChanges, event: i.InterventionResolved, head: Envelope, at: float) -> None:
-    row = rows.change(INTERVENTIONS, event.intervention)
-    if row is not None:
-        row["choice"], row["resolved_by"], row["note"] = event.choice, event.by, event.note
-        row["resolved_at_s"], row["resolved_position"] = at, head.position
+    answer = {"choice": event.choice, "resolved_by": event.by, "note": event.note}
+    rows.update(
+        INTERVENTIONS, event.intervention, resolved_at_s=at, resolved_position=head.position, **answer
+    )
     if event.by == head.actor and event.by != "labos" and "/" not in event.by:
         _change_person(rows, event.by, at)["answers"] += 1
 
@@ -85,9 +85,10 @@ def on_cancelled(
 
 
 def on_ended(rows: RowChanges, event: x.ExperimentEnded, head: Envelope, at: float) -> None:
-    row = rows.change(EXPERIMENTS, event.experiment)
+    row = rows.update(
+        EXPERIMENTS, event.experiment, status="ended", ended_at_s=at, ended_position=head.position
+    )
     if row is not None:
-        row["status"], row["ended_at_s"], row["ended_position"] = "ended", at, head.position
         row["why"] = row["why"] or event.why
 
 
