@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 
 from labos.audit._campaigns import set_terms
@@ -85,11 +83,3 @@ def _answer(
     row["answer"], row["answered_by"], row["comment"] = answer, by, comment
     row["answered_at_s"], row["answered_position"] = at, head.position
     return row
-
-
-HANDLERS: dict[Any, Any] = {
-    p.ApprovalRequested: on_requested,
-    p.ApprovalGiven: on_given,
-    p.ApprovalRefused: on_refused,
-    p.RunApproved: on_second_person,
-}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._bench_tables import LOT_USES, MOVES
@@ -148,16 +147,3 @@ def _note(
     by = (event.run, getattr(event, "action", ""), head.actor, why)
     maybe = None if places is None else list(places)
     rows.add(MOVES, head.position, at, event.labware, kind, source, "" if on else target, on, maybe, *by)
-
-
-HANDLERS: dict[Any, Any] = {
-    b.LabwarePlaced: on_placed,
-    b.LabwareMoved: on_moved,
-    b.LabwareObserved: on_observed,
-    b.LabwareUncertain: on_uncertain,
-    b.LabwareRemoved: on_removed,
-    b.LabwareChanged: on_changed,
-    b.LabwareHandedOver: on_handed_over,
-    b.BarcodeRead: on_barcode_read,
-    b.StationLoaded: on_loaded,
-}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
-
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._work_tables import CAMPAIGNS, RUNS
 from labos.core import campaigns as c
@@ -95,19 +93,3 @@ def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -
             row["failed"] += 1
         case r.RunCancelled():
             row["cancelled"] += 1
-
-
-HANDLERS: dict[Any, Any] = {
-    c.CampaignSubmitted: on_submitted,
-    c.CampaignPaused: on_paused,
-    c.CampaignResumed: on_resumed,
-    c.CampaignAmended: on_amended,
-    c.CampaignRowRefused: on_row_refused,
-    c.CampaignStopped: on_stopped,
-    c.CampaignCancelled: on_cancelled,
-    c.CampaignCompleted: on_completed,
-    c.CampaignArchived: on_archived,
-    c.CampaignUnarchived: on_archived,
-    r.RunSubmitted: on_run_submitted,
-    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
-}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._work_tables import EXPERIMENTS, INTERVENTIONS, USERS
 from labos.core import experiments as x
@@ -90,15 +88,3 @@ def on_ended(rows: RowChanges, event: x.ExperimentEnded, head: Envelope, at: flo
     )
     if row is not None:
         row["why"] = row["why"] or event.why
-
-
-HANDLERS: dict[Any, Any] = {
-    UserErased: on_erased,
-    r.RunSubmitted: on_submitted,
-    i.InterventionRequested: on_asked,
-    i.InterventionResolved: on_resolved,
-    x.ExperimentStarted: on_started,
-    x.ExperimentCancelled: on_cancelled,
-    x.ExperimentClosing: on_cancelled,
-    x.ExperimentEnded: on_ended,
-}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
@@ -325,32 +325,3 @@ def _leave(rows: RowChanges, module: str, at: float) -> None:
     node = rows.change(NODES, present["position"]) if present is not None else None
     if node is not None and node["left_at_s"] is None:
         node["left_at_s"] = at
-
-
-HANDLERS: dict[Any, Any] = {
-    p.PlanRecorded: on_plan_recorded,
-    p.PlanStepsRecorded: on_plan_steps_recorded,
-    r.RunSubmitted: on_submitted,
-    r.RunBound: on_bound,
-    r.RunStarted: on_started,
-    r.RunPaused: on_paused,
-    r.RunResumed: on_resumed,
-    r.RunCancelling: on_cancelling,
-    r.RunLeaving: on_leaving,
-    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
-    st.WindowBreached: on_breached,
-    st.StepRetried: on_retried,
-    st.StepSkipped: on_skipped,
-    st.StepUnexpected: on_unexpected,
-    st.StepRecovering: on_recovering,
-    a.ActionRequested: on_requested,
-    a.ActionAccepted: on_accepted,
-    a.ActionReported: on_reported,
-    a.ActionUnknown: on_unknown,
-    a.ActionSucceeded: on_succeeded,
-    a.ActionFailed: on_failed,
-    a.ActionRejected: on_rejected,
-    a.ActionReconciled: on_reconciled,
-    m.NodeJoined: on_joined,
-    m.NodeLeft: on_left,
-}
