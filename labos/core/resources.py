@@ -10,7 +10,7 @@ from labos.core.effects import AnyEffect, Consumes, Replaces
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleEvent
-from labos.core.registry import event
+from labos.core.registry import event, list_handlers
 
 
 @event("resource.level_set")
@@ -158,8 +158,4 @@ def fold_resource_consumed(resources: Resources, event: ResourceConsumed, at: in
             level.lots.remove(lot)
 
 
-HANDLERS = {
-    LevelSet: fold_level_set,
-    ResourceReplenished: fold_resource_replenished,
-    ResourceConsumed: fold_resource_consumed,
-}
+HANDLERS = list_handlers(globals(), Resources)
