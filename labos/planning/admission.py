@@ -86,8 +86,9 @@ class Admission:
             isinstance(wait.reason, reasons.AfterElder) for wait in possible.waits
         ):
             # Somebody older than the elder need not wait with the others.
-            run = self._room.find_oldest(state, bundle) or run
-            possible = self._find_start(state, run, now)
+            oldest = self._room.find_oldest(state, bundle)
+            if oldest is not None and oldest is not run:
+                run, possible = oldest, self._find_start(state, oldest, now)
         return self._look_ahead(state, run, possible, now)
 
     def explain(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:

@@ -149,11 +149,16 @@ class Scheduler:
         next place is not free soon."""
         if run is None:
             return Wait(reasons.Gone())
+        is_alone = run.has_started or run.choices or len(state.runs.plans[run.plan].starts) > 1
+        bundle = "" if is_alone or only_asking else self.room.find_bundle(state, run)
+        for known in self._find_waits_at_start(state, bundle, run, now) if bundle else ():
+            return known
         self.evaluations += 1
         companions = find_companions(state, run, step, now)
-        found = examine(state, run, step, now, [other.id for other, _ in companions])
-        if isinstance(found, Wait):
-            return found
+        if not bundle:
+            found = examine(state, run, step, now, [other.id for other, _ in companions])
+            if isinstance(found, Wait):
+                return found
         wait = self._check_time(state, run, step, now)
         if wait is None:
             outside = self._list_plans_outside(state, state.runs.plan_of(run).workcell)
@@ -271,6 +276,7 @@ class Scheduler:
             self.admission.pilot.forget(cell)
             self.adviser.own.forget(cell)
             self.window_orders.forget(cell)
+            self.patience.forget_keys()
             self.room.refill(state, cell)
         for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
@@ -403,9 +409,7 @@ class Scheduler:
     def _let_in(self, state: LabState, bundle: str, first: RunState, now: int) -> Iterator[StepStart]:
         run: RunState | None = first
         while run is not None:
-            still_waits = run.id in state.runs.queued  # another bundle's turn may have let it in
-            waits = self._find_waits_at_start(state, bundle, run, now) if still_waits else []
-            chosen = waits if len(waits) == 1 else self.admission.choose(state, bundle, run, now)
+            chosen = self.admission.choose(state, bundle, run, now)
             if not isinstance(chosen, Candidate):
                 for wait in chosen:
                     self.sleepers.sleep((bundle, 0), wait)

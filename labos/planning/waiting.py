@@ -110,6 +110,10 @@ class WaitingRoom:
         bundle = self._enter(state, group)
         return bundle if len(self._classes[bundle]) == 1 else ""
 
+    def find_bundle(self, state: LabState, run: RunState) -> str:
+        """The bundle of a waiting run; empty if it is in none."""
+        return self._bundle_of.get(queue_key(state.runs.find_shape(run), run), "")
+
     def find_cell(self, bundle: str) -> str:
         """The workcell in which a bundle waits; empty for one that is gone."""
         return self._cell_of.get(bundle, "")
