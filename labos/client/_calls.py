@@ -43,11 +43,11 @@ def in_path(name: str, parts: int = 1) -> str:
 _NO_NAME = re.compile(r"[\x00-\x1f\x7f\\\ud800-\udfff]")
 
 
-def fill_path(path: str, said: dict[str, Any]) -> str:
-    """A path with the values of the names in braces, which are taken out of ``said``. The name of a module
+def fill_path(path: str, values: dict[str, Any]) -> str:
+    """A path with the values of the names in braces, which are taken out of ``values``. The name of a module
     may have a slash: ``rpl/sealer``. Raises BadInput."""
     return re.sub(
-        r"\{(\w+)\}", lambda found: in_path(said.pop(found[1]), 2 if found[1] == "module" else 1), path
+        r"\{(\w+)\}", lambda found: in_path(values.pop(found[1]), 2 if found[1] == "module" else 1), path
     )
 
 
@@ -80,7 +80,7 @@ class Calls(ABC):
     def _post(
         self,
         path: str,
-        said: Mapping[str, Any],
+        values: Mapping[str, Any],
         *,
         once: bool = False,
         repeat: bool = False,

@@ -84,14 +84,14 @@ class Transport(Calls):
     def _post(
         self,
         path: str,
-        said: Mapping[str, Any],
+        values: Mapping[str, Any],
         *,
         once: bool = False,
         repeat: bool = False,
         as_user: bool = False,
         timeout_s: float | None = None,
     ) -> dict[str, Any]:
-        body = {name: value for name, value in said.items() if name != "self"}
+        body = {name: value for name, value in values.items() if name != "self"}
         request = body.pop("request", "") or (self._ids.new() if once else "")
         user = body.pop("user") if as_user else ""
         path = fill_path(path, body)

@@ -100,6 +100,16 @@ def list_used_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str,
     return tuple(used)
 
 
+def sum_by_supply(
+    uses_up: Iterable[tuple[int, ModuleName, str, float]],
+) -> dict[tuple[ModuleName, str], float]:
+    """How much of each resource of a module a plan's steps use up together."""
+    total: dict[tuple[ModuleName, str], float] = {}
+    for _, module, resource, amount in uses_up:
+        total[module, resource] = total.get((module, resource), 0.0) + amount
+    return total
+
+
 def list_charges(
     resources: Resources, module: ModuleName, resource: str, amount: float
 ) -> list[tuple[str, float]]:
