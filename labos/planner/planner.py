@@ -162,11 +162,12 @@ def _are_alike(state: LabState, before: Sequence[Suggested], after: Sequence[Sug
 
 def _list_earliest_starts(problem: SchedulingProblem) -> list[float]:
     """When each task could start (lab seconds from now) if it waited for nothing but its own run."""
-    starts: list[float] = []
-    for task in problem.tasks:
-        starts.append(
-            max((starts[before] + problem.tasks[before].duration_s for before in task.after), default=0.0)
-        )
+    starts, before = [0.0] * len(problem.tasks), list[float]()
+    while starts != before:  # a task may have a lower number than one that ends before it
+        before = list(starts)
+        for number, task in enumerate(problem.tasks):
+            for other in task.after:
+                starts[number] = max(starts[number], starts[other] + problem.tasks[other].duration_s)
     return starts
 
 

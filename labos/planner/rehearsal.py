@@ -22,14 +22,15 @@ from labos.core.suggestions import OrderSuggested
 from labos.planner.lengths import draw, estimate_at_level
 from labos.planner.measure import Score, judge, rate_runs
 from labos.planning.own_order import OwnOrder
+from labos.planning.suggested import GRACE_S
 from labos.planning.virtual import Lasts, Play, VirtualLab
 
 DRAWN = 3
 """The number of additional plays with drawn durations, if there are windows."""
 
 GAIN = 0.01
-"""A way is better than another if it is better by this part. Less than that is lost as soon as durations
-vary: steps that wait for the order then wait in vain."""
+"""A way is better than another if it is better by this part, and by more than the time for which a step waits
+for another one in vain: less than that is lost as soon as durations vary."""
 
 Order = SuggestOrder | OrderSuggested
 
@@ -71,7 +72,7 @@ class OrderRehearsal:
         self.order = copy.suggestions.find(cell, now)
         windowed = any(state.runs.plans[run.plan].windowed for run in runs)
         self._most = 1 + drawn * windowed
-        self._gain = GAIN if drawn else 0.0
+        self._gain = (GAIN, GRACE_S / copy.lab.pace) if drawn else (0.0, 0.0)
         self._rated = rate_runs(copy, runs, now)
         self._base = encode_picture(copy)
 
@@ -89,7 +90,7 @@ class OrderRehearsal:
         """Whether a way in which the runs end at these times (UTC ns) would be better than another one, with
         the durations of the plan."""
         ideal = judge([Play(ends=dict(ends))], self._rated, self.now, self.end_weight)
-        return ideal.is_better_than(self._compute_score(other, 1), self._gain)
+        return ideal.is_better_than(self._compute_score(other, 1), *self._gain)
 
     def is_better(self, one: Way, other: Way) -> bool:
         """Whether one way is clearly better than another: with the durations of the plan, and if there are
@@ -106,7 +107,7 @@ class OrderRehearsal:
         for way in (one, other):
             if len(way.plays) < plays:
                 self._play(way)
-        return self._compute_score(one, plays).is_better_than(self._compute_score(other, plays), self._gain)
+        return self._compute_score(one, plays).is_better_than(self._compute_score(other, plays), *self._gain)
 
     def _compute_score(self, way: Way, plays: int) -> Score:
         return judge(way.plays[:plays], self._rated, self.now, self.end_weight)
