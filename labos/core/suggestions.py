@@ -14,12 +14,13 @@ MOST_STEPS = 600
 """The most steps of a suggestion."""
 
 
-class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A step of a run should start at ``start`` (UTC ns)."""
+class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False, omit_defaults=True):
+    """A step of a run should start at ``start`` (UTC ns). ``outside``: the run waits outside until then."""
 
     run: RunId
     step: int
     start: int
+    outside: bool = False
 
 
 @event("order.suggested")
@@ -40,6 +41,11 @@ class Suggestions(msgspec.Struct):
     """The last suggestion for each workcell."""
 
     orders: dict[str, OrderSuggested] = {}
+
+    def find(self, cell: str, now: int) -> OrderSuggested | None:
+        """The suggestion that is valid now (UTC ns); None if it was withdrawn or is over."""
+        order = self.orders.get(cell)
+        return order if order is not None and order.steps and order.until > now else None
 
 
 def fold_suggested(suggestions: Suggestions, event: OrderSuggested, at: int) -> None:

@@ -113,7 +113,7 @@ class Admission:
         if own.find(cell) is None and not 0 < len(self._room.list_in_cell(cell)) <= MOST_WAITING:
             return False
         inside = state.runs.list_inside(cell)
-        if len(inside) > MOST_INSIDE or cell in state.suggestions.orders:
+        if len(inside) > MOST_INSIDE or state.suggestions.find(cell, now) is not None:
             return own.drop(cell)
         waiting = self._list_waiting(state, cell, now)
         runs = [*inside, *waiting] if waiting is not None else []
@@ -171,7 +171,7 @@ class Admission:
         if not goes_first and self._adviser.own.is_too_early(state, cell):
             until = self._adviser.own.goes_on_at(cell)
             return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
-        if goes_first or not stands or self._adviser.has_order(state, cell):
+        if goes_first or not stands or self._adviser.has_order(state, cell, now):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not are_different(
