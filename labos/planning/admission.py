@@ -70,7 +70,7 @@ class Admission:
 
     def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
         """Who of a bundle is next."""
-        first = self._room.find_first(state, bundle, partial(self._ranking.make_turn_key, state, now))
+        first = self._ranking.find_first(state, self._room.list_heads(state, bundle), now)
         if first is None or not self._adviser.has_orders(state) or self._room.is_overtaken(state, first):
             return first
         if self._adviser.own.find(state.runs.plan_of(first).workcell) is not None:
@@ -238,4 +238,4 @@ class Admission:
 
     def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
         """The rank of a waiting run without its age."""
-        return -run.priority, *self._ranking.make_turn_key(state, now, run)[:-1]
+        return -run.priority, *self._ranking.rank_waiting(state, run, now)

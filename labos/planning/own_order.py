@@ -16,7 +16,7 @@ were tried: a forecast that goes on from the same state finds the same order.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 import msgspec
@@ -242,20 +242,26 @@ def _play_by_age(state: LabState, outline: Outline) -> tuple[tuple[EquallyOld, .
     if any(left > 0 for left in play.left):
         return None
     ends = dict(zip((run.id for run in outline.runs), play.ends, strict=True))
-    groups: list[list[RunState]] = []
-    for run in sorted(outline.runs, key=lambda run: (run.user, run.submitted_at)):
-        first = groups[-1][0] if groups else None
-        apart = run.submitted_at - first.submitted_at if first is not None and first.user == run.user else FAR
-        if apart <= convert_lab_s(state, EQUALLY_OLD_S):
-            groups[-1].append(run)
-        else:
-            groups.append([run])
+    groups = group_equally_old(state, outline.runs)
     by_age = tuple(
         EquallyOld(frozenset(run.id for run in group), tuple(sorted(ends[run.id] for run in group)))
         for group in groups
     )
     last = max(play.ends)
     return by_age, last - int(GAIN * (last - outline.now))
+
+
+def group_equally_old(state: LabState, runs: Iterable[RunState]) -> list[list[RunState]]:
+    """Runs of which those are together that one user submitted within ``EQUALLY_OLD_S``, the oldest first."""
+    groups: list[list[RunState]] = []
+    for run in sorted(runs, key=lambda run: (run.user, run.submitted_at, run.position)):
+        first = groups[-1][0] if groups else None
+        apart = run.submitted_at - first.submitted_at if first is not None and first.user == run.user else FAR
+        if apart <= convert_lab_s(state, EQUALLY_OLD_S):
+            groups[-1].append(run)
+        else:
+            groups.append([run])
+    return groups
 
 
 class FoundOrder(msgspec.Struct, frozen=True):
