@@ -18,7 +18,7 @@ from labos.planner.problem import SchedulingProblem, Task, TimeLag, choose_runs,
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
 from labos.planning.waiting import PATIENCE
-from tests.support.bench import SECOND, Driver, plan, step
+from tests.support.bench import SECOND, Driver, full, plan, step
 from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
 
 
@@ -190,3 +190,23 @@ def test_a_search_is_never_worse_than_the_schedule_at_which_it_begins() -> None:
     again = solve(problem, 0.001, dict(enumerate(best.starts_s)), counted=True)
     assert again is not None
     assert again.makespan_s <= best.makespan_s
+
+
+def test_a_run_that_would_stand_in_the_way_waits_outside() -> None:
+    """The long run has `other`, the next one waits for it on `dev`, and the third would wait in the hall."""
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    lab.submit(visit("other", work_s=3000.0))
+    second = lab.submit(visit("dev", "other", name="next"))
+    while f"{second}#2" not in lab.pump():
+        lab.wait(10.0)
+        for action in [a.id for a in lab.state.actions.open.values() if a.module != full("other")]:
+            lab.finish(action)
+    third = lab.submit(visit("dev", name="third"))
+    order = find_order(Planner(solver=lambda *_: None), lab)
+    assert order is not None
+    assert [(one.run, one.step, one.outside) for one in order.steps] == [(third, 0, True)]
+    assert (order.steps[0].start - lab.now) / SECOND == pytest.approx(0.9 * 3000.0, rel=0.05)
+    lab.do(order)
+    assert find_order(Planner(solver=lambda *_: None), lab) is None, "it waits already"
+    assert find_order(Planner(solver=lambda *_: None, exact=True), lab) is not None, "nothing is in its way"
