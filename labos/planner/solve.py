@@ -58,15 +58,17 @@ def solve(
 ) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
     the starts (lab seconds) in a known schedule, by task. One search begins there; a schedule that misses
-    windows is looked for only if the known one misses some, or if no other is possible. If its result is not
-    proven to be the best, a second search begins anew, and finds what is far from the known schedule. The
-    better result is kept. ``counted``: the seconds are measured by the work done, as on a computer that does
-    nothing else; then the same problem gives the same schedule."""
+    windows is looked for only if the known one misses some, or if no other is possible. With windows, this
+    search stays near the known schedule. So if its result is not proven to be the best, a second search
+    begins anew, each has half of the time, and the better result is kept. ``counted``: the seconds are
+    measured by the work done, as on a computer that does nothing else; then the same problem gives the same
+    schedule."""
     limit, found = seconds * (1 - TIDY), None
+    windowed = any(lag.within_s is not None for task in problem.tasks for lag in task.lags)
     if hint:
-        limit /= 2
+        limit /= 1 + windowed
         found = _search(problem, limit, hint, counted=counted)
-    if found is None or not found.proven:
+    if not hint or (windowed and (found is None or not found.proven)):
         anew = _search(problem, limit, {}, counted=counted)
         if found is None or (anew is not None and anew.cost < found.cost):
             found = anew

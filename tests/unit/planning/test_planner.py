@@ -156,13 +156,16 @@ def test_a_window_that_only_rounding_would_miss_does_not_end_a_search() -> None:
 
 
 def make_hard_problem() -> SchedulingProblem:
-    """Ten runs over three modules, each in its own order."""
+    """Ten runs over three modules, each in its own order. Each step has to start within an hour after the one
+    before."""
     tasks: list[Task] = []
     for run in range(10):
         for place in range(3):
             number, module = len(tasks), f"m{(run + place * (1 + run % 2)) % 3}"
             seconds = 60.0 * (1 + (run * 7 + place * 5) % 9)
-            tasks.append(Task(RunId(f"R{run}"), place, seconds, (module,), (number - 1,) if place else ()))
+            after = (number - 1,) if place else ()
+            lags = tuple(TimeLag(before, 0.0, 0.0, 3600.0) for before in after)
+            tasks.append(Task(RunId(f"R{run}"), place, seconds, (module,), after, lags))
     ends = tuple((number,) for number in range(2, len(tasks), 3))
     return SchedulingProblem(tuple(tasks), (), {}, (), ends, (False,) * 10)
 
