@@ -8,7 +8,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 
 MOST_STEPS = 600
 """The most steps of a suggestion."""
@@ -52,4 +52,4 @@ def fold_suggested(suggestions: Suggestions, event: OrderSuggested, at: int) -> 
     suggestions.orders[event.workcell] = event
 
 
-HANDLERS = {OrderSuggested: fold_suggested}
+HANDLERS = list_handlers(globals(), Suggestions)

@@ -161,7 +161,8 @@ class Adviser:
 
     def _has_waited_enough(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step has waited for so long that no order counts for it any more."""
-        return self._since.setdefault((run.id, step), now) + convert_lab_s(state, MOST_S) < now
+        since = self._since[run.id, step] = min(self._since.get((run.id, step), now), now)
+        return since + convert_lab_s(state, MOST_S) < now
 
     def has_order(self, state: LabState, cell: str, now: int) -> bool:
         """Whether there is an order for a workcell."""
