@@ -236,12 +236,13 @@ class Scheduler:
 
     def find_next_deadline(self, state: LabState) -> int | None:
         """When to look again even if nothing happens (UTC ns)."""
-        times = (self.deadlines.find_first(state), self.sleepers.find_first())
+        times = (self.deadlines.find_first(state), self.find_next_wake())
         return min((time for time in times if time is not None), default=None)
 
     def find_next_wake(self) -> int | None:
         """When somebody who waits for a time is to be looked at again (UTC ns)."""
-        return self.sleepers.find_first()
+        times = (self.sleepers.find_first(), self.window_orders.find_next_look())
+        return min((time for time in times if time is not None), default=None)
 
     def list_waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
+from typing import Any
 
 import msgspec
 
@@ -47,6 +48,12 @@ MOST_TRIES = 160
 TRIES_NEW = 10
 """So many in all, when somebody has submitted a run."""
 
+ENOUGH_EACH = 430
+"""So many for each run that has come, in one turn of the kernel after the other, while nothing happens."""
+
+BREATH_NS = 2_000_000
+"""The pause between two turns of a search: work that has to be done goes on meanwhile."""
+
 MOST_SLOTS = 2048
 """So many slots all steps take together, at most."""
 
@@ -55,6 +62,9 @@ SLOTS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 300.0, 900.0, 3600.0)
 
 WARMTH = 0.025
 """An order that is worse by this part of the time that is left is still gone on with now and then."""
+
+CYCLE = 1500
+"""After so many orders the search begins anew with the best one."""
 
 WEIGHT_OF_MEAN = 0.1
 """How much the middle of all ends counts beside the last one."""
@@ -118,6 +128,9 @@ class WindowOrders:
         self._late: dict[str, dict[RunId, bool]] = {}
         self._seen: dict[str, object] = {}
         self._looked: dict[str, int] = {}
+        self._tried: dict[str, int] = {}
+        self._last: dict[str, list[RunId]] = {}
+        self._statuses: dict[str, object] = {}
 
     def forget(self, cell: str) -> None:
         """The bench of a workcell has changed."""
@@ -132,11 +145,23 @@ class WindowOrders:
         self._late.update({cell: dict(late) for cell, late in other._late.items()})
         self._seen.update(other._seen)
         self._looked.update(other._looked)
+        self._tried.update(other._tried)
+        self._last.update({cell: list(line) for cell, line in other._last.items()})
+        self._statuses.update(other._statuses)
 
     def drop(self, cell: str) -> None:
         """There is no order for a workcell any more."""
-        for store in (self.orders, self._lines, self._members, self._late, self._seen, self._looked):
+        for store in self._list_stores():
             store.pop(cell, None)
+
+    def _list_stores(self) -> Iterable[dict[str, Any]]:
+        yield from (self.orders, self._lines, self._members, self._late, self._seen, self._looked)
+        yield from (self._tried, self._last, self._statuses)
+
+    def find_next_look(self) -> int | None:
+        """When the search goes on even if nothing happens (UTC ns); None if it is over."""
+        left = [cell for cell in self.orders if self._tried[cell] < ENOUGH_EACH * len(self._members[cell][1])]
+        return min((self._looked[cell] + BREATH_NS for cell in left), default=None)
 
     def update(
         self,
@@ -175,13 +200,21 @@ class WindowOrders:
             late.clear()
         elif known is not None:
             tries = TRIES_NEW
+        come = {*members[1]} - {*(known[1] if known is not None else ())}
+        self._tried[cell] = max(0, self._tried.get(cell, 0) - ENOUGH_EACH * len(come))
         self._members[cell], self._looked[cell] = members, now
+        before = self._lines.get(cell)
         found = self._search(state, cell, inside, waiting, passed, now, tries)
         if found is None:
             self._lines.pop(cell, None)
             return self.orders.pop(cell, None) is not None
+        statuses = tuple(tuple(run.statuses) for run in inside)
+        is_same = known == members and self._lines[cell] == before and self._statuses.get(cell) == statuses
+        self._statuses[cell] = statuses
+        if is_same and order is not None and _is_on_time(state, order, now):
+            return False  # nothing has happened, and nothing better was found
         self.orders[cell] = found
-        return True
+        return order is None or order.steps != found.steps
 
     def _search(
         self,
@@ -203,7 +236,7 @@ class WindowOrders:
         if layout is None:
             return None
         for run in waiting:
-            layout.members[run.id].limit = max(0, math.ceil(self._patience - passed(run.id)) - 1)
+            layout.members[run.id].limit = max(0, math.ceil(self._patience - passed(run.id)))
         known = [name for name in self._lines.get(cell, ()) if name in layout.members]
         new = [name for name in layout.members if name not in known]
         search = _Search(layout, now)
@@ -213,11 +246,14 @@ class WindowOrders:
         lines = [[*known, *new], by_work]
         if known and new:
             lines.append([name for name in by_work if name in new] + known)
-        best = search.improve(lines, tries)
+        last = [name for name in self._last.get(cell, ()) if name in layout.members]
+        here = last if len(last) == len(layout.members) else None
+        best, here = search.improve(lines, tries, here, self._tried[cell])
         self.tries += search.tries
+        self._tried[cell] += search.tries
         if best is None:
             return None
-        self._lines[cell] = best.line
+        self._lines[cell], self._last[cell] = best.line, here
         fits = zip(best.line, best.fits, strict=True)
         return _suggest(state, cell, layout, {name: fit for name, fit in fits if fit is not None})
 
@@ -244,12 +280,18 @@ class _Search:
         """How long a run is at work if nothing is in its way (slots)."""
         return sum(leg.length for leg in self.layout.members[name].chain.legs)
 
-    def improve(self, lines: Iterable[list[RunId]], tries: int) -> TriedOrder | None:
-        """The best order found, beginning with the best of these; None if with none of them those inside fit
-        in."""
+    def improve(
+        self, lines: Iterable[list[RunId]], tries: int, last: list[RunId] | None, tried: int
+    ) -> tuple[TriedOrder | None, list[RunId]]:
+        """The best order found, beginning with the best of these, or with the ``last`` one of the search so
+        far; None if with none of them those inside fit in. And the one that the search ended with. ``tried``
+        says how many were tried before."""
         here = best = min((self._try(line) for line in lines), key=lambda attempt: attempt.value)
+        if last is not None and tried % CYCLE + tries < CYCLE:
+            here = self._try(last)
+            best = min(best, here, key=lambda attempt: attempt.value)
         for number in range(tries if len(best.line) > 1 and self._older else 0):
-            heat = WARMTH * best.value[1] * (1 - number / tries)
+            heat = WARMTH * best.value[1] * (1 - (tried + number) % CYCLE / CYCLE)
             other = self._try(self._vary(here.line), here)
             worse = other.value[1] - here.value[1]
             if other.value <= here.value or (
@@ -258,7 +300,7 @@ class _Search:
                 here = other
                 if other.value < best.value:
                     best = other
-        return best if best.value[0] < LOST else None
+        return (best if best.value[0] < LOST else None), here.line
 
     def _vary(self, line: list[RunId]) -> list[RunId]:
         """Another order that is like this one."""

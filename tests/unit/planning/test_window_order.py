@@ -10,7 +10,7 @@ from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.explain import describe_wait
-from labos.planning.window_order import MOST_WAITING, TRIES_EACH, TRIES_NEW
+from labos.planning.window_order import ENOUGH_EACH, MOST_WAITING, TRIES_EACH, TRIES_NEW
 from tests.support.bench import Driver
 from tests.unit.planning.test_pilot import LONG_FIRST, lab_with, way
 
@@ -110,3 +110,33 @@ def test_a_look_costs_a_bounded_number_of_tries() -> None:
     before = lab.scheduler.window_orders.tries
     lab.pump()
     assert 0 < lab.scheduler.window_orders.tries - before <= max(TRIES_NEW, TRIES_EACH * MOST_WAITING) + 3
+
+
+def test_the_search_goes_on_while_nothing_happens_and_comes_to_an_end() -> None:
+    lab = lab_with(TO_LATHE, TO_OVEN, FROM_LATHE, TO_OVEN)
+    lab.pump()
+    orders, waits = lab.scheduler.window_orders, len(lab.state.runs.queued)
+    looks, ends_before = 0, min(lab.state.actions.open[a].requested_at for a in lab.list_flying()) + 10**10
+    while (look := orders.find_next_look()) is not None:
+        assert lab.now < look < ends_before, "the kernel is free for other things in between"
+        before = orders.tries
+        lab.wait((look - lab.now) / 1e9)
+        lab.pump()
+        assert 0 < orders.tries - before <= TRIES_EACH * waits + 4
+        looks += 1
+    assert looks > 1
+    assert orders.tries >= ENOUGH_EACH * len(lab.state.runs.queued)
+
+
+def test_what_was_found_later_is_followed_and_no_look_changes_an_order_for_nothing() -> None:
+    lab = lab_with(*[TO_LATHE, TO_OVEN, FROM_LATHE] * 3)
+    lab.pump()
+    first = found = orders_of(lab)["cell"]
+    while (look := lab.scheduler.window_orders.find_next_look()) is not None:
+        lab.wait((look - lab.now) / 1e9)
+        lab.pump()
+        before, found = found, orders_of(lab)["cell"]
+        ends = [max(step.start for step in order.steps) for order in (before, found)]
+        assert found is before or found.steps != before.steps, ends
+    last = max(step.start for step in found.steps)
+    assert last <= max(step.start for step in first.steps)
