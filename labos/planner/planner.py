@@ -17,6 +17,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import Suggested
 from labos.planner.lengths import SPREAD
+from labos.planner.overtakings import Overtakings
 from labos.planner.problem import SchedulingProblem, choose_runs, problem_of
 from labos.planner.rehearsal import DRAWN, OrderRehearsal, Way
 from labos.planner.solve import Schedule, solve
@@ -54,6 +55,7 @@ class Planner:
         self.name, self.seconds, self.level, self.exact = name, seconds, level, exact
         self.end_weight = end_weight
         self._solve = solver
+        self._overtaken: dict[str, Overtakings] = {}
 
     def suggest(
         self, state: LabState, cell: str, waiting: Iterable[RunState], now: int
@@ -61,8 +63,12 @@ class Planner:
         """The suggested order for a workcell; None if there is nothing to order, or if the present order is
         as good. An order without steps withdraws the previous suggestion. ``waiting`` are the waiting runs,
         in the order in which they would start."""
+        waiting = list(waiting)
         runs = choose_runs(state, cell, waiting)
         problem = replace(problem_of(state, cell, runs, now, self.level), end_weight=self.end_weight)
+        counts = self._overtaken.setdefault(cell, Overtakings()).count(state, cell, waiting)
+        passed = tuple(counts[problem.tasks[first].run] for first in problem.line)
+        problem = replace(problem, passed=passed)
         if _is_one_line(problem):
             return None
         drawn = 0 if self.exact else DRAWN

@@ -96,7 +96,8 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     and ``more`` says whether it belongs to an experiment, so that further unknown runs follow; ``ranks`` is
     the number of classes before which it goes, and ``due_s`` the deadline of its campaign, if it has one (lab
     seconds from now). ``line`` are the first tasks of the runs that wait for their start, in the order of
-    rank and age. The end of all counts ``end_weight`` times as much as the mean of all ends."""
+    rank and age, and ``passed`` says how often each of them was passed over. The end of all counts
+    ``end_weight`` times as much as the mean of all ends."""
 
     tasks: tuple[Task, ...]
     stays: tuple[RoomUse, ...]
@@ -110,6 +111,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     own_due_s: tuple[float | None, ...] = ()
     setups: tuple[SetupCosts, ...] = ()
     end_weight: int = 1
+    passed: tuple[int, ...] = ()
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:

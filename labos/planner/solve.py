@@ -167,7 +167,7 @@ def _search(
             model.add_cumulative(intervals, [1] * len(intervals), max(room, 0))
     for one, other in problem.like:
         model.add(begin[one] <= begin[other])
-    _let_nobody_wait_long(model, [begin[first] for first in problem.line])
+    _let_nobody_wait_long(model, [begin[first] for first in problem.line], problem.passed)
     over: list[cp_model.IntVar] = []
     for number, last_tasks in enumerate(problem.ends):
         over.append(model.new_int_var(0, 2 * horizon, f"end{number}"))
@@ -256,15 +256,20 @@ def _add_overdue(
     return found
 
 
-def _let_nobody_wait_long(model: cp_model.CpModel, line: Sequence[cp_model.IntVar]) -> None:
+def _let_nobody_wait_long(
+    model: cp_model.CpModel, line: Sequence[cp_model.IntVar], passed: Sequence[int]
+) -> None:
     """No run may start late if more later ones went before it than the lab allows: the lab would refuse the
-    order."""
-    for number, elder in enumerate(line[: max(0, len(line) - PATIENCE)]):
+    order. So many ``passed`` each run already."""
+    for number, elder in enumerate(line):
+        most = max(0, PATIENCE - (passed[number] if passed else 0))
+        if len(line) - number <= most:
+            continue
         before: list[cp_model.IntVar] = []
         for younger in line[number + 1 :]:
             before.append(model.new_bool_var(f"before{number}/{len(before)}"))
             model.add(elder <= younger).only_enforce_if(~before[-1])
-        model.add(sum(before) <= PATIENCE)
+        model.add(sum(before) <= most)
 
 
 def _misses_any(hint: Mapping[int, float], tasks: Sequence[Task]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import pytest
+from msgspec.structs import replace
 
 from labos.core.decide.bookings import MakeBooking, NewTerms
 from labos.core.decide.suggestions import SuggestOrder
@@ -13,6 +14,7 @@ from labos.core.lengths import Times, make_kind
 from labos.core.model import Plan
 from labos.core.runs import RunState
 from labos.core.shares import Usage
+from labos.planner.overtakings import Overtakings
 from labos.planner.planner import Planner
 from labos.planner.problem import SchedulingProblem, Task, TimeLag, choose_runs, problem_of
 from labos.planner.solve import Schedule, solve
@@ -137,6 +139,28 @@ def test_a_search_lets_nobody_be_passed_over_more_often_than_the_lab_allows() ->
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE
+    found = solve(replace(problem, passed=(5, *[0] * 12)), 5.0)
+    assert found is not None
+    starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
+    assert sum(start < starts[long] for start in starts.values()) == PATIENCE - 5, (
+        "five went before it already"
+    )
+
+
+def test_a_planner_counts_who_went_before_an_older_run() -> None:
+    lab, counts = Driver(CELL), Overtakings()
+
+    def count() -> dict[RunId, int]:
+        return counts.count(lab.state, "cell", list_waiting(lab.state, "cell"))
+
+    elder = lab.submit(cut("elder"))
+    other = lab.submit(plan(step("other", key="a", duration_s=60.0), name="needs another module"))
+    younger = lab.submit(cut("younger"))
+    last = lab.submit(cut("last"))
+    assert count() == dict.fromkeys([elder, other, younger, last], 0)
+    lab.start(younger)
+    assert count() == {elder: 1, other: 0, last: 0}
+    assert count() == {elder: 1, other: 0, last: 0}, "each counts once"
 
 
 def test_a_window_that_only_rounding_would_miss_does_not_end_a_search() -> None:
