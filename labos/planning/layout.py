@@ -228,20 +228,25 @@ def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> No
 def _find_held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
     """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
     ended."""
-    active = state.runs.list_inside(cell)
-    staying = {str(run.id) for run in active if not _is_about_to_end(state.runs.plan_of(run), run)}
+    inside = state.runs.in_cell.get(cell, {})
+
+    def stays(who: str) -> bool:
+        run = state.runs.active[RunId(who)] if RunId(who) in inside else None
+        return run is not None and not _is_about_to_end(state.runs.plan_of(run), run)
+
     held: dict[str, dict[str, Any]] = {}
     for name, module in state.modules.list_in_cell(cell):
         flying = [
             (str(action.run), compute_settings_after(action.effects))
             for action in map(state.actions.open.__getitem__, module.in_flight)
         ]
-        held[door_key(name)] = dict.fromkeys(_list_door_holders(module, flying) & staying)
+        held[door_key(name)] = dict.fromkeys(filter(stays, _list_door_holders(module, flying)))
         for setpoint, now in module.setpoints.items():
-            held[setpoint_key(name, setpoint)] = {who: now.value for who in now.holders if who in staying}
+            held[setpoint_key(name, setpoint)] = {who: now.value for who in now.holders if stays(who)}
         for run, after in flying:
-            for setpoint, value in after.claims.items() if run in staying else ():
-                held.setdefault(setpoint_key(name, setpoint), {})[run] = value
+            for setpoint, value in after.claims.items():
+                if stays(run):
+                    held.setdefault(setpoint_key(name, setpoint), {})[run] = value
             for setpoint in after.releases:
                 held.get(setpoint_key(name, setpoint), {}).pop(run, None)
         holders = [state.runs.active[holder] for holder in state.runs.holders.get(name, ())]
