@@ -70,7 +70,7 @@ class OvertakeCounts:
         """A run has ended."""
         self._overtaken.pop(run, None)
 
-    def find_who_keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+    def find_run_that_goes_first(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
         """The run inside for whose sake this one is not let in; None if there is none. Where nothing moves
         nobody is kept out: what the elder waits for may come from the one that waits."""
         plan = state.runs.plan_of(run)
