@@ -104,7 +104,7 @@ def text_of(data: bytes) -> str | None:
 def number_of(name: str, value: str, labels: list[str]) -> int:
     """The number of an enumeration's label. Raises DeviceError (``none``)."""
     if value not in labels:
-        raise DeviceError(f"{name} does not take {value!r}; it has {', '.join(labels)}.", effects="none")
+        raise DeviceError(f"{name} does not accept {value!r}; it has {', '.join(labels)}.", effects="none")
     return labels.index(value)
 
 

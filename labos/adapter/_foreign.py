@@ -65,7 +65,7 @@ class ForeignNode(Node):
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         """Like ``begin``, for an action that was started before the adapter was restarted."""
-        raise OutcomeUnknown(f"{INTERRUPTED}, and this protocol keeps no record of what was done")
+        raise OutcomeUnknown(f"{INTERRUPTED}, and this protocol keeps no record of actions")
 
     async def learn(self) -> None:
         """Read the offer of the foreign node, unless it is known; called before each action."""
@@ -113,9 +113,9 @@ class ForeignNode(Node):
         now = asyncio.get_running_loop().time()
         if any(until > now for until in self._unseen.values()):
             raise DeviceError(
-                "The device may still be at work on what nobody knows the end of.",
+                "The device may still be carrying out an action with unknown outcome.",
                 effects="none",
-                remedy="If it stands still, reset the module.",
+                remedy="If it has stopped, reset the module.",
             )
 
     def believe_at_rest(self) -> None:
@@ -248,7 +248,7 @@ class ForeignNode(Node):
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             if not tasks[0].done():
-                raise OutcomeUnknown("a person has said how it ended")
+                raise OutcomeUnknown("a person has reported its outcome")
             try:
                 return tasks[0].result()
             except OutcomeUnknown:

@@ -16,7 +16,7 @@ import httpx
 from labos.adapter._decode import read_json_text
 from labos.adapter._keepalive import make_options
 from labos.errors import DeviceError
-from labos.node.secrets import secret_of
+from labos.node.secrets import read_secret
 
 NOT_SENT = (
     httpx.ConnectError,
@@ -90,7 +90,7 @@ class HttpClient:
             ):
                 answer = await _read_whole(streamed, limit)
         except TimeoutError as error:
-            raise NoResponse(f"{method} {url}: its answer comes so slowly that it does not end") from error
+            raise NoResponse(f"{method} {url}: its answer is too slow") from error
         except NOT_SENT as error:
             raise DeviceError(
                 f"{self.address} does not answer ({_error_text(error, read_s)}).",
@@ -122,7 +122,9 @@ async def _read_whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx
             limit.reschedule(clock() + READ_S)
         if len(data) > LARGEST_ANSWER:
             path = streamed.request.url.path
-            raise NoResponse(f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes came")
+            raise NoResponse(
+                f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes were received"
+            )
     # The content is decoded now: these headers described it as it was sent.
     headers = [(key, value) for key, value in streamed.headers.multi_items() if key not in _OF_THE_WIRE]
     return httpx.Response(
@@ -138,7 +140,7 @@ def read_json(answer: httpx.Response) -> Any:
         return read_json_text(answer.content)
     except ValueError as error:
         raise DeviceError(
-            f"{answer.request.url.path} answered what cannot be read as JSON ({error}): {cut_answer(answer)}"
+            f"{answer.request.url.path} sent an answer that is not JSON ({error}): {cut_answer(answer)}"
         ) from error
 
 
@@ -168,7 +170,7 @@ def refuse_at_end(answer: httpx.Response, refused: Collection[int] = ()) -> None
 def read_authorization(config: dict[str, Any], key: str) -> str:
     """The value of the Authorization header, from the file that ``key`` names, or from the variable that
     ``<key>_env`` names. Raises DeviceError."""
-    return secret_of(config, key, file_key=key)
+    return read_secret(config, key, file_key=key)
 
 
 def find_address(config: dict[str, Any], *keys: str) -> str:
@@ -177,7 +179,7 @@ def find_address(config: dict[str, Any], *keys: str) -> str:
         if config.get(key):
             found = str(config[key])
             return found if "://" in found else f"http://{found}"
-    raise DeviceError(f"`config:` does not say `{keys[0]}`.", effects="none", remedy="Write the node's URL.")
+    raise DeviceError(f"`config:` has no `{keys[0]}`.", effects="none", remedy="Write the node's URL.")
 
 
 def _error_text(error: Exception, read_s: float | None) -> str:

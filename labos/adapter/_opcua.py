@@ -94,9 +94,7 @@ class UaChannels:
                     await client.check_connection()
                     await asyncio.wait_for(client.nodes.server_state.read_value(), READ_S)
             except (OSError, ValueError, TimeoutError, self._ua.UaError) as error:
-                self._why = (
-                    f"The connection says: {_error_text(error, READ_S)}."  # reported below, and tried again
-                )
+                self._why = f"The connection reports: {_error_text(error, READ_S)}."
             finally:
                 self._client = None
                 for changed in self._watched.values():
@@ -154,7 +152,7 @@ class UaChannels:
             send = await asyncio.wait_for(self._prepare(client, name, value, on), READ_S)
         except (OSError, TimeoutError) as error:
             await _let_go(client)
-            why = f"{self._url} does not answer ({_error_text(error, READ_S)}); {name} was sent nothing."
+            why = f"{self._url} does not answer ({_error_text(error, READ_S)}); nothing was sent to {name}."
             raise DeviceError(why, effects="none") from error
         except (TypeError, ValueError, self._ua.UaError) as error:
             await _let_go(client)

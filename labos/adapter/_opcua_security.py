@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import msgspec
 
 from labos.errors import DeviceError
-from labos.node.secrets import secret_of
+from labos.node.secrets import read_secret
 
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 MODES = {"sign_and_encrypt": "SignAndEncrypt", "sign": "Sign"}
@@ -54,20 +54,20 @@ def access_of(config: dict[str, Any]) -> OpcuaAccess:
     url = str(config.get("opcua_url") or "")
     if "@" in urlsplit(url).netloc:
         raise _make_error(
-            "`opcua_url` holds a user, and the workcell file is kept for ever.",
+            "`opcua_url` contains a user, and the workcell file is stored permanently.",
             "Write `opcua_user`, and the path of a file with the password as `opcua_password`.",
         )
     policy, user = str(config.get("opcua_policy") or ""), str(config.get("opcua_user") or "")
-    password = secret_of(config, "opcua_password", file_key="opcua_password")
+    password = read_secret(config, "opcua_password", file_key="opcua_password")
     if user and not policy and not config.get("opcua_insecure"):
         raise _make_error(
-            "`opcua_user` without `opcua_policy`: the password would go over the network as it is.",
+            "`opcua_user` without `opcua_policy`: the password would be sent over the network unencrypted.",
             "Write `opcua_policy`, or `opcua_insecure: true` where nobody else can listen.",
         )
     if not policy:
         if given := [key for key in (*FILES, "opcua_mode") if config.get(key)]:
             raise _make_error(
-                f"`{given[0]}` is nothing without `opcua_policy`.", f"It is {_one_of(POLICIES)}."
+                f"`{given[0]}` has no effect without `opcua_policy`.", f"It is {_one_of(POLICIES)}."
             )
         return OpcuaAccess(user=user, password=password)
     if policy not in POLICIES:
@@ -120,7 +120,7 @@ def _read_uri(path: str) -> str:
     except (x509.ExtensionNotFound, IndexError) as error:
         raise _make_error(
             f"The certificate {path} names no application URI.",
-            "Make one with a URI as subjectAltName, as OPC UA wants it.",
+            "Make one with a URI as subjectAltName, as OPC UA requires.",
         ) from error
 
 

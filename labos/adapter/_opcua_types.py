@@ -109,7 +109,7 @@ class Types:
         name = kind.variant.name if kind.variant is not None else ""
         if name in INTEGERS and isinstance(value, float):
             if not value.is_integer():
-                raise ValueError(f"{value} is no whole number")
+                raise ValueError(f"{value} is not a whole number")
             return int(value)
         if name == "LocalizedText" and isinstance(value, str):
             return self._ua.LocalizedText(value)
@@ -119,7 +119,7 @@ class Types:
 
     def _fill(self, kind: OpcuaKind, value: Any) -> Any:
         if not isinstance(value, dict):
-            raise ValueError(f"it is a structure, and wants a table of {', '.join(kind.fields)}")
+            raise ValueError(f"it is a structure and needs a table of {', '.join(kind.fields)}")
         unknown = [name for name in value if name not in kind.fields]
         lacking = [name for name in kind.fields if name not in value and name not in kind.optional]
         if unknown or lacking:

@@ -21,7 +21,7 @@ def fill(written: Any, values: dict[str, Any], table: str) -> Any:
         return written
     for name in _PLACE.findall(written):
         if name not in values:
-            raise DeviceError(f"`{table}:` wants the argument {name!r}, which was not given.", effects="none")
+            raise DeviceError(f"`{table}:` needs the argument {name!r}, which was not given.", effects="none")
     if whole := _PLACE.fullmatch(written):
         return values[whole[1]]
     return _PLACE.sub(lambda found: str(values[found[1]]), written)

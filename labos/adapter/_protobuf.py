@@ -61,11 +61,11 @@ async def read_message(reader: asyncio.StreamReader, kind: Any) -> Any:
             break
         shift += 7
         if shift > 28:
-            raise ValueError("what came is no length")
+            raise ValueError("the message does not start with a length")
     if length > LARGEST:
         raise ValueError(f"a message of {length} bytes is too long")
     data = await reader.readexactly(length)
     try:
         return kind.FromString(data)
     except Exception as error:  # DecodeError, of whatever implementation of protobuf
-        raise ValueError(f"what came is no {kind.DESCRIPTOR.name}") from error
+        raise ValueError(f"the message is not a {kind.DESCRIPTOR.name}") from error

@@ -66,7 +66,7 @@ class BridgeProcess:
         if b"ready" not in first:
             await self.close()
             raise DeviceError(
-                f"ROS does not start with {self._python}; its node's log says why.",
+                f"ROS does not start with {self._python}; see the log of its node.",
                 effects="none",
                 remedy=REMEDY,
             )
@@ -165,7 +165,7 @@ async def _answer(name: str, answers: asyncio.Queue[dict[str, Any] | None]) -> A
         if "sent" in message:
             sent = True
         elif "absent" in message:
-            raise DeviceError(f"Nobody offers {name} in ROS.", effects="none", remedy="Is the node running?")
+            raise DeviceError(f"No node offers {name} in ROS.", effects="none", remedy="Is the node running?")
         elif "refused" in message:
             effects = "unknown" if sent else "none"
             raise DeviceError(f"{name}: {message['refused']}", effects=effects)

@@ -38,7 +38,7 @@ from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMappin
 CONNECT_S = 5.0
 """How long to search for a process variable before it counts as missing."""
 
-RESTARTED = "its server was restarted meanwhile, and keeps no record of what was done"
+RESTARTED = "its server was restarted meanwhile, and keeps no record of actions"
 NOT_KEPT = "its callback was lost ({why}), and nothing keeps a record of what was done"
 
 
@@ -70,7 +70,7 @@ class SignalNode(ForeignNode):
         for spec in self.described.actions:
             if not spec.recovers and spec.name not in self.mapping.actions:
                 raise DeviceError(
-                    f"`{self.table}:` does not say how {spec.name!r} is started.", effects="none"
+                    f"`{self.table}:` does not define how {spec.name!r} is started.", effects="none"
                 )
         await self.close()
         for name in sorted(_list_names(self.mapping)):
@@ -141,7 +141,7 @@ class SignalNode(ForeignNode):
     async def trouble(self) -> str:
         if absent := self._list_silent():
             whys = [why for each in self._channels.values() if (why := each.why_silent())]
-            return " ".join([f"Nobody answers for {absent}. Is {self.where} running?", *whys])
+            return " ".join([f"There is no answer for {absent}. Is {self.where} running?", *whys])
         return self._describe_error()
 
     def _describe_error(self) -> str:
@@ -204,7 +204,7 @@ class SignalNode(ForeignNode):
 
     async def stop(self) -> None:
         if not self.mapping.stop:
-            raise DeviceError(f"`{self.table}:` does not say how the device is stopped.", effects="none")
+            raise DeviceError(f"`{self.table}:` does not define how the device is stopped.", effects="none")
         await self._put_all([put.model_copy(update={"callback": False}) for put in self.mapping.stop])
 
     async def _put_all(self, puts: list[Put]) -> None:
@@ -220,7 +220,7 @@ class SignalNode(ForeignNode):
         actuation = self.mapping.actions[spec.name]
         values = {**self.name_places(spec, args), "id": current_action.get()}
         if absent := self._list_silent():
-            raise DeviceError(f"Nobody answers for {absent} ({self.where}).", effects="none")
+            raise DeviceError(f"There is no answer for {absent} ({self.where}).", effects="none")
         ends_by = [_fill_in(condition, values, self.table) for condition in actuation.done]
         start = actuation.start.model_copy(update={"value": fill(actuation.start.value, values, self.table)})
         try:
@@ -295,7 +295,7 @@ class SignalNode(ForeignNode):
         until = asyncio.get_running_loop().time() + limit_s
         while True:
             if self._list_silent() and not await self._wait_until_connected(self.patience_s):
-                raise OutcomeUnknown(f"Nobody answers for {self._list_silent()}")
+                raise OutcomeUnknown(f"there is no answer for {self._list_silent()}")
             if self._losses != losses and not actuation.is_proven:
                 losses = self._losses
                 await self._see_same_server(boot)
@@ -304,7 +304,7 @@ class SignalNode(ForeignNode):
             if asyncio.get_running_loop().time() > until:
                 waited = ", ".join(condition.pv for condition in ends_by)
                 raise OutcomeUnknown(
-                    f"{spec.name} was started, and not done within {limit_s:.0f} s (by {waited})"
+                    f"{spec.name} was started, but did not end within {limit_s:.0f} s (by {waited})"
                 )
             await self._change(self.poll_s)
 
@@ -339,7 +339,7 @@ class SignalNode(ForeignNode):
         if not actuation.is_proven:
             raise OutcomeUnknown(why)
         if not await self._wait_until_connected(self.patience_s):
-            raise OutcomeUnknown(f"{why}; Nobody answers for {self._list_silent()}")
+            raise OutcomeUnknown(f"{why}; there is no answer for {self._list_silent()}")
         loop = asyncio.get_running_loop()
         idle, until = 0, loop.time() + self._find_limit_s(spec, actuation)
         while True:
@@ -350,7 +350,7 @@ class SignalNode(ForeignNode):
             except DeviceError:
                 idle = 0
             if (self.mapping.state.busy and idle >= SETTLED) or loop.time() > until:
-                raise OutcomeUnknown(f"{why}; the device does not name it as done")
+                raise OutcomeUnknown(f"{why}; the device does not report it as done")
             await asyncio.sleep(self.poll_s)
 
     def _find_limit_s(self, spec: ActionSpec, actuation: Actuation) -> float:
@@ -382,7 +382,7 @@ class SignalNode(ForeignNode):
             words = f"It was done, but its result cannot be read: {unread}"
             raise DeviceError(words, effects="all") from unread
         if error := self._describe_error():
-            raise DeviceError(f"It came to its end, and then: {error}")
+            raise DeviceError(f"It ended, and then: {error}")
         return result
 
 
@@ -394,7 +394,7 @@ def encode_array(name: str, reading: ChannelReading) -> Attachment:
         raise report_missing_package(error) from error
     values = numpy.asarray(reading.value)
     if values.dtype.kind not in "buif":
-        raise DeviceError(f"{name} is no array of numbers.", effects="all")
+        raise DeviceError(f"{name} is not an array of numbers.", effects="all")
     if values.dtype.kind in "ui" and values.size and values.min() >= 0 and values.max() < 256:
         values = values.astype("uint8")
     content = io.BytesIO()

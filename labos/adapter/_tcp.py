@@ -30,7 +30,7 @@ class Address:
     def check(self) -> None:
         """Raises DeviceError (``none``) if there is no address."""
         if not self.host or not self.port:
-            raise DeviceError(f"`config:` does not say `{'` and `'.join(self._keys)}`.", effects="none")
+            raise DeviceError(f"`config:` has no `{'` and `'.join(self._keys)}`.", effects="none")
 
     async def open(self, patience_s: float) -> Line:
         """Connect; a failed computer is noticed after ``patience_s``. Raises DeviceError (``none``)."""

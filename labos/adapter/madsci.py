@@ -35,9 +35,7 @@ STARTS_WITHIN_S = 30.0
 """A start without an answer is not repeated after this time, because the lab assumes that it began."""
 
 UNDER_WAY = ("not_started", "running", "paused")
-FORGOTTEN = (
-    "the foreign node does not know the action any more: it was restarted, and its history is in memory"
-)
+FORGOTTEN = "the foreign node no longer knows the action: it was restarted, and its history is in memory"
 
 
 class MadsciRestNode(HttpNode):
@@ -169,7 +167,7 @@ class MadsciRestNode(HttpNode):
         except DeviceError as error:
             raise DeviceError(error.message, effects="none", remedy=error.remedy) from error
         if not isinstance(answer, dict) or not answer.get("action_id"):
-            raise DeviceError(f"{name}: the foreign node gave no id, but {answer!r}.", effects="none")
+            raise DeviceError(f"{name}: the foreign node sent no id, but {answer!r}.", effects="none")
         return str(answer["action_id"])
 
     async def _upload(self, name: str, handle: str, key: str, file: tuple[str, bytes]) -> None:
@@ -244,7 +242,9 @@ class MadsciRestNode(HttpNode):
     async def _read_result(self, name: str, handle: str) -> dict[str, Any]:
         answer = await self._table(f"/action/{handle}/result")
         if answer.get("action_id") != handle and answer.get("status") != "unknown":
-            raise DeviceError(f"{name}: asked about {handle}, answered about {answer.get('action_id')}.")
+            raise DeviceError(
+                f"{name}: the request was about {handle}, but the answer is about {answer.get('action_id')}."
+            )
         return answer
 
     async def _has_begun(self, handle: str) -> bool:
@@ -278,7 +278,7 @@ class MadsciRestNode(HttpNode):
                 content = {name: archive.read(name) for name in archive.namelist()}
         except (NoResponse, DeviceError, zipfile.BadZipFile) as error:
             raise DeviceError(
-                f"It was done, but its files were not handed out: {error}", effects="all"
+                f"It was done, but its files could not be fetched: {error}", effects="all"
             ) from error
         kept = {}
         for name, data in content.items():

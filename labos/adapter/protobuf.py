@@ -26,7 +26,7 @@ READ_S = 10.0
 NOT_KNOWN, RUNNING, SUCCEEDED, FAILED, NOT_STARTED = 1, 2, 3, 4, 5
 """``Status`` in the schema."""
 
-FORGOTTEN = "the node does not know the action: it never heard of it, or keeps no record"
+FORGOTTEN = "the node does not know the action: it never received it, or keeps no record"
 
 
 class TcpNode(ForeignNode):
@@ -121,7 +121,7 @@ class TcpNode(ForeignNode):
                 self._is_busy,
                 silent_s=limit_s,
                 mute_s=limit_s,
-                ended="it is asked for what became of it",
+                ended="its outcome is being requested",
             )
         except (NoResponse, OutcomeUnknown):
             return await self._end(name, known)
@@ -147,7 +147,9 @@ class TcpNode(ForeignNode):
             else:
                 silence.end()
                 if progress.id != known:
-                    raise OutcomeUnknown(f"asked about {known}, the node answers about {progress.id!r}")
+                    raise OutcomeUnknown(
+                        f"the request was about {known}, but the answer is about {progress.id!r}"
+                    )
                 if progress.status != RUNNING:
                     return self._read_end(name, progress)
             await asyncio.sleep(self.poll_s)
@@ -161,7 +163,9 @@ class TcpNode(ForeignNode):
             raise DeviceError(f"{name}: {progress.error or 'the node refuses it'}", effects="none")
         if progress.status == NOT_KNOWN:
             raise OutcomeUnknown(FORGOTTEN)
-        raise OutcomeUnknown(f"the node answered the status {progress.status}, which is no end of an action")
+        raise OutcomeUnknown(
+            f"the node answered the status {progress.status}, which is not an outcome of an action"
+        )
 
     # -- the wire ----------------------------------------------------------------------------
 

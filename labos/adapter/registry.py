@@ -28,7 +28,7 @@ ADAPTERS: Mapping[str, str] = {
     "madsci_sila_node": "labos.adapter.sila:MadsciSilaNode",
 }
 
-NOT_DESCRIBED = "What {} reaches does not say what it offers."
+NOT_DESCRIBED = "Nodes with the interface {} do not describe their actions."
 
 
 def find_adapter_class(interface: str, description: Description) -> type[Node]:
@@ -39,7 +39,7 @@ def find_adapter_class(interface: str, description: Description) -> type[Node]:
 async def describe_foreign(interface: str, config: dict[str, Any]) -> Description:
     """The description of a running foreign node by itself. Raises BadInput, DeviceError."""
     if _find_adapter(interface).foreign_description is ForeignNode.foreign_description:
-        raise DeviceError(NOT_DESCRIBED.format(interface), effects="none", remedy="Write `about:` by hand.")
+        raise DeviceError(NOT_DESCRIBED.format(interface), effects="none", remedy="Write `about:` yourself.")
     node_class = find_adapter_class(interface, Description(driver=interface, version="", description=""))
     node = node_class(Setup("node", "foreign", config))
     assert isinstance(node, ForeignNode)

@@ -50,7 +50,7 @@ class RestNode(HttpNode):
         self.mapping = RestMapping.model_validate(config["rest"])
         for spec in self.described.actions:
             if not spec.recovers and self.mapping.request(spec.name) is None:
-                raise DeviceError(f"`rest:` does not say how {spec.name!r} is started.", effects="none")
+                raise DeviceError(f"`rest:` does not define how {spec.name!r} is started.", effects="none")
         where = find_address(config, "rest_node_address", "node_url")
         auth = read_authorization(config, "rest_node_auth")
         self._http = HttpClient(where, auth, patience_s=self.patience_s)
@@ -72,7 +72,7 @@ class RestNode(HttpNode):
         except DeviceError as missing:
             return str(missing)
         if status == "not known":
-            return f"The device says that it is {why}; `rest: state` does not tell what that means."
+            return f"The device reports {why}; `rest: state` does not define its meaning."
         return f"The device is in error: {why}. Reset the module." if status == "error" else ""
 
     async def resources(self) -> dict[str, float]:
@@ -106,7 +106,7 @@ class RestNode(HttpNode):
 
     async def stop(self) -> None:
         if self.mapping.stop is None:
-            raise DeviceError("`rest:` does not say how the device is stopped.", effects="none")
+            raise DeviceError("`rest:` does not define how the device is stopped.", effects="none")
         await self._command(self.mapping.stop)
 
     async def _command(self, command: dict[str, Any]) -> None:
@@ -132,7 +132,7 @@ class RestNode(HttpNode):
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         request = self.mapping.request(spec.name)
         if request is None:
-            raise DeviceError(f"`rest:` does not say how {spec.name!r} is started.", effects="none")
+            raise DeviceError(f"`rest:` does not define how {spec.name!r} is started.", effects="none")
         args = {
             key: self.place(spec, str(value)) if self.is_station(spec, key) else value
             for key, value in args.items()
@@ -168,22 +168,22 @@ class RestNode(HttpNode):
             at_work,
             silent_s=limit_s,
             mute_s=limit_s,
-            ended="nothing else can be asked about it",
+            ended="there is no other way to ask about it",
         )
         reading = self.mapping.outcome
         refuse_at_end(answer, reading.refused)
         end = read_end(reading, read_json(answer) if answer.content else {})
         if end.status == "running":
-            raise OutcomeUnknown("the device still works, and no `job:` says where to ask about it")
+            raise OutcomeUnknown("the device still works, and there is no `job:` for asking about it")
         if end.status == "not known":
             raise OutcomeUnknown(
-                f"the device says {end.reported!r}; `rest: outcome` does not tell what that means"
+                f"the device says {end.reported!r}; `rest: outcome` does not define its meaning"
             )
         return end.result
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         if handle == SENT:
-            raise OutcomeUnknown("the adapter was restarted before the device had given an id to it")
+            raise OutcomeUnknown("the adapter was restarted before it received an id from the device")
         return await self._end(spec, handle)
 
     async def _end(self, spec: ActionSpec, handle: str) -> Any:
@@ -191,7 +191,7 @@ class RestNode(HttpNode):
         end, because the device may still be working. Raises DeviceError, OutcomeUnknown."""
         job = self.mapping.job
         if job is None:
-            raise OutcomeUnknown("`rest:` names no `job:` to ask about")
+            raise OutcomeUnknown("`rest:` has no `job:` for asking about it")
         silence = Silence(self.patience_s, self.where)
         strange, strange_since = None, 0.0
         while True:
@@ -215,8 +215,8 @@ class RestNode(HttpNode):
                     _log.warning("job_status_not_known", module=self.setup.name, job=handle, status=strange)
                 elif now - strange_since > self.limit_s(spec):
                     raise OutcomeUnknown(
-                        f"the device says {strange!r} of the job {handle}; "
-                        "`rest: outcome` does not tell what that means"
+                        f"the device says {strange!r} of the job {handle}; `rest: outcome` does not "
+                        "define its meaning"
                     )
             await asyncio.sleep(self.poll_s)
 
@@ -254,13 +254,13 @@ def read_given_id(reading: Reading, path: str, answer: httpx.Response) -> str:
     try:
         data = read_json(answer)
     except DeviceError as error:
-        raise OutcomeUnknown(f"the device took it and gave no id to ask by: {error}") from error
+        raise OutcomeUnknown(f"the device accepted it, but sent no id: {error}") from error
     found = find_field(data, path)
     if isinstance(found, str | int) and not isinstance(found, bool) and found != "":
         return str(found)
     if reading.status and find_field(data, reading.status) in reading.not_started:
         read_end(reading, data)
-    raise OutcomeUnknown(f"the device took it and gave no id to ask by: its answer has no {path!r}")
+    raise OutcomeUnknown(f"the device accepted it, but sent no id: its answer has no {path!r}")
 
 
 def find_field(data: Any, path: str) -> Any:
@@ -301,5 +301,5 @@ def _is_absent(written: Any, values: dict[str, Any]) -> bool:
 
 def _find_value(name: str, values: dict[str, Any]) -> Any:
     if name not in values:
-        raise DeviceError(f"`rest:` wants the argument {name!r}, which was not given.", effects="none")
+        raise DeviceError(f"`rest:` needs the argument {name!r}, which was not given.", effects="none")
     return values[name]

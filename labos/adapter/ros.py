@@ -48,7 +48,7 @@ restarted."""
 CANCELED = 5
 """``action_msgs/msg/GoalStatus``: 4 succeeded, 5 canceled, 6 aborted, 0 an unknown goal."""
 
-NO_RECORD = "the node has ended it or lost it, and a ROS service keeps no record of how"
+NO_RECORD = "the node has ended or lost it, and a ROS service keeps no record of the outcome"
 FORGOTTEN = "the node does not know the goal: it was restarted, or has forgotten it"
 
 
@@ -78,7 +78,7 @@ class RosNode(ForeignNode):
         self.mapping = RosMapping.model_validate(written)
         for spec in self.described.actions:
             if not spec.recovers and self.mapping.call(spec.name) is None:
-                raise DeviceError(f"`ros:` does not say how {spec.name!r} is started.", effects="none")
+                raise DeviceError(f"`ros:` does not define how {spec.name!r} is started.", effects="none")
         await self._start_bridge()
 
     async def _start_bridge(self) -> None:
@@ -172,7 +172,7 @@ class RosNode(ForeignNode):
 
     async def stop(self) -> None:
         if self.mapping.stop is None:
-            raise DeviceError("`ros:` does not say how the node is stopped.", effects="none")
+            raise DeviceError("`ros:` does not define how the node is stopped.", effects="none")
         await self._ask(self.mapping.stop)
 
     async def _ask(self, call: Call) -> Any:
@@ -217,7 +217,7 @@ class RosNode(ForeignNode):
     def _call(self, spec: ActionSpec) -> Call:
         call = self.mapping.call(spec.name)
         if call is None:
-            raise DeviceError(f"`ros:` does not say how {spec.name!r} is started.", effects="none")
+            raise DeviceError(f"`ros:` does not define how {spec.name!r} is started.", effects="none")
         return call
 
     async def _answer(self, call: Call, calling: Awaitable[Any], idle_limit_s: float, began: float) -> Any:
@@ -281,7 +281,7 @@ class RosNode(ForeignNode):
             except TimeoutError:  # it continues
                 working = loop.time() if self._is_busy else working
                 if (waited := loop.time() - working) > self.limit_s(spec):
-                    text = f"{call.action} has not told the result of the goal for {waited:.0f} s"
+                    text = f"{call.action} has not sent the result of the goal for {waited:.0f} s"
                     raise OutcomeUnknown(f"{text} without a sign of work") from None
                 continue
             except (DeviceError, NoResponse) as gone:
@@ -374,5 +374,5 @@ def _table(answer: Any) -> dict[str, Any]:
             with contextlib.suppress(ValueError, SyntaxError, RecursionError, MemoryError):
                 found = read(found)
     if not isinstance(found, dict):
-        raise DeviceError(f"The answer is no table: {str(answer)[:200]!r}.", effects="none")
+        raise DeviceError(f"The answer is not a table: {str(answer)[:200]!r}.", effects="none")
     return found

@@ -119,7 +119,7 @@ async def _read_object(reader: asyncio.StreamReader) -> dict[str, Any]:
     while len(data) <= LARGEST:
         piece = await reader.read(65536)
         if not piece:
-            raise OutcomeUnknown(f"the line was closed after {len(data)} bytes that are no whole answer")
+            raise OutcomeUnknown(f"the line was closed after {len(data)} bytes of an incomplete answer")
         data += piece
         if not data.rstrip().endswith(b"}"):
             continue
@@ -132,7 +132,7 @@ async def _read_object(reader: asyncio.StreamReader) -> dict[str, Any]:
         if isinstance(answer, dict):
             return answer
         break
-    raise OutcomeUnknown(f"what came is no answer: {data[:100]!r}")
+    raise OutcomeUnknown(f"the received data is not an answer: {data[:100]!r}")
 
 
 def _end(name: str, answer: dict[str, Any]) -> Any:
@@ -145,4 +145,4 @@ def _end(name: str, answer: dict[str, Any]) -> Any:
         raise DeviceError(f"{name}: {words or 'the foreign node is not ready'}", effects="none")
     if status in FAILED:
         raise DeviceError(f"{name}: {words or status}")
-    raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")
+    raise OutcomeUnknown(f"the foreign node answered {status!r}, which is not an outcome of an action")

@@ -41,7 +41,7 @@ READY = {"READY", "IDLE", "OK"}
 HALTED = {"LOCKED", "PAUSED", "CANCELLED"}
 """States of a foreign node in which it accepts no actions until a person permits it."""
 
-NO_RECORD = "the foreign node has ended it or lost it, and WEI keeps no record of how"
+NO_RECORD = "the foreign node has ended or lost it, and WEI keeps no record of the outcome"
 
 
 class WeiRestNode(HttpNode):
@@ -109,7 +109,7 @@ class WeiRestNode(HttpNode):
     async def _ask_about(self) -> dict[str, Any]:
         about = await self.http.ask("/about")
         if not isinstance(about, dict):
-            raise DeviceError("/about answered what is no description.", effects="none")
+            raise DeviceError("/about sent an answer that is not a description.", effects="none")
         self._admin = tuple(str(command).lower() for command in about.get("admin_commands") or ())
         return about
 
@@ -201,7 +201,7 @@ class WeiRestNode(HttpNode):
         else:
             fields = read_json(answer)
             if not isinstance(fields, dict):
-                raise DeviceError(f"{name}: the node answered {fields!r}, which says nothing of its end.")
+                raise DeviceError(f"{name}: the node answered {fields!r}, which contains no outcome.")
             status = fields.get("status", fields.get("action_response"))
         # Some versions write the status as `StepStatus.SUCCEEDED`.
         word = str(status).rpartition(".")[2].lower()
@@ -213,7 +213,7 @@ class WeiRestNode(HttpNode):
                 raise DeviceError(f"{name}: {error or 'the foreign node is not ready'}", effects="none")
             case "failed" | "cancelled":
                 raise DeviceError(f"{name}: {error or word}")
-        raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")
+        raise OutcomeUnknown(f"the foreign node answered {status!r}, which is not an outcome of an action")
 
     def _make_result_with_files(self, fields: dict[str, Any], answer: httpx.Response) -> Any:
         """The data with references to the files that came with them."""
@@ -294,7 +294,7 @@ def read_state(state: Any) -> tuple[set[str], str]:
         return {str(name).upper() for name, on in status.items() if on}, words
     if isinstance(status, str):
         return {status.upper()}, words
-    raise DeviceError(f"/state answered {state!r}, which names no status.", effects="none")
+    raise DeviceError(f"/state answered {state!r}, which contains no status.", effects="none")
 
 
 def is_working(flags: set[str]) -> bool:

@@ -101,7 +101,7 @@ class WeiZmqNode(WeiJsonNode):
                 socket.connect(f"tcp://{place}")
                 seeing = self._see(monitor, zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_CONNECT_RETRIED)
                 if await asyncio.wait_for(seeing, CONNECT_S) != zmq.EVENT_HANDSHAKE_SUCCEEDED:
-                    raise ConnectionRefusedError("nobody listens")
+                    raise ConnectionRefusedError("no process listens")
             except (OSError, TimeoutError, zmq.ZMQError) as error:
                 why = str(error) or f"no connection within {CONNECT_S:g} s"
                 raise DeviceError(
@@ -128,5 +128,5 @@ def _decode_object(answer: bytes) -> dict[str, Any]:
     except ValueError:
         decoded = None
     if not isinstance(decoded, dict):
-        raise OutcomeUnknown(f"what came is no answer: {answer[:100]!r}")
+        raise OutcomeUnknown(f"the received data is not an answer: {answer[:100]!r}")
     return decoded

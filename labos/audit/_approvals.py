@@ -60,7 +60,7 @@ def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at:
             "name": run["workflow"] if run is not None else "",
             "user_id": run["user_id"] if run is not None else "",
             "digest": run["plan"] if run is not None else "",
-            "why": ["it does what is dangerous"],
+            "why": ["it has dangerous steps"],
             "parts": {},
             "changed": [],
             "requested_at_s": at,

@@ -53,7 +53,7 @@ def on_observed(rows: RowChanges, event: b.LabwareObserved, head: Envelope, at: 
         under = rows.get(LABWARE, row["lies_on"]) if row["lies_on"] else None
         on = row["lies_on"] if under is not None and under["station"] == event.station else ""
         _settle(rows, row, event.station, on)
-    _note(rows, event, head, at, "observed", source, event.station, on, why=f"seen by {event.by}")
+    _note(rows, event, head, at, "observed", source, event.station, on, why=f"observed by {event.by}")
 
 
 def on_uncertain(rows: RowChanges, event: b.LabwareUncertain, head: Envelope, at: float) -> None:

@@ -191,7 +191,7 @@ CALIBRATIONS = Table(
         text("recorded_by", "The user who recorded it."),
         AT,
         text("until", "The last day on which it is valid, such as `2027-01-01` (UTC); empty if not given."),
-        number("ends_at_s", "When that day is over, in seconds since 1970 (UTC); null if nobody said."),
+        number("ends_at_s", "When that day is over, in seconds since 1970 (UTC); null if not given."),
         text(
             "file", "The SHA-256 of the report, which is stored with the lab's files; empty if there is none."
         ),

@@ -35,7 +35,7 @@ class Doer(msgspec.Struct, frozen=True):
     workflow: str
 
 
-class Told(msgspec.Struct, frozen=True):
+class RecordedAction(msgspec.Struct, frozen=True):
     """Ids of an action, of the control action of its step, of the things that it used, and of the files that
     it made."""
 
@@ -68,7 +68,7 @@ def json_of(value: Any) -> Any:
     return msgspec.json.decode(value) if value else {}
 
 
-def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> Told:
+def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> RecordedAction:
     """Add an action of a module, with everything that belongs to it."""
     found = _Action(*asker.fetch(_ACTION, action)[0])
     id_ = make_local_id("action", action)
@@ -109,7 +109,7 @@ def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> 
         object=make_link(*arguments, *used),
         result=make_link(*made),
     )
-    return Told(id_, _add_step(crate, doer, found, id_, tool), used, made)
+    return RecordedAction(id_, _add_step(crate, doer, found, id_, tool), used, made)
 
 
 def _add_step(crate: Crate, doer: Doer, found: _Action, action: str, tool: str) -> str:

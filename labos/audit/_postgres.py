@@ -63,7 +63,7 @@ class PostgresAudit(AuditDatabase):
         with self._write_transaction():
             if not self._execute("SELECT 1 FROM pg_roles WHERE rolname = %s", (role,)).fetchone():
                 raise NotFound(
-                    f"The {self.name} knows no role {role!r}.",
+                    f"The {self.name} has no role {role!r}.",
                     remedy="Make it first: CREATE ROLE name LOGIN PASSWORD '…'",
                 )
             name, views = sql.Identifier(role), sql.Identifier(VIEW_SCHEMA)

@@ -45,7 +45,7 @@ class AuditDatabase(ABC):
         for tables of a newer version."""
         with self._write_transaction():
             if not is_current(self._version(), self._url):
-                self._make_anew()
+                self._recreate()
             return self._mark()
 
     @property
@@ -62,7 +62,7 @@ class AuditDatabase(ABC):
     def reset(self) -> None:
         """Delete everything and create empty tables."""
         with self._write_transaction():
-            self._make_anew()
+            self._recreate()
 
     def forget(self) -> str:
         """Delete everything, also from the database's files, and create empty tables. Returns the reason if
@@ -97,7 +97,7 @@ class AuditDatabase(ABC):
 
     # -- internal ----------------------------------------------------------------------------
 
-    def _make_anew(self) -> None:
+    def _recreate(self) -> None:
         for statement in (*drop_all(self.dialect), *make_all(self.dialect)):
             self._execute(statement)
         self._note(Mark())

@@ -162,7 +162,7 @@ class KafkaSink:
                 written = record.head.position
             self._wait(lambda: producer.flush(WAIT_S) == 0)
         except _BeginAnew as why:
-            self._begin_anew(str(why))
+            self._restart(str(why))
             return
         self.position = written
         self._store()
@@ -190,7 +190,7 @@ class KafkaSink:
             except BufferError:  # the queue is full
                 self._wait(lambda: bool(producer.poll(WAIT_S)))
 
-    def _begin_anew(self, why: str) -> None:
+    def _restart(self, why: str) -> None:
         """Start again with another producer, at the present end of the topic. Raises SystemFailed if there
         was no progress since the last time."""
         self._drop_producer()

@@ -143,9 +143,9 @@ async def open_api(api_settings: ApiSettings) -> AsyncIterator[ApiRuntime]:
     expect_tls(settings)
     if await asyncio.to_thread(is_replica, accounts):
         raise BadInput(
-            f"{show_url(accounts)} only follows another database, and who signs in is written down.",
-            remedy="Name the database that it follows with --accounts (LABOS_ACCOUNTS_URL): it is asked for "
-            "tokens and sessions alone.",
+            f"{show_url(accounts)} is a read-only copy of another database, but sessions have to be written.",
+            remedy="Name the database that it copies with --accounts (LABOS_ACCOUNTS_URL): it is used only "
+            "for tokens and sessions.",
         )
     async with AsyncExitStack() as stack:
         store = await asyncio.to_thread(
@@ -194,8 +194,8 @@ def _find_bus(settings: Settings) -> Settings:
         return settings
     if last is None or not is_alive(last.pid):
         raise NotFound(
-            f"No kernel runs in {settings.home}, and no bus was named.",
-            remedy="Start the lab (labos up), or name its bus: --bus tcp/HOST:7447.",
+            f"No kernel runs in {settings.home}, and no bus was given.",
+            remedy="Start the lab (labos up), or give its bus: --bus tcp/HOST:7447.",
         )
     secure = last.bus.startswith("tls/") if settings.secure is None else settings.secure
     return msgspec.structs.replace(settings, bus=(last.bus,), secure=secure)

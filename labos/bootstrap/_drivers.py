@@ -80,7 +80,8 @@ def load_driver(name: str) -> type[Node]:
         return _choose_only(name, found[name])
     raise NotFound(
         f"There is no driver {name!r}.",
-        remedy=f"Installed: {', '.join(sorted(found)) or 'none'}. One in a file is named by it: shaker.py.",
+        remedy=f"Installed: {', '.join(sorted(found)) or 'none'}. For a driver in a file, give the file: "
+        "shaker.py.",
     )
 
 
@@ -176,7 +177,7 @@ def _import_package(path: Path) -> ModuleType:
         raise BadInput(f"{path} cannot be imported: {type(error).__name__}: {error}.") from error
     if Path(module.__file__ or "").resolve() != path:
         raise BadInput(
-            f"{path} cannot be imported as {name}: {module.__file__} is loaded by that name.",
+            f"{path} cannot be imported as {name}: {module.__file__} is already loaded with that name.",
             remedy="Give its package another name.",
         )
     return module

@@ -56,16 +56,17 @@ def expect_tls(settings: Settings) -> None:
         return
     if not settings.tls_certificate and not settings.behind_proxy:
         raise BadInput(
-            f"Other computers reach {settings.host}, and passwords would cross the network in clear.",
-            remedy="Leave --host out, or give --tls-cert and --tls-key, or say --behind-proxy if another "
+            f"Other computers reach {settings.host}, and passwords would be sent over the network "
+            "unencrypted.",
+            remedy="Leave --host out, or give --tls-cert and --tls-key, or add --behind-proxy if another "
             "program speaks TLS for the lab.",
         )
     if not settings.bus and not settings.is_secure and not settings.open_to_network:
         raise BadInput(
-            f"The bus would listen on {settings.host}, and asks nobody for a certificate: everybody "
-            "who reaches it can speak for a node.",
-            remedy="Make it a secure one (--secure), leave --host out, or add --open-to-network if only what "
-            "you trust is in that network.",
+            f"The bus would listen on {settings.host} without certificates: every program that can "
+            "connect can pose as a node.",
+            remedy="Make it a secure one (--secure), leave --host out, or add --open-to-network if you "
+            "trust all computers in that network.",
         )
 
 
@@ -90,7 +91,7 @@ def _password_in(file: str, user: str) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(
             f"The password of {user} cannot be read from {file}: {error}.",
-            remedy="Name a file with it alone.",
+            remedy="Give a file that contains only the password.",
         ) from None
 
 
@@ -100,10 +101,10 @@ def expect_users(settings: Settings, kernel: LabKernel) -> None:
     if kernel.state.users.is_open and (not is_own or settings.behind_proxy):
         where = "the lab through a proxy" if is_own else settings.host
         raise BadInput(
-            f"Other computers reach {where}, and this lab has no users: everybody who reaches it could "
-            "command it.",
-            remedy=f"Add the first user before, on this computer: labos user add NAME --home {settings.home} "
-            "(or say --first-user NAME).",
+            f"Other computers reach {where}, and this lab has no users: every program that can "
+            "connect could control it.",
+            remedy=f"First add a user, on this computer: labos user add NAME --home {settings.home} (or give "
+            "--first-user NAME).",
         )
 
 

@@ -199,7 +199,7 @@ class SimulatedHands:
             return
         for effect in _list_motions(state, question):
             world = self._find_world(effect.source)
-            plate = _find_astray(world, state, question, effect)
+            plate = _find_displaced(world, state, question, effect)
             end = {"source": effect.source, "target": effect.target}.get(ENDS[choice])
             if plate:
                 world.carry(plate, _place(state, end) if end else "")
@@ -306,7 +306,7 @@ def _is_held(state: LabState, name: LabwareId) -> bool:
     return item is not None and not item.maybe and state.bench.stations[item.station].spec.kind == "gripper"
 
 
-def _find_astray(world: World, state: LabState, question: Intervention, effect: Move) -> str:
+def _find_displaced(world: World, state: LabState, question: Intervention, effect: Move) -> str:
     """The plate of a motion that a device still holds, has put down half-way or dropped; empty if there is
     none. Plates that it carries for other actions do not count."""
     device = local(question.module)

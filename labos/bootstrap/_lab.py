@@ -175,7 +175,7 @@ async def open_lab(
                 lab.supervised.leave()
             elif lab.supervised is not None:
                 killed = await lab.supervised.close(grace_s)
-                await lab.registry.wait_until_left(list(lab.supervised.nodes))
+                await lab.registry.wait_until_nodes_left(list(lab.supervised.nodes))
                 lab.cut_short = _cut_short(kernel, killed)
 
 
@@ -263,8 +263,8 @@ def _is_simulated(settings: Settings) -> bool:
     if was is not None and wanted != was:
         kinds = ("real", "simulated")
         raise BadInput(
-            f"The lab in {settings.home} is {kinds[was]}; it cannot go on as a {kinds[wanted]} one.",
-            remedy="Its log would not be true of the other bench. Use another --home.",
+            f"The lab in {settings.home} is {kinds[was]}; it cannot continue as a {kinds[wanted]} one.",
+            remedy="Its log would not match the other bench. Use another --home.",
         )
     return wanted
 

@@ -258,7 +258,7 @@ async def find_lab(bus: Bus, module: str, known: str) -> str:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(seen.wait(), NO_KERNEL_S)
         if not seen.is_set():
-            why = "no kernel shows itself on this bus, or a secure bus does not know this certificate (yet)"
+            why = "no kernel was found on this bus, or a secure bus does not accept this certificate (yet)"
             _log.warning("waiting_for_the_kernel", module=module, why=why)
         await seen.wait()
         with contextlib.suppress(TimeoutError):
@@ -270,13 +270,13 @@ async def find_lab(bus: Bus, module: str, known: str) -> str:
     here = ", ".join(name[:80] for name in list(found)[:5])
     if known:
         raise BadInput(
-            f"The journal of {module} belongs to the lab {known}, but the kernel here runs {here}.",
+            f"The journal of {module} belongs to the lab {known}, but the kernel here runs the lab {here}.",
             remedy="Use another --home for another lab, or --connect to the right one.",
         )
     if len(found) > 1:
         raise BadInput(
-            f"Several labs have kernels on this bus ({here}): {module} cannot know which one is its own.",
-            remedy="Let each lab have a bus of its own, or find out who shows a false kernel there.",
+            f"Several labs have kernels on this bus ({here}): {module} cannot find out which one is its own.",
+            remedy="Give each lab its own bus, or find out which program poses as a kernel there.",
         )
     return next(iter(found))
 
@@ -295,7 +295,7 @@ async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> 
         except (NoAnswer, Unreadable) as error:
             why = str(error)
         except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-            why = f"what the kernel answers cannot be read ({error})"
+            why = f"the kernel's answer cannot be read ({error})"
         if why != logged:
             _log.warning("waiting_for_the_workcell", module=module, why=why)
             logged = why

@@ -34,13 +34,13 @@ def find_own_class(module: str, reply: SetupReply, driver: type[Node] | None = N
     NotFound."""
     if reply.about and not reply.simulated:
         raise BadInput(
-            f"{module} is described by `about:`, and nobody has said how it is reached.",
+            f"{module} is described by `about:`, but its interface is missing.",
             remedy="Write its `interface:` and address in the workcell file, or give it a `driver:`.",
         )
     if reply.extends and not reply.simulated:
         raise BadInput(
-            f"{module} is to do more (`extends:`) than the driver {reply.driver} can.",
-            remedy="Write the `interface:` of the node that can, or leave `extends:` out.",
+            f"{module} has actions (`extends:`) that the driver {reply.driver} does not have.",
+            remedy="Write the `interface:` of the node that has them, or leave `extends:` out.",
         )
     if reply.about:
         from labos.node.generic import make_generic_node
@@ -55,9 +55,9 @@ def find_own_class(module: str, reply: SetupReply, driver: type[Node] | None = N
 
 
 def _describe(reply: SetupReply) -> Description:
-    from labos.spec.about import About, add_reset, description_of
+    from labos.spec.about import About, add_reset, make_description
 
-    return add_reset(description_of(About.model_validate(reply.about), reply.driver))
+    return add_reset(make_description(About.model_validate(reply.about), reply.driver))
 
 
 def _extend(description: Description, reply: SetupReply) -> Description:

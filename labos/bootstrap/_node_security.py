@@ -48,8 +48,8 @@ def read_node_security(
     identity = credentials.identity()
     if identity is not None and (identity.kind, identity.name) != ("node", module):
         raise BadInput(
-            f"The certificate in {certificate} is that of the {identity.shown}, not of the node {module}.",
-            remedy="Give the module's own: labos pki list shows them all.",
+            f"The certificate in {certificate} belongs to the {identity.shown}, not to the node {module}.",
+            remedy="Use the module's own certificate: labos pki list shows all.",
         )
     return Security(credentials), identity.lab if identity is not None else ""
 
@@ -59,7 +59,7 @@ def check_lab(module: str, known: str, belongs_to: str) -> None:
     refuse the node, and it would wait without end."""
     if belongs_to and known != belongs_to:
         raise BadInput(
-            f"The journal of {module} belongs to lab {known}, its certificate to lab {belongs_to}.",
+            f"The journal of {module} belongs to lab {known}, but its certificate to lab {belongs_to}.",
             remedy="Give it the certificate of its lab, or another --home for another lab.",
         )
 
@@ -68,9 +68,9 @@ def _find_own_certificate(settings: Settings, module: str, lab: str) -> Path:
     authority = Authority(settings.pki)
     if not lab:
         raise NotFound(
-            "This bus is a secure one, and no certificate was named.",
+            "This bus is secure, but no certificate was given.",
             remedy="Issue one where the lab's authority is (labos pki issue node WORKCELL/MODULE), copy its "
-            "folder here, and name it: --cert FOLDER.",
+            "folder here, and give it: --cert FOLDER.",
         )
     return authority.credentials(PartyIdentity("node", module, lab)).folder
 

@@ -32,7 +32,8 @@ def with_own_settings(reply: SetupReply, path: Path, module: str) -> SetupReply:
     addressed = [key for key in ADDRESSES if key in own]
     if secrets and not addressed:
         raise BadInput(
-            f"{path} gives {module} a secret ({', '.join(secrets)}) and does not say where it may be sent.",
+            f"{path} gives {module} a secret ({', '.join(secrets)}), but not the address to which it "
+            "may be sent.",
             remedy=f"Add the device's address there too: one of {', '.join(ADDRESSES)}.",
         )
     # Only the address beside a secret is used.

@@ -190,7 +190,7 @@ class LabRuntime:
         except Unreadable as error:
             return msgspec.json.encode(SetupReply(unknown=str(error)))
         if key != Keys(self.kernel.lab).setup_of(module):
-            return msgspec.json.encode(SetupReply(unknown="this key is that of another module"))
+            return msgspec.json.encode(SetupReply(unknown="this key belongs to another module"))
         return await self.on_setup(payload)
 
     def _make_setup(self, name: ModuleName) -> SetupReply:

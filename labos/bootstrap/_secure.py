@@ -49,7 +49,7 @@ class Guard:
         self._runs_bus, self._modules, self._tell = runs_bus, modules, tell
         self.authority = Authority(settings.pki)
         self._used: State = ()
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._task: asyncio.Task[None] | None = None
         self._onlooker: Onlooker | None = None
         self._exchange: MembersExchange | None = None
@@ -120,9 +120,9 @@ class Guard:
         last = last_kernel(self._settings.home)
         if last is not None and last.bus.startswith(SCHEME):
             raise NotFound(
-                f"This lab's bus was a secure one, and its authority {self.authority.folder} is gone.",
-                remedy="Put it back from a copy, or name it with --pki. Another one (labos pki init) knows "
-                "none of the certificates that nodes have.",
+                f"This lab's bus was secure, but its authority {self.authority.folder} is missing.",
+                remedy="Restore it from a copy, or give its folder with --pki. A new authority (labos pki "
+                "init) does not accept the existing certificates of nodes.",
             )
         self.authority.init(f"LabOS authority of {socket.gethostname()}"[:64])
 
@@ -189,12 +189,12 @@ class Guard:
 
     def _note(self, unheard: Unheard) -> None:
         for entry in unheard.silent:
-            if entry.common_name not in self._told:
+            if entry.common_name not in self._reported:
                 _log.warning("node_connected_but_not_heard", node=entry.identity.name, cn=entry.common_name)
         for name in unheard.unknown:
-            if name not in self._told:
+            if name not in self._reported:
                 _log.warning("certificate_not_admitted", cn=name)
-        self._told = {entry.common_name for entry in unheard.silent} | set(unheard.unknown)
+        self._reported = {entry.common_name for entry in unheard.silent} | set(unheard.unknown)
         self._tell(unheard)
 
     def _state(self) -> State:
@@ -217,9 +217,10 @@ def list_addresses(settings: Settings) -> list[str]:
 def explain_unheard(unheard: Unheard, lab: str) -> dict[ModuleName, str]:
     """A sentence for the operator about each module whose node is connected and does not answer."""
     return {
-        ModuleName(entry.identity.name): "its node is connected to the bus with the certificate "
-        f"{entry.common_name}, and has not shown itself there: does it run as this module? What does its log "
-        "say?"
+        ModuleName(
+            entry.identity.name
+        ): f"its node is connected to the bus with the certificate {entry.common_name}, but it has not "
+        "announced itself: does it run as this module? See its log."
         for entry in unheard.silent
         if entry.identity.lab == lab
     }

@@ -102,19 +102,20 @@ async def open_standby(settings: Settings) -> AsyncIterator[Standby]:
     StoreUnavailable."""
     if find_database_file(settings.database) is not None:
         raise BadInput(
-            "A standby needs a PostgreSQL database: the lock of a kernel on SQLite goes with its process.",
-            remedy="Let the system start `labos up` again when it dies, or move the log (labos backup, "
-            "labos restore).",
+            "A standby needs a PostgreSQL database: on SQLite, the lock of a kernel ends with its process.",
+            remedy="Let the operating system restart `labos up` when it dies, or move the log (labos "
+            "backup, labos restore).",
         )
     if not settings.bus:
         raise BadInput(
-            "A standby needs a bus that outlives the kernel.",
-            remedy="Run one with `labos bus`, and name it to both kernels: --bus tcp/HOST:7447.",
+            "A standby needs a bus that continues when the kernel dies.",
+            remedy="Start one with `labos bus`, and give it to both kernels: --bus tcp/HOST:7447.",
         )
     if settings.is_secure and settings.certificate is None and not Authority(settings.pki).exists:
         raise BadInput(
-            f"The bus is a secure one, and there is no certificate, and no authority in {settings.pki}.",
-            remedy="Copy the kernel's folder here from where the authority is, and name it with --cert.",
+            f"The bus is secure, but there is no certificate, and no authority in {settings.pki}.",
+            remedy="Copy the kernel's folder here from the computer of the authority, and give it with "
+            "--cert.",
         )
     store = await asyncio.to_thread(
         open_store, settings.database, create=False, read_only=True, home=settings.home

@@ -78,9 +78,9 @@ def _explain_failure(reason: str, listen: Sequence[str], connect: Sequence[str],
         )
     if "nable to connect" in reason and secure:
         return BusError(
-            f"Nobody answers at {where}, or the bus there and this certificate refuse each other.",
-            remedy="Are both certificates of one authority and still valid, and does that of the bus bear "
-            "the address that is dialled? See docs/secure-bus.md.",
+            f"Nobody answers at {where}, or the bus there and this certificate do not accept each other.",
+            remedy="Are both certificates from one authority and still valid, and does the certificate of "
+            "the bus contain this address? See docs/secure-bus.md.",
         )
     if "nable to connect" in reason:
         return BusError(

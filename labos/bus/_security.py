@@ -47,5 +47,5 @@ def check_endpoints(endpoints: tuple[str, ...], *, secure: bool) -> None:
             kind, other = ("secure", "tcp/") if secure else ("not secure", SCHEME)
             raise BadInput(
                 f"The address {endpoint} does not fit: this end of the bus is {kind}.",
-                remedy=f"Write tls/HOST:PORT and say --secure, or neither; {other} is of the other kind.",
+                remedy=f"Write tls/HOST:PORT and add --secure, or neither; {other} is of the other kind.",
             )

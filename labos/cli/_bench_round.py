@@ -167,8 +167,9 @@ def describe_recorded(station: Mapping[str, Any]) -> str:
 def ask(client: LabClient, by: str) -> None:
     """Ask about station after station, on a terminal. If the user stops, the earlier answers are kept."""
     click.echo(
-        f"What stands there? `{EMPTY}`, `{AS_RECORDED}` (or `=`), labware by its id (P7), or by its type "
-        "where it has none (plate96, 20xplate96), with its lid (P7+P8), bottom to top; of a waste the number."
+        f"What stands there? `{EMPTY}`, `{AS_RECORDED}` (or `=`), labware by its id (P7), or by its "
+        "type where it has none (plate96, 20xplate96), with its lid (P7+P8), bottom to top; for a "
+        "waste, the number of pieces."
     )
     view = client.round()
     for station in [s for s in view["stations"] if s["must_be_said"] and not s["said"]]:

@@ -72,7 +72,8 @@ def show_runs(found: Mapping[str, Any]) -> None:
     ]
     due = ["due"] if has_due else []
     show_table(
-        ("run", "workflow", "user", "starts", "ends", "if nobody else submits", *due, "waits for"), rows
+        ("run", "workflow", "user", "starts", "ends", "if no other user submits runs", *due, "waits for"),
+        rows,
     )
     if rows:
         click.echo(describe_learning(found["learned_from"]))
@@ -85,11 +86,11 @@ def show_runs(found: Mapping[str, Any]) -> None:
 def show_due(run: Mapping[str, Any], now_ns: int) -> str:
     """The due date of a run in a forecast, and whether the run will keep it; empty without a due date."""
     from labos.planning.hindsight import TimeRange
-    from labos.services.due import tell_whether_kept
+    from labos.services.due import describe_margin
 
     if not run["due_at"]:
         return ""
-    kept = tell_whether_kept(run["due_at"], TimeRange(**run["ends"]) if run["ends"] else None)
+    kept = describe_margin(run["due_at"], TimeRange(**run["ends"]) if run["ends"] else None)
     return f"{_show_clock(run['due_at'], now_ns)}: {kept}"
 
 
@@ -136,7 +137,7 @@ def show_ways(found: Mapping[str, Any]) -> None:
             if run["due_at"]:
                 click.echo(f"due:         {show_due(run, now)}")
             if run["ends_alone"]:
-                click.echo(f"             {show_range(run['ends_alone'], now)} if nobody else submits")
+                click.echo(f"             {show_range(run['ends_alone'], now)} if no other user submits runs")
 
 
 def show_campaign(campaign: Mapping[str, Any], now: int) -> list[tuple[str, str]]:

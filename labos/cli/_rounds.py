@@ -38,7 +38,7 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
         "\n".join(f"  {name}: {' and '.join(content) or EMPTY}" for name, content in now.items())
         or "Nothing."
     )
-    click.confirm("Is this list of changes complete, and does nobody reach in any more?", abort=True)
+    click.confirm("Is this list of changes complete, and has everybody left the workcell?", abort=True)
     return changes
 
 

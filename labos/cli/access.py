@@ -29,9 +29,7 @@ LOOK_S = 0.2
     show_default=True,
     help="How many seconds to wait until nothing moves.",
 )
-@click.option(
-    "--done", is_flag=True, help="Report that nobody reaches into the workcell any more; the lab continues."
-)
+@click.option("--done", is_flag=True, help="Report that everybody has left the workcell; the lab continues.")
 @click.option(
     "--changed",
     multiple=True,

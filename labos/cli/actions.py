@@ -127,7 +127,7 @@ def _sort_actions(found: Description) -> tuple[ActionSpec, ...]:
 def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[Offer]:
     """Modules of that name; else those with that driver; else the driver or model itself. Raises NotFound."""
     from labos.errors import NotFound
-    from labos.spec.findings import near
+    from labos.spec.findings import suggest_name
 
     wanted = name.rpartition("/")[2].lower()
     for found in (
@@ -137,7 +137,7 @@ def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[O
         if found:
             return found
     known = [offer.name for offer in (*offers, *drivers)]
-    raise NotFound(f"There is no module and no driver {name!r}.", remedy=near(name, known, "module"))
+    raise NotFound(f"There is no module and no driver {name!r}.", remedy=suggest_name(name, known, "module"))
 
 
 def _names_of(driver: str) -> set[str]:
@@ -147,12 +147,14 @@ def _names_of(driver: str) -> set[str]:
 
 def _keep_only(offer: Offer, action: str) -> Offer:
     from labos.errors import NotFound
-    from labos.spec.findings import near
+    from labos.spec.findings import suggest_name
 
     found = tuple(spec for spec in offer.actions if action in (spec.name, *spec.aliases))
     if not found:
         names = [spec.name for spec in offer.actions]
-        raise NotFound(f"{offer.name} has no action {action!r}.", remedy=near(action, names, "action"))
+        raise NotFound(
+            f"{offer.name} has no action {action!r}.", remedy=suggest_name(action, names, "action")
+        )
     return msgspec.structs.replace(offer, actions=found)
 
 

@@ -153,7 +153,7 @@ def round_(
             if sys.stdin.isatty() and sys.stdout.isatty():
                 ask(client, find_user(user))
                 only_say = only_say or not click.confirm(
-                    "Is this complete, and does nobody reach in any more?"
+                    "Is this complete, and has everybody left the workcell?"
                 )
         finish = not (only_say or (as_json and not words))
         found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}

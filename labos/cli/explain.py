@@ -15,7 +15,7 @@ from labos.core.interventions import Intervention
 from labos.core.runs import find_open_modules
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
-from labos.services.due import tell_due
+from labos.services.due import describe_due
 from labos.services.experiments import list_experiment_histories
 from labos.services.history import fold_state_at
 from labos.services.runs import RunHistory, run_history
@@ -118,7 +118,7 @@ def list_sentences(
             found.append(f"{before} runs that were submitted before it wait too")
     found = found or ["It can continue, and will do so at once."]
     if run.due_at:
-        found.append(f"it is due at {tell_due(state, [story], now, searches=searches)[story.id]}")
+        found.append(f"it is due at {describe_due(state, [story], now, searches=searches)[story.id]}")
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._liveness import find_lab_now, say_if_dead
+from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.services.describe import owner_name
@@ -35,7 +35,8 @@ def command(where: Where, since: str, as_json: bool) -> None:
     began = parse_time(since, now_ns())
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        found = read_handover(store, began, max(find_lab_now(where.url, store.head()), began))
+        until = max(find_lab_now(where.url, store.head()), began)
+        found = read_handover(store, began, until, kernel_runs=has_kernel(where.url))
     if as_json:
         show_json(found)
         return

@@ -17,7 +17,7 @@ from labos.errors import LabosError, NotFound, StoreError
 from labos.services.shown import show_struct
 from labos.services.times import iso_time, show_time
 from labos.settings import Settings
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.store import find_lease_holder, find_silent_holder
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def test(where: Where, contact: str, as_json: bool) -> None:
 
     book: Book = load_contacts(_make_settings(where).contacts)
     if contact not in book.contacts:
-        remedy = near(contact, book.contacts, "contact")
+        remedy = suggest_name(contact, book.contacts, "contact")
         raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
     message = test_message(_find_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)

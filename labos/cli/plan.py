@@ -369,7 +369,7 @@ def _tell_origin(outline: Outline) -> str:
     shown = [step for step in outline.steps if not step.rescues and not step.on_cancel]
     learned = sum(step.learned for step in shown)
     if not outline.lab:
-        return "Times are those of the drivers: no lab was asked (--home)."
+        return "The times are from the drivers, not from a lab (--home)."
     if not learned:
         return f"Times are those of the drivers: {outline.lab} has too few executions of these steps."
     nominal = sum(step.nominal_s for step in shown)

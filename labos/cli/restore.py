@@ -133,8 +133,9 @@ def command(
     click.echo(f"Database {done.database}, {done.blobs} blobs, next epoch above {done.epoch}.")
     if done.users:
         click.echo(
-            f"Of {done.users} users the accounts are as they were then: revoke tokens anew that were revoked "
-            "since (labos token list), and erase again who was erased since (labos user erase)."
+            f"The accounts of {done.users} users are as they were then: again revoke tokens that were "
+            "revoked since (labos token list), and erase users who were erased since (labos user "
+            "erase)."
         )
     click.echo("No action starts before a person has checked the bench: labos up, then labos bench round.")
 

@@ -17,7 +17,7 @@ from labos.core.ids import local
 from labos.core.model import find_served_step
 from labos.planning.scheduler import Scheduler
 from labos.services.describe import shorten_value
-from labos.services.due import tell_due
+from labos.services.due import describe_due
 from labos.services.experiments import list_experiment_histories
 from labos.services.history import fold_state_at
 from labos.services.log import Log
@@ -102,7 +102,7 @@ def _find_due(store: Log, stories: dict[str, RunHistory], now: int, where: Where
     if not any(story.due_at for story in stories.values()):
         return {}
     searches = ask_order_setting(where)
-    return tell_due(fold_state_at(store), stories.values(), now, searches=searches)
+    return describe_due(fold_state_at(store), stories.values(), now, searches=searches)
 
 
 def _make_plain(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> dict[str, Any]:

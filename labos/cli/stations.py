@@ -11,7 +11,7 @@ from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_log
-from labos.core.bench import Station
+from labos.core.bench import StationState
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
 from labos.services.describe import owner_name
@@ -101,7 +101,7 @@ def _is_named(station: StationName, names: tuple[str, ...]) -> bool:
 
 
 def _place(
-    state: LabState, name: StationName, station: Station, stories: dict[str, LabwareHistory]
+    state: LabState, name: StationName, station: StationState, stories: dict[str, LabwareHistory]
 ) -> StationPlace:
     here = [state.bench.labware[item] for item in station.labware]
     held = station.level if station.spec.kind == "waste" else len(here) + len(station.stock)

@@ -234,17 +234,13 @@ def _stand_by(settings: Settings) -> None:
 
 def _has_other_kernel(settings: Settings) -> bool:
     """Whether another kernel runs the lab, according to its database. Raises StoreUnavailable."""
-    from labos.errors import StoreUnavailable
-    from labos.store import find_database_file, open_store
+    from labos.store import find_database_file, open_store, read_database_status
 
     if find_database_file(settings.database) is not None:
         raise click.UsageError("--or-standby needs a lab on PostgreSQL (docs/standby.md).")
-    try:
-        store = open_store(settings.database, create=False, read_only=True)
-    except StoreUnavailable as error:
-        if "no log yet" in error.message:
-            return False
-        raise
+    if read_database_status(settings.database).state == "empty":
+        return False
+    store = open_store(settings.database, create=False, read_only=True)
     try:
         return store.find_holder().living
     finally:

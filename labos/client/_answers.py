@@ -33,7 +33,8 @@ def answer_of(status: int, content: bytes) -> dict[str, Any]:
         data = None
     if not isinstance(data, dict):
         raise LabUnreachable(
-            f"What answers is no lab (status {status}).", remedy="Check the address of the lab."
+            f"The server at this address is not a lab (status {status}).",
+            remedy="Check the address of the lab.",
         )
     if status < 400:
         return data

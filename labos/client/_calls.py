@@ -36,7 +36,7 @@ def in_path(name: str, parts: int = 1) -> str:
     ``sealer`` or ``rpl/sealer``. Raises BadInput for a name that would lead to another path."""
     found = name.split("/")
     if len(found) > parts or any(part in ("", ".", "..") for part in found) or _NO_NAME.search(name):
-        raise BadInput(f"{name[:80]!r} names nothing in the lab.", remedy="Give one name.")
+        raise BadInput(f"{name[:80]!r} is not a name in the lab.", remedy="Give one name.")
     return quote(name, safe="")
 
 
@@ -63,7 +63,10 @@ def make_plain(value: Any) -> Any:
     if callable(tolist := getattr(value, "tolist", None)):
         return tolist()
     kind = type(value).__name__
-    raise BadInput(f"The lab takes no {kind}.", remedy="Send numbers, texts, lists and tables of them.")
+    raise BadInput(
+        f"Values of the type {kind} cannot be sent to the lab.",
+        remedy="Send numbers, texts, and lists and tables of these.",
+    )
 
 
 class Calls(ABC):

@@ -118,7 +118,7 @@ class Experiment(LoggedEvents):
             self.lab.resume_experiment(experiment, self.name, self.user)
         self.id, self._is_resumed = experiment, is_resumed
         self.lab.warnings = [
-            f"{run} of {self.id} bears no key of its program, which would submit it again."
+            f"{run} of {self.id} has no key of its program, so the program would submit it again."
             for run in past.strays
         ]
 
@@ -147,7 +147,7 @@ class Experiment(LoggedEvents):
         """A generator of random numbers that gives the same numbers in a restarted program: its seed comes
         from the log."""
         if self._random is None:
-            raise BadInput("The experiment has not begun.", remedy="Use it within its block.")
+            raise BadInput("The experiment has not started.", remedy="Use it within its `with` block.")
         return self._random
 
     @property
@@ -273,7 +273,7 @@ class Experiment(LoggedEvents):
         value that may differ the next time: a clock, a file, a person's answer. Raises BadInput for a result
         that is not JSON."""
         if not callable(function):
-            raise BadInput(f"{name!r} is decided by no function.", remedy="Give one: lambda: solver.ask().")
+            raise BadInput(f"{name!r} needs a function.", remedy="Give a function: lambda: solver.ask().")
         return self._record.decide(self._take("decide", name, key), name, function)
 
     def compute(
@@ -397,7 +397,7 @@ def _read_contents(files: Iterable[str | Path] | Mapping[str, bytes]) -> Iterato
             yield path.name, path.read_bytes()
         except OSError as error:
             why = error.strerror or error
-            raise BadInput(f"{path} cannot be read: {why}.", remedy="Name a file that is there.") from None
+            raise BadInput(f"{path} cannot be read: {why}.", remedy="Name an existing file.") from None
 
 
 def _on_one_line(why: str) -> str:

@@ -42,7 +42,7 @@ def workflow_text(
     if len(raw) > MAX_BYTES:
         raise BadInput(
             f"The workflow {str(workflow)!r} is larger than {MAX_BYTES // 1024 // 1024} MB.",
-            remedy="Keep data in files of their own and name them in arguments.",
+            remedy="Keep data in separate files and name them in arguments.",
         )
     return {"text": text, "name": str(path), "files": _encode(_read_files_beside(path, text, payload or {}))}
 

@@ -38,12 +38,12 @@ class Flow:
         names = [step.name for step in self.steps]
         if not names or len(set(names)) < len(names) or "input" in names:
             raise BadInput(
-                f"The flow {name!r} has no steps, two of one name, or one that is called input.",
-                remedy="Give it steps, each with a name of its own.",
+                f"The flow {name!r} has no steps, two steps with the same name, or a step called `input`.",
+                remedy="Give it steps with different names.",
             )
         if untried := [step.name for step in self.steps if step.attempts < 1]:
             raise BadInput(
-                f"The step {untried[0]!r} of the flow {name!r} is never tried.",
+                f"The step {untried[0]!r} of the flow {name!r} has no attempts.",
                 remedy="Give `attempts` of 1 or more.",
             )
 

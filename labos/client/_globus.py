@@ -75,14 +75,14 @@ def transfer(
 
     if not (is_globus(source) and is_globus(target)):
         raise BadInput(
-            "Globus carries files from a collection to a collection.",
+            "Globus transfers files between two collections.",
             remedy="Name both places as globus://<collection>/<path>, or transfer to a folder of a "
             "collection first, and from there.",
         )
     if carrier is None:
         raise BadInput(
-            "It is not said how the program is let in at Globus Transfer.",
-            remedy="Give configure_transfer(globus=labos.services.globus.GlobusCarrier(…)) before.",
+            "The program has no credentials for Globus Transfer.",
+            remedy="Give configure_transfer(globus=labos.services.globus.GlobusCarrier(…)) first.",
         )
     request = {"source": str(source), "target": str(target)}
     known = record.find_note(key)
@@ -101,7 +101,7 @@ def transfer(
         except GlobusFailed as error:
             raise TransferFailed(
                 f"{request['source']} was not transferred to {request['target']}: {error}",
-                remedy="It is in the log; transfer it again.",
+                remedy="The failure is in the log; transfer it again.",
             ) from error
         facts = {
             **request,

@@ -62,8 +62,8 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         name = str(file.get("sha256", "") if isinstance(file, Mapping) else file)
         if not _SHA256.fullmatch(name):
             raise BadInput(
-                f"{name[:80]!r} names no file.",
-                remedy="Give what stands in a result, or 64 hexadecimal digits.",
+                f"{name[:80]!r} is not a file.",
+                remedy="Give the value from a result, or 64 hexadecimal digits.",
             )
         part = bool(first) or last is not None
         headers = {"range": f"bytes={first}-{'' if last is None else last}"} if part else {}
@@ -86,7 +86,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
             image = Image.open(io.BytesIO(content))
             image.load()
         except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
-            raise BadInput(f"{_show_file(file)} is no picture ({error}).", remedy="Use file(…).") from None
+            raise BadInput(f"{_show_file(file)} is not a picture ({error}).", remedy="Use file(…).") from None
         return image
 
     def table(self, file: str | Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -96,7 +96,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         try:
             return rows_of(self.file(file).decode("utf-8-sig"))
         except (UnicodeDecodeError, ValueError) as error:
-            raise BadInput(f"{_show_file(file)} is no table ({error}).", remedy="Use file(…).") from None
+            raise BadInput(f"{_show_file(file)} is not a table ({error}).", remedy="Use file(…).") from None
 
     def events(
         self, after: int = 0, *, follow: bool = False, wait_s: float | None = None, **filters: Any

@@ -69,7 +69,7 @@ class ExperimentRecord:
         if not self.past.status:
             raise NotFound(
                 f"There is no experiment {experiment!r}.",
-                remedy="See which there are: labos experiments --all",
+                remedy="List them: labos experiments --all",
             )
         return self.past
 

@@ -43,10 +43,10 @@ class ReplayMismatch(LabosError):
 
     def __init__(self, experiment: str, key: str, recorded: Any, now: Any) -> None:
         super().__init__(
-            f"{experiment} has another {key!r} in the log than the program asks for now. "
-            f"In the log: {_shorten(recorded)}. Now: {_shorten(now)}.",
-            remedy="Ask for clocks, files and chance by experiment.decide or experiment.random, so that they "
-            "are the same again; give calls that change places a key of their own.",
+            f"{experiment} has a different {key!r} in the log. In the log: {_shorten(recorded)}. Now: "
+            f"{_shorten(now)}.",
+            remedy="Use experiment.decide or experiment.random for times, files and random numbers, so that "
+            "a repetition gets the same values; give calls whose order can change their own keys.",
         )
         self.experiment, self.key, self.recorded, self.now = experiment, key, recorded, now
 
@@ -151,7 +151,7 @@ def as_json(value: Any) -> Any:
     except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
         raise BadInput(
             f"A {type(value).__name__} cannot be written into the log: {error}.",
-            remedy="Give numbers that are finite, texts, lists and tables of them.",
+            remedy="Give finite numbers, texts, and lists and tables of these.",
         ) from None
 
 

@@ -70,7 +70,7 @@ class RunResult(msgspec.Struct, frozen=True, dict=True):
         """The values that it measured, well by well, each with the sample that was in its well."""
         lab: LabClient | None = vars(self).get("_lab")
         if lab is None:
-            raise BadInput("This run was not read from a lab.", remedy="Use LabClient.readings(run).")
+            raise BadInput("This run did not come from a lab.", remedy="Use LabClient.readings(run).")
         return lab.readings(self.id)
 
     def to_frame(self) -> pandas.DataFrame:

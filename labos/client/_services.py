@@ -35,7 +35,10 @@ class Computations:
         from labos.errors import BadInput
 
         if self._computing is not None:
-            raise BadInput("Computations have begun.", remedy="Say where to compute before the first one.")
+            raise BadInput(
+                "Computations have already started.",
+                remedy="Configure the place before the first computation.",
+            )
         self._places, self._attempts = dict(places), attempts
 
     def submit(

@@ -80,7 +80,7 @@ def _private_text(file: Path) -> str:
             mode = os.fstat(opened.fileno()).st_mode
             if os.name != "nt" and stat.S_IMODE(mode) & 0o077:
                 raise BadInput(
-                    f"Others than its owner can read the file {file}, which holds a token.",
+                    f"Other users can read the file {file}, which contains a token.",
                     remedy=f"Run: chmod 600 {file}. If others use this computer, revoke the token too.",
                 )
             return opened.read(100_000)

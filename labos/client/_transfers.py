@@ -103,12 +103,12 @@ def _copy(record: ExperimentRecord, source: Place, target: str) -> tuple[str, in
         raise TransferFailed(
             f"{show_place(source)} was not transferred to {show_place(target)}: "
             f"{type(error).__name__}: {error}.",
-            remedy="Nothing is in the log; transfer it again.",
+            remedy="The transfer is not in the log; transfer it again.",
         ) from error
     if arrived != digest:
         raise TransferFailed(
-            f"{show_place(target)} is not what {show_place(source)} is: "
-            f"its SHA-256 is {arrived}, not {digest}.",
+            f"{show_place(target)} differs from {show_place(source)}: its SHA-256 is {arrived}, not "
+            f"{digest}.",
             remedy="Transfer it again.",
         )
     return digest, size

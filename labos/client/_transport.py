@@ -134,9 +134,10 @@ class Transport(Calls):
             except httpx.TransportError as error:
                 if not repeat:
                     raise LabUnreachable(
-                        f"The lab broke off while it was asked ({type(error).__name__}); whether it was done "
-                        "is not known.",
-                        remedy="Look with `labos log`.",
+                        "The connection to the lab broke during the request "
+                        f"({type(error).__name__}); it is not known whether the request was carried "
+                        "out.",
+                        remedy="Check with `labos log`.",
                     ) from error
                 why = error
                 # The lab answered until now, as in a long request: the time without an answer begins here.

@@ -175,7 +175,7 @@ class Events:
 
     def _innermost(self) -> str:
         if not self._loops:
-            raise BadInput("No loop was begun.", remedy="Call log_loop_start first.")
+            raise BadInput("No loop was started.", remedy="Call log_loop_start first.")
         return self._loops[-1]
 
 

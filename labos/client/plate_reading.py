@@ -62,7 +62,7 @@ def read_plate(content: bytes, wells: Sequence[str]) -> Reading:
     except cv.error:
         picture = None
     if picture is None:
-        raise BadPicture("no picture", "The file holds no picture.")
+        raise BadPicture("no picture", "The file contains no picture.")
     plate = straighten_picture(picture)
     if _is_saturated(plate):
         raise BadPicture(
@@ -84,7 +84,7 @@ def straighten_picture(picture: Any) -> Any:
     if len(found) < FEWEST_MARKERS:
         raise BadPicture(
             "markers hidden",
-            f"Only {len(found)} of {len(MARKERS_MM)} markers are seen: something lies over the others.",
+            f"Only {len(found)} of {len(MARKERS_MM)} markers are visible: something covers the others.",
         )
     half = MARKER_MM / 2
     square = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
@@ -92,7 +92,7 @@ def straighten_picture(picture: Any) -> Any:
     real = np.vstack([np.array(MARKERS_MM[number]) + square for number in found]) * PX_PER_MM
     mapping, _ = cv.findHomography(seen, real, cv.RANSAC, 4.0)
     if mapping is None:
-        raise BadPicture("markers hidden", "The markers do not lie as they should.")
+        raise BadPicture("markers hidden", "The markers are not at their expected positions.")
     return cv.warpPerspective(picture, mapping, tuple(round(side * PX_PER_MM) for side in PLATE_MM))
 
 
@@ -124,9 +124,9 @@ def _measure_offsets(plate: Any) -> np.ndarray:
     off = np.median(away, axis=0) if len(away) else np.full(2, np.inf)
     with_it = np.hypot(*(away - off).T) < 0.6 if len(away) else np.zeros(0, bool)
     if with_it.sum() < FEWEST_WELLS:
-        raise BadPicture("plate not found", f"Only {with_it.sum()} wells are where a plate's should be.")
+        raise BadPicture("plate not found", f"Only {with_it.sum()} wells are at their expected positions.")
     if np.hypot(*off) > OFF_MM:
-        raise BadPicture("plate not found", f"The plate lies {np.hypot(*off):.1f} mm beside its nest.")
+        raise BadPicture("plate not found", f"The plate lies {np.hypot(*off):.1f} mm away from its nest.")
     return np.asarray(off)
 
 

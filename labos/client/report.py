@@ -6,7 +6,8 @@ folder, and a line with the place of the data.
     def prepare(given):
         return lambda lab: [measure(lab, given.user, resume=given.resume)]
 
-    sys.exit(run_program("my application", parser_for("Measure something.", user="ada", out="mine"), prepare))
+    parser = make_parser("Measure something.", user="ada", out="mine")
+    sys.exit(run_program("my application", parser, prepare))
 
 An application passes ``given.resume`` to its experiment, which continues where it was.
 """
@@ -79,12 +80,12 @@ def write_report(
     return ReportPage(page, f"The data: {where}; {page}")
 
 
-def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentParser:
+def make_parser(description: str, *, user: str, out: str) -> argparse.ArgumentParser:
     """The options of every application; ``out`` is the default folder for its report."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--home", help="the lab's folder")
     parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
-    parser.add_argument("--user", default=user, help=f"whose experiment it is ({user})")
+    parser.add_argument("--user", default=user, help=f"the user of the experiment ({user})")
     parser.add_argument(
         "--resume",
         default="",
@@ -92,7 +93,9 @@ def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentPar
         help="continue where the program was killed: the experiment (labos experiments)",
     )
     parser.add_argument("--out", type=Path, help=f"a folder for the report ({out})")
-    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
+    parser.add_argument(
+        "--patience", type=float, default=30.0, help="the longest time without an answer of the lab (s)"
+    )
     return parser
 
 
@@ -109,7 +112,7 @@ def read_payload(path: Path, kind: type, needs: Mapping[str, str] = {}) -> dict[
         if not isinstance(given, dict) or name not in given:
             raise BadInput(f"{path} names no `{name}`.", remedy=remedy)
     if not isinstance(given, dict):
-        raise BadInput(f"{path} is no table.", remedy=known)
+        raise BadInput(f"{path} is not a table.", remedy=known)
     if unknown := sorted(str(name) for name in given if name not in names):
         raise BadInput(f"{path}: {unknown[0]!r} is unknown.", remedy=known)
     return given

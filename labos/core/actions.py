@@ -221,11 +221,11 @@ def explain_disbelief(action: Action, module: str, journal: str, attempt: int) -
     module that got the request. It has to name the journal for which the request was meant, and the attempt
     that was sent last. Otherwise the kernel has to ask the node first."""
     if module != action.module:
-        return f"{action.module} was asked, not {module}"
+        return f"{action.module} has this action, not {module}"
     if journal != action.journal:
-        return f"the request was meant for journal {action.journal}, not for {journal}"
+        return f"the request was for journal {action.journal}, not for {journal}"
     if attempt != action.attempt:
-        return f"attempt {action.attempt} was sent last, this is about attempt {attempt}"
+        return f"the last attempt sent is {action.attempt}, not {attempt}"
     return ""
 
 

@@ -32,7 +32,7 @@ def count_argument(text: str, values: Mapping[str, Any]) -> float:
     found = _IN_ARGUMENT.fullmatch(text)
     if not found:
         raise SpecError(
-            f"{text!r} is no amount.", remedy="Write a number, or a place-holder as {wells.count}."
+            f"{text!r} is not an amount.", remedy="Write a number, or a place-holder as {wells.count}."
         )
     if found["arg"] not in values:
         raise SpecError(
@@ -43,7 +43,9 @@ def count_argument(text: str, values: Mapping[str, Any]) -> float:
         return check_amount(value, f"The argument {found['arg']!r}")
     items = value or []
     if not isinstance(items, list | tuple):
-        raise SpecError(f"The argument {found['arg']!r} is no list.", remedy="Write one value a well.")
+        raise SpecError(
+            f"The argument {found['arg']!r} is not a list.", remedy="Write one value for each well."
+        )
     if found["how"] == "count":
         return float(len(items))
     numbers = [check_amount(item, f"A value of {found['arg']!r}") for item in items]
@@ -53,9 +55,9 @@ def count_argument(text: str, values: Mapping[str, Any]) -> float:
 def check_amount(value: Any, what: str) -> float:
     """The value as an amount. Raises SpecError."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SpecError(f"{what} is no number: it decides an amount.", remedy="Write a number.")
+        raise SpecError(f"{what} is not a number, but an amount depends on it.", remedy="Write a number.")
     if not 0 <= value < math.inf:
-        raise SpecError(f"{what} is {value}: less than nothing is no amount.", remedy="Write 0 or more.")
+        raise SpecError(f"{what} is {value}, but an amount cannot be negative.", remedy="Write 0 or more.")
     return float(value)
 
 
@@ -71,7 +73,7 @@ def find_duration_s(
     if found is None:
         if action.duration_from:
             raise SpecError(
-                f"{action.duration_from!r} is no duration.",
+                f"{action.duration_from!r} is not a duration.",
                 remedy="Write a place-holder as {seconds}, or 20 + {seconds}.",
             )
         return action.duration_s

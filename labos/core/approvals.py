@@ -28,7 +28,7 @@ from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.open_experiments import Experiments
 from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event, event, list_handlers
-from labos.core.runs import RunEnd, RunEvent, Runs, let_wait_anew
+from labos.core.runs import RunEnd, RunEvent, Runs, requeue
 from labos.core.structs import make_from
 from labos.core.words import Words
 
@@ -231,14 +231,14 @@ HANDLERS = list_handlers(globals(), Approvals)
 
 def fold_run_approved(runs: Runs, event: RunApproved, at: int) -> None:
     run = runs.queued[event.run]
-    with let_wait_anew(runs, run):
+    with requeue(runs, run):
         run.unapproved = False
 
 
 def fold_approval_requested_into_runs(runs: Runs, event: ApprovalRequested, at: int) -> None:
     if event.kind == "run":
         run = runs.queued[RunId(event.subject)]
-        with let_wait_anew(runs, run):
+        with requeue(runs, run):
             run.held = True
 
 
@@ -246,7 +246,7 @@ def fold_approval_given_into_runs(runs: Runs, event: ApprovalGiven, at: int) -> 
     if event.kind != "run":
         return
     run = runs.queued[RunId(event.subject)]
-    with let_wait_anew(runs, run):
+    with requeue(runs, run):
         run.held = False
         run.priority = run.priority if event.priority is None else event.priority
 

@@ -56,7 +56,7 @@ MOST_LOST = 100_000
 """If the log has lost its end, at most this number of pieces of labware got their ids in the lost part."""
 
 
-class Station(msgspec.Struct):
+class StationState(msgspec.Struct):
     """``labware`` lists the pieces with ids, bottom to top. ``stock`` lists the types of nameless items below
     them, bottom to top, and ``lots`` their lots (empty: not known). ``expected`` counts arrivals under way,
     and ``taking`` the items that actions in flight take off the stack. ``level`` counts the pieces in a
@@ -111,15 +111,15 @@ class Labware(msgspec.Struct):
 
 
 class Bench(msgspec.Struct):
-    """``haunted`` counts uncertain labware by the stations where it may be. ``by_module``, ``by_owner`` and
-    ``watched`` (stations with an observer) are indexes. ``searched`` are places where a person was asked to
-    look for an item from a stack. ``named`` counts the labware ids given out. ``barcodes`` finds labware on
-    the bench by its barcode. ``shelves`` are the shelves of each hotel, lowest first. ``in_cell`` are the
+    """``uncertain_at`` counts uncertain labware by the stations where it may be. ``by_module``, ``by_owner``
+    and ``watched`` (stations with an observer) are indexes. ``searched`` are places where a person was asked
+    to look for an item from a stack. ``named`` counts the labware ids given out. ``barcodes`` finds labware
+    on the bench by its barcode. ``shelves`` are the shelves of each hotel, lowest first. ``in_cell`` are the
     stations of each workcell. ``lost`` is the labware with an unknown place."""
 
-    stations: dict[StationName, Station] = {}
+    stations: dict[StationName, StationState] = {}
     labware: dict[LabwareId, Labware] = {}
-    haunted: dict[StationName, int] = {}
+    uncertain_at: dict[StationName, int] = {}
     by_module: dict[ModuleName, list[StationName]] = {}
     by_owner: dict[Owner, dict[LabwareId, bool]] = {}
     reserved: dict[ActionId, tuple[AnyEffect, ...]] = {}
@@ -205,7 +205,7 @@ def fold_stations_applied(bench: Bench, event: StationsApplied, at: int) -> None
     for spec in event.stations:
         known = bench.stations.get(spec.name)
         if known is None:
-            bench.stations[spec.name] = Station(spec=spec)
+            bench.stations[spec.name] = StationState(spec=spec)
             bench.in_cell.setdefault(workcell_of(spec.name), {})[spec.name] = True
         else:
             if known.spec.module != spec.module and spec.name in bench.by_module.get(known.spec.module, []):
@@ -462,7 +462,7 @@ def _lift(bench: Bench, labware: Labware) -> None:
     bench.lost.pop(labware.id, None)
 
 
-def _list_rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
+def _list_rooms(bench: Bench, place: StationName) -> tuple[StationState, ...]:
     """A station, and its hotel if it is a shelf."""
     station = bench.stations[place]
     return (station, bench.stations[station.spec.hotel]) if station.spec.hotel else (station,)
@@ -477,7 +477,7 @@ def _set_known(bench: Bench, place: StationName) -> None:
         bench.stations[hotel].known = all(bench.stations[shelf].known for shelf in bench.shelves[hotel])
 
 
-def _take_away(bench: Bench, name: StationName) -> Station | None:
+def _take_away(bench: Bench, name: StationName) -> StationState | None:
     """Take labware away from its station, and return the station."""
     station = bench.stations.pop(name, None)
     bench.in_cell.get(workcell_of(name), {}).pop(name, None)
@@ -490,14 +490,14 @@ def _take_away(bench: Bench, name: StationName) -> Station | None:
 
 def _count_possible(bench: Bench, places: tuple[StationName, ...]) -> None:
     for place in places:
-        bench.haunted[place] = bench.haunted.get(place, 0) + 1
+        bench.uncertain_at[place] = bench.uncertain_at.get(place, 0) + 1
 
 
 def _clear(bench: Bench, places: tuple[StationName, ...]) -> None:
     for place in places:
-        bench.haunted[place] -= 1
-        if not bench.haunted[place]:
-            del bench.haunted[place]
+        bench.uncertain_at[place] -= 1
+        if not bench.uncertain_at[place]:
+            del bench.uncertain_at[place]
 
 
 def _parse_number(name: LabwareId) -> int:

@@ -41,7 +41,7 @@ from labos.core.state import LabState
 from labos.core.waits import (
     Wait,
     describe_occupants,
-    list_keys_until_left_alone,
+    list_keys_until_free,
     list_party,
     module_key,
     station_key,
@@ -106,14 +106,14 @@ class StartCheck:
         key = (station_key(stack),)
         if station.labware:
             return Wait(reasons.Buried(stack, station.labware[-1]), key)
-        if stack in self.state.bench.haunted:
+        if stack in self.state.bench.uncertain_at:
             return Wait(reasons.Uncertain(stack), key)
         left = len(station.stock) - count_taking(self.state.bench, stack)
         if left <= 0:
             return Wait(reasons.StackEmpty(stack), key)
         alike = {*zip(station.stock[left - 1 :], station.lots[left - 1 :], strict=True)}
         if station.expected or len(alike) > 1:
-            return Wait(reasons.ReachedInto(stack), list_keys_until_left_alone(self.state, stack))
+            return Wait(reasons.ReachedInto(stack), list_keys_until_free(self.state, stack))
         return None
 
     def check_stands(self, what: Carrying, place: StationName) -> Wait | None:
@@ -204,7 +204,7 @@ class StartCheck:
             together = number > 1 and station.count + number > station.spec.capacity
             if together or place in bench.shelves:  # no shelf was left for this one
                 names = (place, f"{number} arrivals at once")
-                return Wait(reasons.Occupied(*names), list_keys_until_left_alone(self.state, place))
+                return Wait(reasons.Occupied(*names), list_keys_until_free(self.state, place))
         for stack, number in Counter(effect.stock for effect in list_carried(self.bound)).items():
             if stack and number > len(bench.stations[stack].stock) - count_taking(bench, stack):
                 return Wait(reasons.StackEmpty(stack), (station_key(stack),))
@@ -265,13 +265,13 @@ def check_hand(state: LabState, step: PlanStep, source: StationName) -> Wait | N
     """An arm that holds labware, or may still hold lost labware, carries nothing else: it may only put down
     the labware that it holds."""
     hand = name_hand(step.module)
-    if hand in state.bench.haunted:
+    if hand in state.bench.uncertain_at:
         return Wait(reasons.Uncertain(hand), (station_key(hand),))
     station = state.bench.stations.get(hand)
     if station is not None and station.count and source != hand:
         return Wait(
             reasons.HandFull(step.module, describe_occupants(state, station)),
-            list_keys_until_left_alone(state, hand),
+            list_keys_until_free(state, hand),
         )
     return None
 
@@ -346,7 +346,7 @@ def explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
     if station is not None and station.labware:
         labware = state.bench.labware[station.labware[-1]]
         if labware.moving:
-            return Wait(reasons.InMotion(labware.id, place), list_keys_until_left_alone(state, place))
+            return Wait(reasons.InMotion(labware.id, place), list_keys_until_free(state, place))
         if labware.lender in list_party(run):
             return Wait(reasons.InUse(labware.id, place, labware.owner), key)
         return Wait(reasons.NotYours(labware.id, place, labware.owner or "nobody"), key)
@@ -404,11 +404,11 @@ def check_stack_alone(state: LabState, place: StationName) -> Wait | None:
     on top. Several hands may take nameless items of one kind."""
     station = state.bench.stations[place]
     # Another question about this station is open.
-    if station.spec.kind != "stack" or place in state.bench.haunted:
+    if station.spec.kind != "stack" or place in state.bench.uncertain_at:
         return None
     moving = any(state.bench.labware[name].moving for name in station.labware)
     if station.expected or moving or count_taking(state.bench, place):
-        return Wait(reasons.ReachedInto(place), list_keys_until_left_alone(state, place))
+        return Wait(reasons.ReachedInto(place), list_keys_until_free(state, place))
     return None
 
 
@@ -427,7 +427,7 @@ def check_room(state: LabState, place: StationName) -> Wait | None:
     key = (station_key(place),)
     if place in state.bench.shelves:
         return _check_room_on_shelves(state, place)
-    if place in state.bench.haunted:
+    if place in state.bench.uncertain_at:
         return Wait(reasons.Uncertain(place), key)
     if not station.known and not station.labware and station.spec.kind != "waste":
         return Wait(reasons.Undeclared(place), key)
@@ -436,7 +436,7 @@ def check_room(state: LabState, place: StationName) -> Wait | None:
             return Wait(reasons.WasteFull(place), key)
         return Wait(
             reasons.Occupied(place, describe_occupants(state, station)),
-            list_keys_until_left_alone(state, place),
+            list_keys_until_free(state, place),
         )
     return None
 
@@ -448,6 +448,6 @@ def _check_room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
         return None
     if is_taken(bench, hotel):
         names = (hotel, describe_occupants(state, bench.stations[hotel]))
-        return Wait(reasons.Occupied(*names), list_keys_until_left_alone(state, hotel))
+        return Wait(reasons.Occupied(*names), list_keys_until_free(state, hotel))
     why = reasons.Uncertain(hotel) if is_in_doubt(bench, hotel) else reasons.Undeclared(hotel)
     return Wait(why, (station_key(hotel),))

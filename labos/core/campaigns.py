@@ -285,7 +285,7 @@ def explain_stop(campaign: Campaign) -> str:
     if campaign.met_by and terms.until is not None:
         return f"Its stop rule holds for {campaign.met_by}: {terms.until.text}."
     if terms.stop_after and failed >= terms.stop_after:
-        return f"{failed} of its rows failed, and {terms.stop_after} may."
+        return f"{failed} of its rows failed; at most {terms.stop_after} may fail."
     return ""
 
 
@@ -364,7 +364,7 @@ def fold_run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> No
         return
     if event.row != campaign.next_row:
         raise ValueError(
-            f"row {event.row} of {campaign.id} is submitted where row {campaign.next_row} is next"
+            f"row {event.row} of {campaign.id} was submitted, but the next row is {campaign.next_row}"
         )
     campaign.next_row += 1
     campaign.runs[event.run] = False

@@ -100,7 +100,9 @@ def _measure_depth(data: bytes) -> int:
 
 
 def _make_depth_error() -> ValueError:
-    return ValueError(f"More than {DEEPEST} lists and objects stand in one another; that cannot be recorded.")
+    return ValueError(
+        f"Lists and objects are nested more than {DEEPEST} levels deep; that cannot be recorded."
+    )
 
 
 def digest(data: bytes) -> str:

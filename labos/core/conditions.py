@@ -22,7 +22,7 @@ def make_condition(text: str, tree: Tree) -> Condition:
     except ValueError as error:
         shown = text if len(text) <= 80 else f"{text[:79]}…"
         raise ExpressionError(
-            f"The expression {shown!r} cannot be kept: {error}", remedy="Write it with fewer brackets."
+            f"The expression {shown!r} cannot be stored:  {error}", remedy="Write it with fewer brackets."
         ) from None
 
 

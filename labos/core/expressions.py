@@ -134,7 +134,7 @@ class _Reader:
 
     def end(self) -> None:
         if self.kind:
-            raise self.make_error(f"{self.token!r} stands where it should end")
+            raise self.make_error(f"{self.token!r} is where the expression should end")
 
     def _deepen(self, depth: int) -> int:
         if depth >= DEEPEST:
@@ -200,7 +200,7 @@ class _Reader:
             self._advance()
             return self._read_word(token, depth)
         raise self.make_error(
-            f"{token!r} stands where a value should" if token else "it ends where a value should stand"
+            f"{token!r} is where a value should be" if token else "it ends where a value should be"
         )
 
     def _read_number(self, token: str) -> int | float:
@@ -229,7 +229,7 @@ class _Reader:
             return ("call", word, self._read_parts(")", depth))
         if word not in ROOTS:
             raise self.make_error(
-                f"{word!r} is no name; names begin with {', '.join(ROOTS)}; texts stand in quotes"
+                f"{word!r} is not a name; names begin with {', '.join(ROOTS)}; texts need quotes"
             )
         return ("name", (word, *self._read_fields()))
 
@@ -257,7 +257,7 @@ def evaluate(tree: Tree, tables: Mapping[str, Any]) -> Any:
     try:
         return _evaluate_tree(tree, tables)
     except (OverflowError, RecursionError, ValueError):
-        raise ExpressionError("The expression leads to a number that is too large.") from None
+        raise ExpressionError("The result of the expression is too large.") from None
 
 
 def _evaluate_tree(tree: Tree, tables: Mapping[str, Any]) -> Any:
@@ -325,7 +325,10 @@ def _compare(sign: str, left: Any, right: Any) -> bool:
         elif isinstance(right, Mapping):
             found = isinstance(left, str) and left in right
         else:
-            raise ExpressionError(f"Nothing can be in {_show(right)}.", remedy="Name a list or a text.")
+            raise ExpressionError(
+                f"{_show(right)} is neither a list nor a text, so `in` is not possible.",
+                remedy="Name a list or a text.",
+            )
         return found == (sign == "in")
     if isinstance(left, str) and isinstance(right, str):
         return _ORDER[sign](left, right)
@@ -374,7 +377,7 @@ def _expect_number(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         return value
     raise ExpressionError(
-        f"{_show(value)} is no number.", remedy="Correct the name, or quote a text on both sides."
+        f"{_show(value)} is not a number.", remedy="Correct the name, or quote a text on both sides."
     )
 
 

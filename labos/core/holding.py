@@ -48,7 +48,7 @@ def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner,
                 owner = bench.labware[labware].owner
                 if owner not in allowed:
                     return owner or "nobody"
-            for lost in map(bench.labware.__getitem__, bench.lost) if station in bench.haunted else ():
+            for lost in map(bench.labware.__getitem__, bench.lost) if station in bench.uncertain_at else ():
                 if station in lost.maybe and lost.owner not in allowed:
                     return lost.owner or "nobody"
             for action in state.actions.list_in_cell(workcell_of(name)) if place.expected else ():

@@ -38,7 +38,8 @@ def user_owner(user: str) -> Owner:
 
 
 def split_owner(owner: str) -> tuple[str, str]:
-    """The kind of an owner (``run``, ``experiment``, ``user``, ``shared``, or empty), and its id or name."""
+    """The kind of an owner (``run``, ``experiment``, ``user``, ``shared``, or empty) or of the subject of a
+    role (``user``, ``group``), and its id or name."""
     kind, _, name = owner.partition(":")
     return kind, name
 

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import Action, ActionDiscovered, ActionRequested
-from labos.core.bench import Labware, Station
+from labos.core.bench import Labware, StationState
 from labos.core.campaigns import Campaign
 from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import ActionId, CampaignId, LabwareId, ModuleName, RunId, StationName, workcell_of
@@ -87,7 +87,7 @@ def _find_subjects(kind: type[Event]) -> list[tuple[str, str]]:
     return [(name, _KINDS[name]) for name in names if name in _KINDS]
 
 
-def _check_stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
+def _check_stations(state: LabState, stations: Mapping[StationName, StationState]) -> str:
     for name, station in stations.items():
         if station.expected < 0:
             return f"{name} expects {station.expected} arrivals"
@@ -102,7 +102,7 @@ def _check_stations(state: LabState, stations: Mapping[StationName, Station]) ->
     return ""
 
 
-def _count_seen_on_the_way(state: LabState, name: StationName, station: Station) -> int:
+def _count_seen_on_the_way(state: LabState, name: StationName, station: StationState) -> int:
     """The number of pieces that were seen here although the outcome of their motion is unknown, and that are
     expected here too: such a piece counts once."""
     moving = [state.bench.labware[item].moving for item in station.labware if item in state.bench.labware]

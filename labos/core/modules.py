@@ -227,16 +227,16 @@ class ModuleStatus(StrEnum):
 
 class Module(msgspec.Struct):
     """An instrument or manipulator. ``status`` is the last reported one. ``stopped_at`` is the time of its
-    last emergency stop (UTC ns). ``reached`` are the stations of its last exclusive action (the module
-    itself, if it has a zone of its own), until it is known to have come back from there. ``doubted`` is true
-    after a failure, a stop or an unknown outcome, until an observer has confirmed a motion (the action
-    ``watched``). ``failures`` are the last ones since it was put back into service. ``joined``: its node has
-    joined since the kernel started. ``person``: it represents a person who does planned work. ``gone_at`` is
-    the time since which its node is GONE (UTC ns). ``cut_off``: the node went away during an action, so the
-    position of the device is unknown. ``error_at`` is the time since which it reports ERROR (UTC ns).
-    ``asked``: a person was asked about an action that stands still because of this. ``calibrations`` are the
-    last ones, by what was calibrated. ``set_up_for`` is the value for which it is set up, or being set up, if
-    its set-ups take time; None if the value is unknown."""
+    last emergency stop (UTC ns); ``stopped`` is true from then until the module is idle. ``reached`` are the
+    stations of its last exclusive action (the module itself, if it has a zone of its own), until it is known
+    to have come back from there. ``doubted`` is true after a failure, a stop or an unknown outcome, until an
+    observer has confirmed a motion (the action ``watched``). ``failures`` are the last ones since it was put
+    back into service. ``joined``: its node has joined since the kernel started. ``person``: it represents a
+    person who does planned work. ``gone_at`` is the time since which its node is GONE (UTC ns). ``cut_off``:
+    the node went away during an action, so the position of the device is unknown. ``error_at`` is the time
+    since which it reports ERROR (UTC ns). ``asked``: a person was asked about an action that stands still
+    because of this. ``calibrations`` are the last ones, by what was calibrated. ``set_up_for`` is the value
+    for which it is set up, or being set up, if its set-ups take time; None if the value is unknown."""
 
     spec: ModuleSpec
     status: ModuleStatus = ModuleStatus.GONE
@@ -249,6 +249,7 @@ class Module(msgspec.Struct):
     simulated: bool = False
     out_of_service: str = ""
     stopped_at: int = 0
+    stopped: bool = False
     variables: dict[str, Variable] = {}
     in_flight: dict[ActionId, Flight] = {}
     setpoints: dict[str, Setpoint] = {}
@@ -384,8 +385,10 @@ def fold_node_state_changed(modules: Modules, event: NodeStateChanged, at: int) 
 
 
 def _come_back(module: Module) -> None:
-    if module.status == ModuleStatus.IDLE and not module.busy:
-        module.reached = ()
+    if module.status == ModuleStatus.IDLE:
+        module.stopped = False
+        if not module.busy:
+            module.reached = ()
 
 
 def fold_variable_set(modules: Modules, event: VariableSet, at: int) -> None:
@@ -420,7 +423,7 @@ def fold_module_put_back(modules: Modules, event: ModulePutBack, at: int) -> Non
 
 def fold_emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> None:
     module = modules.by_name[event.module]
-    module.stopped_at = event.stopped_at
+    module.stopped_at, module.stopped = event.stopped_at, True
     module.doubted = True
     if module.status != ModuleStatus.GONE:
         module.status, module.error = ModuleStatus.ERROR, describe_stop(event.by)

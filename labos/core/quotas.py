@@ -24,7 +24,7 @@ def explain_full_queue(state: LabState, user: str, ahead: int = 0) -> str:
     for whose, quota, had in state.shares.list_limits(user):
         waiting = had.queued + ahead
         if quota.queued and waiting >= quota.queued:
-            return f"{waiting} runs of {whose} wait already, and {quota.queued} may."
+            return f"{waiting} runs of {whose} already wait; at most {quota.queued} may wait."
     return ""
 
 

@@ -41,7 +41,7 @@ def find_zone(name: str) -> tzinfo:
     try:
         return ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise ValueError(f"{name!r} is no time zone") from None
+        raise ValueError(f"{name!r} is not a time zone") from None
 
 
 def zone_or_utc(name: str) -> tzinfo:
@@ -65,7 +65,7 @@ def find_rule_fault(rule: str, zone: str, first: int) -> str:
     parts = _split_rule(rule)
     for part in parts:
         if part not in PARTS:
-            return f"A rule says {', '.join(PARTS)}, and not {part!r}."
+            return f"A rule may contain {', '.join(PARTS)}, not {part!r}."
     if parts.get("FREQ") not in FREQUENCIES:
         return f"A rule begins with FREQ= and one of {', '.join(FREQUENCIES)}."
     if "BYSETPOS" in parts and (
@@ -83,7 +83,7 @@ def find_rule_fault(rule: str, zone: str, first: int) -> str:
         # A rule that never matches would be searched until the year 9999.
         begins = next(iter(found), None) if _may_be_on(parts, local) else None
     except (ValueError, TypeError, OverflowError) as error:
-        return f"{rule!r} is no rule of iCalendar ({str(error).rstrip('.')})."
+        return f"{rule!r} is not a rule of iCalendar ({str(error).rstrip('.')})."
     return "" if begins == local else "The first time does not follow the rule."
 
 

@@ -98,9 +98,7 @@ def encode(value: Event) -> bytes:
 def _encode(value: Event) -> bytes:
     payload = encode_canonical(value)
     if "\0" in value.stream():
-        raise ValueError(
-            f"an event {value.TYPE} is about a name with a NUL character, which no name may have"
-        )
+        raise ValueError(f"an event {value.TYPE} contains a name with a NUL character, which is not allowed")
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(
             f"an event {value.TYPE} of {len(payload)} bytes exceeds {MAX_PAYLOAD_BYTES}; "

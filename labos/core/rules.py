@@ -12,7 +12,7 @@ from math import inf
 
 from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
-from labos.core.bench import Station
+from labos.core.bench import StationState
 from labos.core.binding import bind, check_module, find_unreserved
 from labos.core.booked import check_not_booked
 from labos.core.effects import AnyEffect, list_places
@@ -27,7 +27,7 @@ from labos.core.resources import sum_by_supply
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_anchor
 from labos.core.state import LabState
 from labos.core.together import check_left_out
-from labos.core.waits import Wait, access_key, list_keys_until_left_alone, module_key, run_key, zone_key
+from labos.core.waits import Wait, access_key, list_keys_until_free, module_key, run_key, zone_key
 from labos.core.watching import find_unwatched
 from labos.core.zones import find_other_at_work, find_stopped_module, find_zones
 
@@ -244,7 +244,7 @@ def check_module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | 
     for name in state.bench.by_module.get(step.module, ()):
         station = state.bench.stations[name]
         if not station.spec.stands_apart and (station.expected or _is_in_motion(state, station)):
-            return Wait(reasons.ReachedInto(name), list_keys_until_left_alone(state, name))
+            return Wait(reasons.ReachedInto(name), list_keys_until_free(state, name))
     return None
 
 
@@ -261,7 +261,7 @@ def check_zones_free(state: LabState, step: PlanStep) -> Wait | None:
     return None
 
 
-def _is_in_motion(state: LabState, station: Station) -> bool:
+def _is_in_motion(state: LabState, station: StationState) -> bool:
     """Whether labware is leaving a station. Labware that was seen here does not count if it has an unknown
     motion between two other places."""
     labware, open_ = state.bench.labware, state.actions.open

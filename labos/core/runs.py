@@ -500,12 +500,12 @@ def _set_paused(runs: Runs, name: RunId, value: bool) -> None:
     if run is None:
         runs.active[name].paused = value
         return
-    with let_wait_anew(runs, run):
+    with requeue(runs, run):
         run.paused = value
 
 
 @contextmanager
-def let_wait_anew(runs: Runs, run: RunState) -> Iterator[None]:
+def requeue(runs: Runs, run: RunState) -> Iterator[None]:
     """Put a waiting run into its new queue after the block has changed it."""
     _leave_queue(runs, run)
     yield

@@ -28,7 +28,7 @@ def check_seal(document: msgspec.Struct, key: bytes) -> str:
         return ""
     seal = str(getattr(document, "seal", ""))
     if not seal:
-        return "it bears no seal"
+        return "it has no seal"
     return (
         ""
         if hmac.compare_digest(seal, _make_digest(document, key))

@@ -18,7 +18,7 @@ from labos.core.ids import LabwareId, StationName, local
 
 def list_vacant(bench: Bench, hotel: StationName) -> list[StationName]:
     """The shelves of a hotel without labware, expected labware or possible labware; lowest first."""
-    return [s for s in bench.shelves[hotel] if not bench.stations[s].count and s not in bench.haunted]
+    return [s for s in bench.shelves[hotel] if not bench.stations[s].count and s not in bench.uncertain_at]
 
 
 def find_free_shelf(
@@ -31,12 +31,12 @@ def find_free_shelf(
 def is_taken(bench: Bench, hotel: StationName) -> bool:
     """Whether a shelf has, or will certainly get, labware. Such a shelf may become free again without a
     person."""
-    return any(bench.stations[s].count and s not in bench.haunted for s in bench.shelves[hotel])
+    return any(bench.stations[s].count and s not in bench.uncertain_at for s in bench.shelves[hotel])
 
 
 def is_in_doubt(bench: Bench, place: StationName) -> bool:
     """Whether labware with an uncertain place may stand at this place, or on one of its shelves."""
-    return place in bench.haunted or any(s in bench.haunted for s in bench.shelves.get(place, ()))
+    return place in bench.uncertain_at or any(s in bench.uncertain_at for s in bench.shelves.get(place, ()))
 
 
 def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) -> AnyEffect:

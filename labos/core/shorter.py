@@ -63,7 +63,7 @@ class Shorter(msgspec.Struct):
     """``since`` is the time at which the log was found shorter (UTC ns; 0: it was not). ``known`` is the
     highest known position, ``ended`` the end of this log, and ``evidence`` the sources with their knowledge.
     ``touched`` are the stations at which an action was at work that is not in the log. ``cells`` are the
-    workcells in which a module did something unknown: all their stations count as touched. ``astray`` is
+    workcells in which a module did something unknown: all their stations count as touched. ``displaced`` is
     labware that such an action may have moved. ``said`` are the stations that a person has reported since.
     ``actions`` are the discovered actions. ``answered`` is the evidence of rounds that are over: a node that
     was away reports it again."""
@@ -74,7 +74,7 @@ class Shorter(msgspec.Struct):
     evidence: dict[str, str] = {}
     touched: dict[StationName, bool] = {}
     cells: dict[str, bool] = {}
-    astray: dict[LabwareId, bool] = {}
+    displaced: dict[LabwareId, bool] = {}
     said: dict[StationName, bool] = {}
     actions: dict[ActionId, Discovered] = {}
     answered: dict[str, str] = {}
@@ -106,7 +106,7 @@ def fold_action_discovered(shorter: Shorter, event: ActionDiscovered, at: int) -
         shorter.said.pop(place, None)
     for effect in event.effects:
         if isinstance(effect, Move | Needs) and effect.labware:
-            shorter.astray[effect.labware] = True
+            shorter.displaced[effect.labware] = True
 
 
 def _doubt_cell(shorter: Shorter, cell: str) -> None:

@@ -32,7 +32,7 @@ def list_inside(state: LabState, module: ModuleName) -> Iterator[tuple[RunId, La
             owner = bench.labware[name].owner
             if owner.startswith("run:"):
                 yield RunId(owner[4:]), name, place
-        for name in bench.lost if place in bench.haunted else ():
+        for name in bench.lost if place in bench.uncertain_at else ():
             item = bench.labware[name]
             if place in item.maybe and item.owner.startswith("run:"):
                 yield RunId(item.owner[4:]), name, place

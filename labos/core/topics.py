@@ -175,7 +175,7 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
     def choices(self) -> tuple[Choice, ...]:
         away = "The recorded labware is off the bench, and the observed labware was taken away."
         return (
-            Choice("there", "The observation was wrong: everything is as recorded."),
+            Choice("there", "The observation was wrong: the record is correct."),
             Choice("gone", away if self.other_type else "It was taken off the bench."),
         )
 
@@ -231,7 +231,7 @@ class Unexpected(Topic, frozen=True, tag="unexpected"):
     def choices(self) -> tuple[Choice, ...]:
         choices = [Choice("removed", f"It was taken away; {local(self.station)} is as recorded.")]
         if self.type:
-            choices.append(Choice("new", f"It is {self.type} for everybody, and gets a name."))
+            choices.append(Choice("new", f"It is {self.type} for everybody to use, and gets an id."))
         return tuple(choices)
 
     @property
@@ -246,7 +246,7 @@ class LostExperiment(Topic, frozen=True, tag="lost_experiment"):
     SUBJECT: ClassVar[str] = "experiment"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
         Choice("close", "Its closing workflow clears away its labware."),
-        Choice("wait", "Nothing is done: the application will come back."),
+        Choice("wait", "Nothing is done: the application will be started again."),
     )
     experiment: ExperimentId
 
@@ -284,7 +284,7 @@ class FailedStep(Topic, frozen=True, tag="failed_step"):
     def choices(self) -> tuple[Choice, ...]:
         choices = [Choice("retry", "It is done again.")] if self.again else []
         if self.done:
-            choices.append(Choice("skip", "Its effect took place nevertheless: the run continues."))
+            choices.append(Choice("skip", "It took place in spite of the error: the run continues."))
         elif self.may_skip:
             choices.append(Choice("skip", "The run continues without it."))
         return (*choices, Choice("fail", "The run ends as failed; its labware stays where it is."))
@@ -350,7 +350,7 @@ class DoubtfulNode(Topic, frozen=True, tag="doubtful_node"):
     @property
     def choices(self) -> tuple[Choice, ...]:
         name = local(self.module)
-        return (Choice("checked", f"Somebody has checked which processes answer as {name}."),)
+        return (Choice("checked", f"A person has checked which processes answer as {name}."),)
 
 
 class OutrankedNode(Topic, frozen=True, tag="outranked_node"):
@@ -388,7 +388,7 @@ class DeviceWaits(Topic, frozen=True, tag="device_waits"):
     KIND: ClassVar[str] = "device_waits"
     SUBJECT: ClassVar[str] = "module"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
-        Choice("noted", "Somebody will help; the question is not asked again during this wait."),
+        Choice("noted", "A person will help; the question is not asked again during this wait."),
     )
 
 
@@ -402,7 +402,7 @@ class ClosingWaits(Topic, frozen=True, tag="closing_waits"):
     @property
     def choices(self) -> tuple[Choice, ...]:
         return (
-            Choice("wait", "It continues to wait; the question is not asked again."),
+            Choice("wait", "The run continues to wait; the question is not asked again."),
             Choice("end", f"The experiment ends; its labware stays where it is and is {self.user}'s."),
         )
 
@@ -443,7 +443,7 @@ class BookedPlace(Topic, frozen=True, tag="booked_place"):
     KIND: ClassVar[str] = "booked_place"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
         Choice(
-            "noted", "Somebody will take care of it. The question is asked again when the booking begins."
+            "noted", "A person will take care of it. The question is asked again when the booking begins."
         ),
     )
     booking: str

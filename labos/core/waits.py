@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.bench import Station
+from labos.core.bench import StationState
 from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import (
     SHARED,
@@ -74,7 +74,7 @@ def list_party(run: RunState) -> tuple[Owner, ...]:
     return (*owners, user_owner(run.user), SHARED)
 
 
-def list_keys_until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
+def list_keys_until_free(state: LabState, place: StationName) -> tuple[str, ...]:
     """The keys of a station and of the modules at work there. An arm that only changed its grip there, or a
     module that worked on the labware there, changes no other key."""
     bench = state.bench
@@ -93,5 +93,5 @@ def list_keys_until_left_alone(state: LabState, place: StationName) -> tuple[str
     return (station_key(place), *(module_key(module) for module in modules))
 
 
-def describe_occupants(state: LabState, station: Station) -> str:
+def describe_occupants(state: LabState, station: StationState) -> str:
     return ", ".join(station.labware) or ("an arrival under way" if station.expected else "stock")

@@ -23,7 +23,7 @@ def normalise_well(text: str) -> str:
     well."""
     match = _WELL.fullmatch(text.strip())
     if match is None:
-        raise ValueError(f"{text!r} is no well")
+        raise ValueError(f"{text!r} is not a well")
     return f"{match[1].upper()}{match[2]}"
 
 
@@ -31,7 +31,7 @@ def parse_well(well: str) -> tuple[int, int]:
     """Row and column of a well, counted from 0: A1 is (0, 0), AA3 (26, 2). Raises ValueError."""
     match = _WELL.fullmatch(well)
     if match is None:
-        raise ValueError(f"{well!r} is no well")
+        raise ValueError(f"{well!r} is not a well")
     row = 0
     for letter in match[1].upper():
         row = row * 26 + string.ascii_uppercase.index(letter) + 1
@@ -90,11 +90,11 @@ def list_doses(effect: Transfers | Draws) -> list[tuple[str, float]]:
     doses: list[tuple[str, float]] = []
     for well, volume in zip(wells, volumes, strict=True):
         if isinstance(volume, bool) or not isinstance(volume, int | float):
-            raise ValueError(f"the volume of {what} for {well} is {volume!r}, which is no number")
+            raise ValueError(f"the volume of {what} for {well} is {volume!r}, which is not a number")
         if not 0 <= volume < math.inf:
             raise ValueError(f"the volume of {what} for {well} is {volume:g} µL")
         if not isinstance(well, str):
-            raise ValueError(f"{well!r} is no well")
+            raise ValueError(f"{well!r} is not a well")
         doses.append((normalise_well(well), float(volume)))
     return doses
 
@@ -125,7 +125,7 @@ def find_misfit(
         level = held.get(well, 0.0) + given.get(well, 0.0)
         out = drawn.get(well, 0.0)
         if out > level + _SLACK_UL and well in held:
-            known = f"{well} of {labware} holds {level:g} µL as far as is known"
+            known = f"{well} of {labware} is recorded with {level:g} µL"
             return f"{known}, and {out:g} µL would be drawn (a sheet of samples says what it held before)"
         if out > most + _SLACK_UL:
             return f"{out:g} µL would be drawn out of {well} of {labware}, and {_describe_volume(kind)}"

@@ -160,7 +160,7 @@ def _explain_silence(service: LabService, name: ModuleName) -> NodeAnswer:
     supervised = service.parts.supervised
     process = supervised.nodes.get(name) if supervised is not None else None
     if process is not None and process.state in PROCESS_LIVES and process.pid:
-        return NodeAnswer(name, "frozen", f"its process {process.pid} is there and does not answer")
+        return NodeAnswer(name, "frozen", f"its process {process.pid} is running but does not answer")
     if name in service.parts.registry.living:
-        return NodeAnswer(name, "frozen", f"its node is on the bus and does not answer within {ANSWER_S:g} s")
+        return NodeAnswer(name, "frozen", f"its node is on the bus but does not answer within {ANSWER_S:g} s")
     return NodeAnswer(name, "silent", "no node answers for it (gone or frozen)")

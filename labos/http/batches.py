@@ -77,7 +77,7 @@ def _check_lists(asked: NewRuns) -> None:
         found = getattr(asked, name)
         if found and len(found) != len(asked.payloads):
             raise BadInput(
-                f"There are {len(asked.payloads)} payloads, and {len(found)} {name}.",
+                f"There are {len(asked.payloads)} payloads, but {len(found)} {name}.",
                 remedy=f"Send one entry of `{name}` for each payload, or none.",
             )
 

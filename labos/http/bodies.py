@@ -88,21 +88,26 @@ class NewRuns(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         msgspec.Meta(max_length=MOST_ENTRIES),
         says("labware that was put on the bench for them; recorded once with the runs, or not at all"),
     ] = []
-    propose: Annotated[bool, says("they wait for an approval, whatever the policy says")] = False
+    propose: Annotated[bool, says("wait for an approval, also if the policy does not require one")] = False
     due: Annotated[
-        Line, says("when they should be over: a time, or how long from now (`12h`); empty: never")
+        Line, says("the time by which they should end: a time, or a duration from now (`12h`); empty: none")
     ] = ""
     keys: Annotated[
         list[Name],
         msgspec.Meta(max_length=MOST_RUNS),
-        says("a key for each run: the same twice is one run; left out: the request's key with `-0`, `-1` …"),
+        says(
+            "a key for each run; a repeated key is the same run; left out: the request's key with `-0`, "
+            "`-1` …"
+        ),
     ] = []
     files: Annotated[
         list[Names],
         msgspec.Meta(max_length=MOST_RUNS),
         says("for each run, the names of the workflow's files that it has; left out: all of them"),
     ] = []
-    first: Annotated[Limit, says("so many payloads were sent before these: errors count them, too")] = 0
+    first: Annotated[
+        Limit, says("the number of payloads sent before these; error messages count them too")
+    ] = 0
 
 
 class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -114,7 +119,7 @@ class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = None
     parking: Annotated[
         Names,
-        says("stations where the experiment may leave labware between its runs; left out: anywhere"),
+        says("stations where the experiment may leave labware between its runs; left out: everywhere"),
     ] = []
     payload: Annotated[dict[str, Any], says("values for the closing workflow")] = {}
     workcell: Annotated[Name, says("needed if the lab has several")] = ""
@@ -143,7 +148,7 @@ class NewFile(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class ExperimentEnd(msgspec.Struct, forbid_unknown_fields=True):
-    why: Annotated[Line, says("a word about it")] = "ended"
+    why: Annotated[Line, says("a comment")] = "ended"
 
 
 class NewCampaign(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -232,7 +237,7 @@ class OrderSuggestion(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 class InterventionAnswer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     choice: Annotated[Name, says("the name of one of its answers")]
     by: Asker = ""
-    note: Annotated[Words, says("a word about it")] = ""
+    note: Annotated[Words, says("a comment")] = ""
     result: Annotated[
         Any, says("the measured result of the completed step; required if later steps read it")
     ] = None
@@ -293,7 +298,7 @@ class NewPose(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
     pose: Annotated[Pose, says("the numbers of the pose, as many as in the present pose")]
     by: Asker = ""
-    why: Annotated[Line, says("a word for the log")] = ""
+    why: Annotated[Line, says("a comment for the log")] = ""
     labware_type: Annotated[
         Name, says("the pose is only for labware of this type; the station needs a pose for all types first")
     ] = ""
@@ -307,7 +312,7 @@ class NewCalibration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     certificate: Annotated[Name, says("the certificate's number")] = ""
     report: Annotated[FileContent, says("the report, in base64; kept with the lab's files")] = b""
     until: Annotated[Name, says("the last day on which it is valid, such as `2027-01-01` (UTC)")] = ""
-    why: Annotated[Line, says("a word for the log")] = ""
+    why: Annotated[Line, says("a comment for the log")] = ""
 
 
 class AccessRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -318,7 +323,7 @@ class AccessRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 class AccessEnd(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
-    note: Annotated[Words, says("a word for the log")] = ""
+    note: Annotated[Words, says("a comment for the log")] = ""
     changed: Annotated[
         list[StationChange],
         msgspec.Meta(max_length=MOST_ENTRIES),
@@ -379,5 +384,5 @@ class OutOfService(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
     until: Annotated[
         Time,
-        says("the time at which it is in service again (UTC nanoseconds); 0: when somebody puts it back"),
+        says("the time at which it is in service again (UTC nanoseconds); 0: when a person puts it back"),
     ] = 0

@@ -63,7 +63,7 @@ def explain_no_time(due: str) -> str:
         found = parse_time(due, 0) if due else 1
     except BadInput as error:
         return error.message
-    return "" if found > 0 else f"{due!r} is no time of a calendar."
+    return "" if found > 0 else f"{due!r} is not a calendar time."
 
 
 class CampaignRows:

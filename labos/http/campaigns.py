@@ -28,7 +28,7 @@ from labos.planning.lab_forecast import LabForecast
 from labos.services.times import parse_until
 from labos.spec import SpecErrors, compile_workflow, parse_workflow
 from labos.spec.campaign import CampaignSource, parse_campaign, stop_rule
-from labos.spec.findings import Finding, FindingList, make_finding, near
+from labos.spec.findings import Finding, FindingList, make_finding, suggest_name
 from labos.spec.rows import TableLine as RowLine
 
 MOST_CHECKED = 2_000
@@ -321,7 +321,7 @@ def _check_stop_rule(content: CampaignSource, checked: CheckedCampaign) -> None:
     known = {step.key for plan in checked.plans for step in plan.steps}
     for key in sorted(find_reads(until) - known):
         place = content.source.place(("until",))
-        remedy = near(key, known, "step")
+        remedy = suggest_name(key, known, "step")
         checked.report.error(f"The workflow has no step {key!r}.", place, field="until", remedy=remedy)
 
 

@@ -73,7 +73,9 @@ def find_meant(state: LabState, text: str) -> tuple[Kind, str]:
         return "workcell", text
     modules = [name for name in state.modules.by_name if text in (name, local(name))]
     if len(modules) > 1:
-        raise Refused(f"Several modules are called {text}.", remedy=f"Say which: {', '.join(modules)}.")
+        raise Refused(
+            f"Several modules are called {text}.", remedy=f"Name one of them: {', '.join(modules)}."
+        )
     if not modules:
         raise NotFound(
             f"There is no run or experiment that has not ended, no module and no workcell {text!r}.",

@@ -22,7 +22,7 @@ async def declare_bench(
     for name, types in contents.items():
         station = service.station(name)
         if station in stations or any(shelf in stations for shelf in bench.shelves.get(station, ())):
-            raise BadInput(f"{local(station)} is declared twice.", remedy="Say it once.")
+            raise BadInput(f"{local(station)} is declared twice.", remedy="Declare it once.")
         for labware in types:
             service.expect_labware(labware)
         stations |= {shelf: tuple(some) for shelf, some in spread(bench, station, types)}

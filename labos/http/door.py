@@ -114,7 +114,9 @@ def _check_text(scope: Scope) -> Problem | None:
     for what, raw in (("path", scope.get("raw_path", b"")), ("query", scope["query_string"])):
         if len(raw) > LONGEST_PATH:
             return make_problem(
-                "uri_too_long", f"The {what} is longer than {LONGEST_PATH} bytes.", "Ask for less at once."
+                "uri_too_long",
+                f"The {what} is longer than {LONGEST_PATH} bytes.",
+                "Make the request shorter.",
             )
         try:
             unquote_to_bytes(raw).decode()

@@ -80,8 +80,8 @@ def _list_words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[i
     content = msgspec.json.decode(record.payload)
     if kind is not None and any(content.get(name) for name in find_fields_of_words(kind)):
         raise Refused(
-            f"The words of position {position} stand in the log itself: they were written before words could "
-            "be erased, or by LabOS.",
-            remedy="What the log itself holds cannot be erased.",
+            f"The words of position {position} are in the log itself: they were written by LabOS, or "
+            "by a version that could not erase words.",
+            remedy="The content of the log itself cannot be erased.",
         )
     return []

@@ -30,8 +30,8 @@ async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response
         return Response(data, headers=headers, media_type="application/octet-stream")
     part = find_part(len(data), *asked.groups())
     if part is None:
-        words = f"The file has {len(data)} bytes, and none of the requested range."
-        refusal = send_problem(make_problem("range_not_satisfiable", words, "Ask for others."))
+        words = f"The file has {len(data)} bytes, but none in the requested range."
+        refusal = send_problem(make_problem("range_not_satisfiable", words, "Request another range."))
         refusal.headers["content-range"] = f"bytes */{len(data)}"
         return refusal
     first, end = part

@@ -95,7 +95,8 @@ class Finder:
         except TimeoutError:
             self._kill()
             raise Refused(
-                f"The search took longer than {GIVE_UP_S:g} s and was given up.", remedy="Ask for less."
+                f"The search took longer than {GIVE_UP_S:g} s and was given up.",
+                remedy="Make the search narrower.",
             ) from None
         except OSError:
             line = b""
@@ -106,7 +107,7 @@ class Finder:
             self._kill()
             raise Refused(
                 "The process of the search index has ended.",
-                remedy="Ask again. `labos audit rebuild` makes the index anew.",
+                remedy="Ask again. `labos audit rebuild` makes the index again.",
             )
         return _decode(line)
 

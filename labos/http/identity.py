@@ -128,7 +128,7 @@ class Gate:
             )
         if who.how != "open":
             if who.credential is None or who.credential.user != who.user or users.get(who.user) is None:
-                raise NotSignedIn(f"The user {who.user[:100]!r} may not act.", remedy=SIGN_IN)
+                raise NotSignedIn(f"The user {who.user[:100]!r} is disabled.", remedy=SIGN_IN)
             self._expect_service(who.behalf, who.user)
         self._check(who, need, by_home=False)
 

@@ -102,9 +102,11 @@ def check_person(name: str, field: str) -> str:
     """The name of a requesting person. Raises BadInput if it is empty, and for the names of LabOS and its
     modules: entries in the log about a person must not look like LabOS's own."""
     if not name.strip():
-        raise BadInput(f"The field {field!r} is empty.", remedy="Say who asks.")
+        raise BadInput(f"The field {field!r} is empty.", remedy="Name the user.")
     if name.strip().casefold() == OWN_NAME:
-        raise BadInput(f"The field {field!r} is {name!r}, which is LabOS itself.", remedy=SAY_WHO)
+        raise BadInput(
+            f"The field {field!r} is {name!r}, which is reserved for LabOS itself.", remedy=SAY_WHO
+        )
     if "/" in name:
         raise BadInput(
             f"The field {field!r} is {name!r}; only names of modules and stations have a slash.",

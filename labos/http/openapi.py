@@ -31,16 +31,16 @@ OF_POSTS = (
 
 TAGS = {
     "lab": "The lab as a whole",
-    "accounts": "Who asks: signing in, tokens of programs, who users are",
+    "accounts": "Users: signing in, tokens of programs, names",
     "log": "The log, and the files that results name",
     "runs": "Runs of workflows",
     "experiments": "Experiments of applications",
-    "campaigns": "Campaigns: a workflow for each row of a table; who may have how much of the lab",
+    "campaigns": "Campaigns: a workflow for each row of a table; shares and quotas",
     "modules": "Modules: service, resources, poses",
-    "workcells": "Workcells, and who reaches into them",
-    "bookings": "Bookings: who has a module or a workcell to themselves, and when",
-    "bench": "What stands where, and what the lab asks people",
-    "people": "Users, groups and roles: who may do what",
+    "workcells": "Workcells, and access to them",
+    "bookings": "Bookings: reserved times of a module or a workcell",
+    "bench": "The bench: labware at stations, and questions to people",
+    "people": "Users, groups, roles and their rights",
 }
 
 SIGNED_IN = {
@@ -49,7 +49,7 @@ SIGNED_IN = {
         "type": "apiKey",
         "in": "cookie",
         "name": COOKIE,
-        "description": f"what signing in gives a browser; over TLS `{SECURE_COOKIE}`",
+        "description": f"the session cookie of a browser; over TLS `{SECURE_COOKIE}`",
     },
 }
 

@@ -17,7 +17,7 @@ from labos.http.stock import predict_events
 from labos.spec import BenchFile, Stock
 from labos.spec.about import find_description
 from labos.spec.bench import DEFAULT_LID
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -47,9 +47,9 @@ def make_loads(service: LabService, placings: Sequence[Placing], workcell: str, 
         alike = there is None or (there.labware, there.set, there.unset) == (labware, put_on, left_off)
         if there is not None and not alike:
             raise BadInput(
-                f"On {local(name)}, {there.labware} and {labware} are to be put at once."
+                f"{there.labware} and {labware} cannot both be put on {local(name)} at once."
                 if there.labware != labware
-                else f"On {local(name)}, {there.labware} is to be put in two ways: {variables}.",
+                else f"On {local(name)}, {there.labware} is given twice with different values: {variables}.",
                 remedy="Put them there one after the other: labos load STATION --type TYPE",
             )
         count = 1 if there is None else there.count + 1
@@ -72,7 +72,7 @@ def _read_placing(service: LabService, placing: Placing) -> tuple[str, dict[str,
     for name in variables:
         if name not in known:
             raise BadInput(
-                f"No action of this lab asks whether labware is {name!r}.", remedy=near(name, known)
+                f"No action of this lab asks whether labware is {name!r}.", remedy=suggest_name(name, known)
             )
     return labware, variables
 

@@ -89,9 +89,9 @@ async def finish(call: Call, body: FinishSignIn) -> Response:
             return answer_secret(FinishedSignIn(wait_s=claims.seconds))
         user = await find_user_meant(call.api, way.provider, claims)
     except NotSignedIn:
-        accounts.tell_try("wrong")
+        accounts.count_try("wrong")
         raise
-    accounts.tell_try("right")
+    accounts.count_try("right")
     secret, token = await accounts.make_token(user, body.label, body.scope, min(body.days, way.most_days))
     return answer_secret(FinishedSignIn(user, token.expires_at, secret))
 

@@ -29,9 +29,10 @@ COOKIE = "labos-way-back"
 
 # A browser does not send strict cookies after a redirect from another site: this page makes it request the
 # next page itself.
-PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>LabOS</title>
-<meta http-equiv="refresh" content="0;url=/"><p>{}</p><p><a href="/">Go on</a></p></html>
-"""
+PAGE = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>LabOS</title>\n<meta '
+    'http-equiv="refresh" content="0;url=/"><p>{}</p><p><a href="/">Continue</a></p></html>\n'
+)
 HEADERS = {
     "cache-control": "no-store",
     "content-security-policy": "default-src 'none'; frame-ancestors 'none'",
@@ -69,9 +70,9 @@ def list_provider_routes(api: Api, provider: Provider) -> list[Route]:
             claims = await provider.finish(request.query_params, shown)
             user = await find_user_meant(api, provider, claims)
         except NotSignedIn:
-            api.gate.accounts.tell_try("wrong")
+            api.gate.accounts.count_try("wrong")
             raise
-        api.gate.accounts.tell_try("right")
+        api.gate.accounts.count_try("right")
         before = request.cookies.get(api.gate.cookie, "")
         secret, session = await api.gate.accounts.begin_session(user, "oidc", before)
         answer = HTMLResponse(PAGE.format(html.escape(f"You are {user}.")), headers=HEADERS)

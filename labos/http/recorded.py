@@ -177,7 +177,6 @@ class RepeatedRequest(msgspec.Struct, frozen=True):
         except Exception as error:
             _log.info("answer_not_in_log", path=self.request.url.path, position=position, error=repr(error))
             raise AlreadyDone(
-                f"This request was carried out at position {position}; what it was answered is not known any "
-                "more.",
+                f"This request was carried out at position {position}; its answer is no longer stored.",
                 remedy=f"See what it did: labos log --after {position - 1}",
             ) from None

@@ -54,7 +54,7 @@ async def register_samples(
 
 def _find_plate(service: LabService, labware: str, station: str) -> Labware | None:
     if labware and station:
-        raise BadInput("A plate and a station were named.", remedy="Name one of them.")
+        raise BadInput("A plate and a station were named.", remedy="Name only one of them.")
     if labware:
         return service.labware(labware)
     if not station:
@@ -87,9 +87,9 @@ def _sort_by_plate(
             plate = None
         if plate is None:
             remedy = "Add a column 'plate', or name the plate beside the sheet."
-            report.error("It is not said which plate this is.", row.at, field="plate", remedy=remedy)
+            report.error("The plate is missing.", row.at, field="plate", remedy=remedy)
         elif only is not None and plate.id != only.id:
-            remedy = "Leave its rows out, or name no plate beside the sheet."
+            remedy = "Leave its rows out, or name no plate with the sheet."
             report.error(f"This is {plate.id}, not {only.id}.", row.plate_at, field="plate", remedy=remedy)
         else:
             found.setdefault(plate.id, []).append(row)

@@ -69,7 +69,7 @@ from labos.spec import (
     compile_workflow,
     parse_workflow,
 )
-from labos.spec.findings import Finding, near
+from labos.spec.findings import Finding, suggest_name, suggest_similar
 from labos.spec.labware import load_packaged_labware, make_spec
 from labos.spec.stations import Stations
 
@@ -160,12 +160,14 @@ class LabService:
                 if not known:
                     raise BadInput("This lab has no workcell yet.", remedy="Give one to `labos up`.")
                 raise BadInput(
-                    f"This lab has {len(known)} workcells, and none was named.",
+                    f"This lab has {len(known)} workcells, but none was named.",
                     remedy=f"Name one of {', '.join(known)}.",
                 )
             name = known[0]
         if name not in known:
-            raise NotFound(f"This lab has no workcell {name!r}.", remedy=near(name, known, "workcell"))
+            raise NotFound(
+                f"This lab has no workcell {name!r}.", remedy=suggest_name(name, known, "workcell")
+            )
         found = state.lab.workcells[name]
         if found not in self._cells:
             self._cells[found] = Workcell(
@@ -212,8 +214,8 @@ class LabService:
         known = self.list_labware_types()
         labware = next((part for part in split_item(labware) if part and part not in known), "")
         if labware:
-            meant = near(labware, known)
-            slip = f"{meant} " if meant.startswith("Did you mean") else ""
+            meant = suggest_similar(labware, known)
+            slip = f"{meant} " if meant else ""
             raise NotFound(
                 f"This lab knows no labware type {labware!r}.",
                 remedy=f"{slip}Known: {', '.join(known)}. A new type is described in a labware file that the "
@@ -402,8 +404,8 @@ class LabService:
         compiled = await self.compile(closing, payload, workcell) if closing is not None else None
         if compiled is not None and compiled.others:
             raise BadInput(
-                f"The closing workflow {compiled.plan.workflow!r} leaves a choice of modules.",
-                remedy="Name one module for each of its steps: that it can be carried out has to be certain.",
+                f"The closing workflow {compiled.plan.workflow!r} has a choice of modules.",
+                remedy="Name one module for each of its steps: a closing workflow must always be possible.",
             )
         plan = compiled.plan if compiled is not None else None
         places = tuple(self.station(place) for place in parking)
@@ -469,7 +471,7 @@ class LabService:
                 for experiment in experiments:
                     silent_s = now - self._heard.setdefault(experiment.id, now)
                     if experiment.status == ExperimentStatus.OPEN and silent_s > SILENCE_S:
-                        why = f"no sign of life for {silent_s:.0f} s"
+                        why = f"no heartbeat for {silent_s:.0f} s"
                         self.kernel.submit(LoseExperiment(experiment.id, why), "labos")
             except StoreError:
                 continue
@@ -495,7 +497,7 @@ class LabService:
         if not modules and target != EVERYTHING:
             raise NotFound(
                 f"This lab has no module or workcell {target!r}.",
-                remedy=near(target, map(local, known), "module"),
+                remedy=suggest_name(target, map(local, known), "module"),
             )
         report = await stop_modules(self.parts.bus, registry.lab, modules, by)
         with contextlib.suppress(LabosError):  # the nodes report it again with their states
@@ -519,7 +521,7 @@ class LabService:
         known = self.kernel.state.bench.labware
         name = self.kernel.state.bench.barcodes.get(name, name)
         if name not in known:
-            remedy = near(name, map(str, known), "labware")
+            remedy = suggest_name(name, map(str, known), "labware")
             raise NotFound(f"No labware {name!r} stands on the bench.", remedy=remedy)
         return known[LabwareId(name)]
 
@@ -541,8 +543,10 @@ class LabService:
         if len(found) == 1:
             return found[0]
         if found:
-            raise BadInput(f"{name!r} is the name of several stations.", remedy=f"Write {found[0]}, say.")
-        remedy = near(written, map(local, known), "station")
+            raise BadInput(
+                f"{name!r} is the name of several stations.", remedy=f"Write {found[0]}, for example."
+            )
+        remedy = suggest_name(written, map(local, known), "station")
         raise NotFound(f"This lab has no station {name!r}.", remedy=remedy)
 
     @staticmethod
@@ -551,8 +555,12 @@ class LabService:
         if len(found) == 1:
             return str(found[0])
         if found:
-            raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, say.")
-        raise NotFound(f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what))
+            raise BadInput(
+                f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, for example."
+            )
+        raise NotFound(
+            f"This lab has no {what} {name!r}.", remedy=suggest_name(local(name), map(local, names), what)
+        )
 
 
 def digest_files(files: Mapping[str, bytes]) -> dict[str, str]:

@@ -64,9 +64,9 @@ class Identity(msgspec.Struct, frozen=True):
 
 
 class NewToken(msgspec.Struct, forbid_unknown_fields=True):
-    label: Annotated[Line, says("what it is for")] = ""
+    label: Annotated[Line, says("its purpose")] = ""
     scope: Annotated[Need, says("the highest role that it allows")] = "submitter"
-    days: Annotated[Days, says("how long it is good")] = float(TOKEN_DAYS)
+    days: Annotated[Days, says("the number of days for which it is valid")] = float(TOKEN_DAYS)
     user: Annotated[Name, says("the owner; only admins may name another user")] = ""
 
 
@@ -222,14 +222,14 @@ async def make_token(call: Call, body: NewToken) -> MadeToken:
     expect_users(call.kernel.state)
     user = body.user or call.who.user
     if not user:
-        raise BadInput("The token is nobody's.", remedy="Say whose it is: --user NAME")
+        raise BadInput("The token needs a user.", remedy="Name its user: --user NAME")
     expect_self_or_admin(call, user)
     credential, days = call.who.credential, body.days
     if credential is not None:
         if not allows(credential.scope, body.scope):
             raise Forbidden(
-                f"The token {credential.token} is good for what a {credential.scope} may do, and makes none "
-                f"for {body.scope}.",
+                f"The token {credential.token} has the role {credential.scope}, so it cannot make a "
+                f"token with the role {body.scope}.",
                 remedy=SIGN_IN,
             )
         if credential.token:  # a stolen token must not live on in tokens that were made with it
@@ -242,7 +242,7 @@ async def make_token(call: Call, body: NewToken) -> MadeToken:
 async def list_tokens(call: Call, user: str) -> list[Token]:
     """Raises Forbidden."""
     if call.who.is_known and user != call.who.user and user and not is_admin(call):
-        raise Forbidden(f"The tokens of {user} are for {user} and admins.", remedy="Name yourself.")
+        raise Forbidden(f"Only {user} and admins can manage the tokens of {user}.", remedy="Name yourself.")
     return await call.api.gate.accounts.tokens(user or call.who.user)
 
 

@@ -78,6 +78,6 @@ async def _expect_password(call: Call, user: str, password: str) -> None:
     except NotSignedIn:
         raise Forbidden(
             f"This is not the password of {user}. Nothing was signed.",
-            remedy="Try again. Who signs in by an identity provider needs a password of this lab for "
-            f"signing: labos user password {user}",
+            remedy="Try again. Users of an identity provider need a password of this lab for signing: labos "
+            f"user password {user}",
         ) from None

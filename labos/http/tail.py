@@ -376,6 +376,9 @@ def _is_open(query: LogQuery) -> bool:
 
 
 def _make_last_line(after: int) -> bytes:
-    why = "You read events more slowly than they come. Connect again with the header Last-Event-ID."
+    why = (
+        "This client reads events more slowly than they are written. Connect again with the header "
+        "Last-Event-ID."
+    )
     data = msgspec.json.encode({"error": why, "after": after})
     return b"id: %d\nevent: dropped\ndata: %b\n\n" % (after, data)

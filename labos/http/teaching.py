@@ -34,7 +34,8 @@ def _expect_types(service: LabService, module: Module) -> None:
     if LABWARE_TYPE not in args or "interface" in module.spec.config:
         raise BadInput(
             f"{local(module.spec.name)} has one pose for all labware at a station.",
-            remedy="Teach it without a labware type: its driver, or foreign node, takes none.",
+            remedy="Teach it without a labware type: its driver, or foreign node, does not support labware "
+            "types.",
         )
 
 

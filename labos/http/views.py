@@ -9,7 +9,7 @@ import msgspec
 import structlog
 
 from labos.core.actions import Action
-from labos.core.bench import Labware, Station
+from labos.core.bench import Labware, StationState
 from labos.core.decide.access import list_in_motion, list_perhaps_in_motion
 from labos.core.ids import CampaignId, ModuleName, RunId, local
 from labos.core.interventions import Intervention
@@ -366,7 +366,7 @@ def make_question_view(state: LabState, question: Intervention) -> QuestionView:
     )
 
 
-def make_station_view(name: str, station: Station) -> StationView:
+def make_station_view(name: str, station: StationState) -> StationView:
     return StationView(
         name=name,
         kind=station.spec.kind,
@@ -434,7 +434,7 @@ def list_wait_views(kernel: LabKernel, run: RunState, now: int) -> list[WaitView
         return WaitView(step, plan.steps[step].key, wait.code, why, wait.blocked)
 
     if kernel.suspended:
-        return [_view_failed_planning(f"Nothing is started, since planning fails: {kernel.suspended}")]
+        return [_view_failed_planning(f"No step is started, because planning fails: {kernel.suspended}")]
     try:
         waits = kernel.scheduler.list_waits(kernel.state, run, now)
         if not waits and isinstance(kernel, FoldedLab):

@@ -28,7 +28,7 @@ from labos.http.limits import (
 from labos.http.problems import MEDIA_TYPE, Problem, make_problem, make_problem_of_error
 from labos.spec.mismatch import explain_plainly
 
-SEND = "Send what docs/reference/http.md says."
+SEND = "See docs/reference/http.md for the format."
 OF_STATUS = {403: "forbidden", 404: "not_found", 405: "method_not_allowed"}
 """The problems that the router finds."""
 
@@ -74,7 +74,7 @@ def read_query(request: Request, kind: type[T] | None, lists: frozenset[str]) ->
     if len(asked) > MOST_FILTERS:
         raise BadInput(
             f"The query has {len(asked)} parameters; {MOST_FILTERS} are allowed.",
-            remedy="Ask for less at once.",
+            remedy="Use fewer parameters.",
         )
     values: dict[str, Any] = {}
     for name, value in asked:
@@ -173,11 +173,11 @@ def _describe_http_error(request: Request, code: str, detail: str) -> str:
     if code == "not_found":
         return f"There is nothing at {path!r}."
     if code == "method_not_allowed":
-        return f"{path!r} does not take {request.method[:20]!r}."
+        return f"{path!r} does not support {request.method[:20]!r}."
     return detail
 
 
 async def report_fault(request: Request, error: Exception) -> Response:
     _log.error("request_failed", path=request.url.path, error=repr(error))
     text = f"LabOS failed on this request ({type(error).__name__})."
-    return send_problem(make_problem("internal", text, "This is a fault of LabOS; its log tells more."))
+    return send_problem(make_problem("internal", text, "This is a fault of LabOS; see its log for details."))

@@ -45,7 +45,8 @@ async def serve_witness(witness: Witness, host: str, port: int, ready: Callable[
             listening.bind((host, port))
         except OSError as error:
             raise SystemFailed(
-                f"{host}:{port} cannot be listened on: {error.strerror}.", remedy="Name another --port."
+                f"{host}:{port} cannot be used for the server: {error.strerror}.",
+                remedy="Name another --port.",
             ) from None
         listening.listen(MOST_CONNECTIONS)
         at = f"[{host}]" if ":" in host else host

@@ -102,9 +102,9 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
         before = known.get(spec.name)
         if named and (before is None or _list_connection(before.spec) != _list_connection(spec)):
             raise BadInput(
-                f"The module {local(spec.name)} says {' and '.join(named)}: a file, program or secret of its "
-                "node's computer, which cannot be said over HTTP.",
-                remedy=f"Say it in {NODE_SETTINGS_FILE} of the home folder on that computer, or start the "
+                f"The module {local(spec.name)} has {' and '.join(named)}: a file, program or secret "
+                "of its node's computer, which cannot be set over HTTP.",
+                remedy=f"Set it in {NODE_SETTINGS_FILE} of the home folder on that computer, or start the "
                 "lab with this file: labos up FILE",
             )
 

@@ -223,7 +223,7 @@ class SdoLink(_Bus):
         notifier = self._network.notifier if self._network is not None else None
         if notifier is not None and notifier.exception is not None:
             raise LinkLost(
-                f"{self.name} hears nothing any more: {notifier.exception}.",
+                f"{self.name} receives nothing any more: {notifier.exception}.",
                 effects=effects,
                 remedy="Check the adapter and its cable, then reset the module.",
             )

@@ -59,7 +59,7 @@ class TimedDevice:
 
         TimedDevice.after(self, 0, do)
         if not is_done.wait(5):
-            raise TimeoutError(f"{self.name}: the simulated device does nothing any more.")
+            raise TimeoutError(f"{self.name}: the simulated device has failed.")
 
     # -- for subclasses ----------------------------------------------------------------------
 
@@ -145,7 +145,7 @@ class DeviceOnLine(HearingDevice):
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         if setup.world is None:
-            raise ValueError(f"{setup.name}: a simulated device needs a world to keep its truth in")
+            raise ValueError(f"{setup.name}: a simulated device needs a world that stores its state")
         super().__init__(setup)
         self.name = setup.name
         self.world: World = setup.world

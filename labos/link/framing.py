@@ -38,7 +38,7 @@ class Terminated:
         limit: int = LIMIT,
     ) -> None:
         if not end:
-            raise ValueError("a terminated message needs an end")
+            raise ValueError("a terminated message needs a terminator")
         self._start, self._end = start, end
         self._send_end = end if send_end is None else send_end
         self._padding, self._limit = padding, limit
@@ -52,14 +52,14 @@ class Terminated:
         at = buffer.find(self._end)
         if at < 0:
             if len(buffer) > self._limit:
-                raise _bad(buffer, len(buffer), f"{len(buffer)} bytes have no end")
+                raise _bad(buffer, len(buffer), f"{len(buffer)} bytes without a terminator")
             return None
         piece = bytes(buffer[:at])
         begins = piece.rfind(self._start) if self._start else 0
         if begins != 0:
             # The buffer is valid from the beginning of a whole message on; the bytes before it are not.
             cut = begins if begins > 0 else at + len(self._end)
-            raise _bad(buffer, cut, "it does not begin as messages do")
+            raise _bad(buffer, cut, "it does not have the start of a message")
         del buffer[: at + len(self._end)]
         return piece[len(self._start) :]
 
@@ -84,7 +84,7 @@ class LengthPrefixed:
             return None
         length = int.from_bytes(buffer[: self._width], self._order)
         if length > self._limit:
-            raise _bad(buffer, len(buffer), f"it claims to have {length} bytes, more than {self._limit}")
+            raise _bad(buffer, len(buffer), f"its length field says {length} bytes, more than {self._limit}")
         whole = self._width + length
         if len(buffer) < whole:
             return None

@@ -36,7 +36,7 @@ class HttpReply:
             return json.loads(self.body)
         except ValueError as error:
             raise Garbled(
-                f"{self._link} answered what is no JSON: {self.body[:80]!r}.",
+                f"{self._link} sent an answer that is not JSON: {self.body[:80]!r}.",
                 remedy="Check the address, and the version of the device's software.",
             ) from error
 
@@ -153,11 +153,13 @@ class HttpLink(Life):
             asked = f"{request.method} {request.url.path}"
             error.message = f"{self.name} does not answer {asked} within {timeout_s:g} s."
             if begun:
-                raise HalfReply(f"{self.name} began an answer and did not end it.") from error
+                raise HalfReply(f"{self.name} did not finish its answer.") from error
             raise
         except LinkLost as error:
             if begun:
-                raise HalfReply(f"{self.name} broke off in its answer: {error.message}") from error
+                raise HalfReply(
+                    f"{self.name} stopped in the middle of its answer: {error.message}"
+                ) from error
             raise
         note(self.name, "<", f"{response.status_code}\n".encode() + body)
         return HttpReply(response.status_code, body, dict(response.headers), self.name)
@@ -189,13 +191,15 @@ class HttpLink(Life):
                 f"{self.name} does not answer.", remedy="Check that the device is switched on."
             ) from error
         except httpx.LocalProtocolError as error:
-            raise NotConnected(f"{self.name}: the question is no HTTP: {error}.") from error
+            raise NotConnected(f"{self.name}: the request is not valid HTTP: {error}.") from error
         except httpx.RemoteProtocolError as error:
             if "without sending" in str(error) or "incomplete" in str(error):
                 raise LinkLost(f"{self.name} closed the connection: {error}.") from error
-            raise Garbled(f"{self.name} sent what is no HTTP: {error}.", remedy="Check the port.") from error
+            raise Garbled(
+                f"{self.name} sent an answer that is not HTTP: {error}.", remedy="Check the port."
+            ) from error
         except httpx.DecodingError as error:
-            raise Garbled(f"{self.name} sent what cannot be decoded: {error}.") from error
+            raise Garbled(f"{self.name} sent an answer that cannot be decoded: {error}.") from error
         except httpx.HTTPError as error:
             raise LinkLost(f"{self.name}: the connection is lost: {error}.") from error
 

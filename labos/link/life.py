@@ -95,7 +95,7 @@ class Life(ABC):
             raise
         except LinkError as error:
             raise NotConnected(
-                f"{self.name} does not say who it is: {error.message}",
+                f"{self.name} does not identify itself: {error.message}",
                 remedy="Check which device is on this wire, and its speed.",
             ) from error
         self._expected = self._expected or found

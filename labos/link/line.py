@@ -120,7 +120,7 @@ class Link(Life):
         while self._read(self._late_s):
             if time.monotonic() > limit:
                 raise NotConnected(
-                    f"{self.name} does not fall silent, so its answers cannot be told apart.",
+                    f"{self.name} sends without a pause, so its answers cannot be separated.",
                     remedy="Switch it off and on.",
                 )
 
@@ -160,7 +160,7 @@ class Link(Life):
                 return message
             failure = StrayReply(
                 f"{self.name}: {message[:80]!r} is no answer to {question[:80]!r}.",
-                remedy="The device may be slow, or somebody else may be talking to it.",
+                remedy="The device may be slow, or another program may be using it.",
             )
 
     def _next(self, deadline: float) -> bytes:
@@ -169,7 +169,7 @@ class Link(Life):
                 message = self._framing.take(self._buffer)
             except BadFrame as error:
                 raise Garbled(
-                    f"{self.name} sent what is no message: {error}.",
+                    f"{self.name} sent data that is not a message: {error}.",
                     remedy="Check the cable, the speed and the parity.",
                 ) from error
             if message is not None:
@@ -180,7 +180,7 @@ class Link(Life):
                 continue
             if self._buffer:
                 raise HalfReply(
-                    f"{self.name} began a message and did not end it: {bytes(self._buffer[:80])!r}.",
+                    f"{self.name} did not finish a message: {bytes(self._buffer[:80])!r}.",
                     remedy="Check the cable, and that the device is not switched off.",
                 )
             raise NoReply(f"{self.name} does not answer.", remedy="Check that the device is switched on.")

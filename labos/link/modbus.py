@@ -26,8 +26,8 @@ EXCEPTIONS = {
     1: "it does not know this function",
     2: "it has no such address",
     3: "it does not take this value",
-    4: "it failed while it was doing it",
-    5: "it has begun, and will need a long time",
+    4: "it failed during the operation",
+    5: "it has started, and needs a long time",
     6: "it is busy",
     8: "its memory is damaged",
     10: "the gateway has no path to it",
@@ -118,13 +118,13 @@ class ModbusLink:
     def _registers(self, kind: str, address: int, count: int, timeout_s: float) -> list[int]:
         found = list(self._do(kind, timeout_s, address=address, count=count).registers)
         if len(found) != count:
-            raise Garbled(f"{self.name}: {count} registers were asked for, {len(found)} came.")
+            raise Garbled(f"{self.name}: {count} registers were requested, {len(found)} were received.")
         return found
 
     def _bits(self, kind: str, address: int, count: int, timeout_s: float) -> list[bool]:
         found = list(self._do(kind, timeout_s, address=address, count=count).bits)
         if len(found) != (count + 7) // 8 * 8:
-            raise Garbled(f"{self.name}: {count} bits were asked for, {len(found)} came.")
+            raise Garbled(f"{self.name}: {count} bits were requested, {len(found)} were received.")
         return found[:count]
 
     def _do(self, kind: str, timeout_s: float, **fields: Any) -> ModbusPDU:
@@ -139,12 +139,12 @@ class ModbusLink:
         function = body[0] & 0x7F if body else 0
         if unit != self._unit or function != request.function_code:
             raise Garbled(
-                f"{self.name}: unit {unit} answered function {function}; unit {self._unit} was asked for "
-                f"function {request.function_code}."
+                f"{self.name}: the answer is from unit {unit} for function {function}, but the "
+                f"request was to unit {self._unit} for function {request.function_code}."
             )
         reply = DecodePDU(False).decode(body)
         if reply is None:
-            raise Garbled(f"{self.name} sent what is no Modbus message: {body!r}.")
+            raise Garbled(f"{self.name} sent data that is not a Modbus message: {body!r}.")
         if body[0] & 0x80:
             code = int(reply.exception_code)
             raise DeviceError(
@@ -159,7 +159,7 @@ class ModbusLink:
         """Check the answer to a write, which contains its address and length."""
         if (reply.address, reply.count) != (address, count):
             raise Garbled(
-                f"{self.name}: {count} values were written to {address}, but the device speaks of "
+                f"{self.name}: {count} values were written to {address}, but the device confirms "
                 f"{reply.count} at {reply.address}."
             )
 
@@ -214,7 +214,7 @@ class _Rtu:
             bad = bytes(buffer)
             buffer.clear()
             raise BadFrame(
-                f"the check sum of {bad[:16]!r} is wrong" if size else f"no function: {bad[:16]!r}"
+                f"the check sum of {bad[:16]!r} is wrong" if size else f"unknown function: {bad[:16]!r}"
             )
         del buffer[:size]
         return frame[:-2]

@@ -116,7 +116,7 @@ def read_transcript(path: str | Path) -> list[TranscriptLine]:
         mark, _, text = rest.partition("\t")
         try:
             if mark not in MARKS:
-                raise ValueError(f"{mark!r} is none of {', '.join(MARKS)}")
+                raise ValueError(f"{mark!r} is not one of {', '.join(MARKS)}")
             records.append(TranscriptLine(float(at), link, mark, unescape(text)))  # type: ignore[arg-type]
         except ValueError as error:
             raise BadInput(

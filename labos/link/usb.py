@@ -60,8 +60,8 @@ class UsbWire:
             ) from error
         if self._device is None:
             raise NotConnected(
-                f"{self.name} is not there.",
-                remedy="Check its power and its cable; lsusb lists what is there.",
+                f"{self.name} is not connected.",
+                remedy="Check its power and its cable; lsusb lists the connected devices.",
             )
 
     def _find_ends(self, device: Any) -> tuple[int, int]:

@@ -53,8 +53,8 @@ def serve(url: str, home: str | None, listening: Listening, tell: Callable[[str]
     address or a certificate that cannot be used."""
     if not is_own_address(listening.host) and not listening.is_secure:
         raise BadInput(
-            f"Other computers reach {listening.host}, and tokens would cross the network in clear.",
-            remedy="Leave --host out, or give --tls-cert and --tls-key, or say --behind-proxy if another "
+            f"Other computers reach {listening.host}, and tokens would be sent over the network unencrypted.",
+            remedy="Leave --host out, or give --tls-cert and --tls-key, or add --behind-proxy if another "
             "program speaks TLS for it.",
         )
     tls = make_tls_context(listening)

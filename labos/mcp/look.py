@@ -150,7 +150,7 @@ class Look:
         actions, with user and time. `subject` is its id, such as P7 or R1; `after` is the `next` of the
         previous page."""
         if not subject.strip():
-            raise BadInput("Nothing was named.", remedy="Give an id, as P7 or R1.")
+            raise BadInput("The id is missing.", remedy="Give an id, as P7 or R1.")
         return self.log(after=after, mentions=subject)
 
     def read_file(self, sha256: str, first: int = 0) -> str:
@@ -161,7 +161,9 @@ class Look:
         try:
             text = content.decode("utf-8", errors="strict" if len(content) < size else "ignore")
         except UnicodeDecodeError:
-            raise BadInput(f"The file {sha256[:12]}… is no text.", remedy="Fetch it: labos files") from None
+            raise BadInput(
+                f"The file {sha256[:12]}… is not a text.", remedy="Fetch it: labos files"
+            ) from None
         return encode_answer(text, next=first + len(content) if len(content) == size else None)
 
 

@@ -8,7 +8,7 @@ from labos.client import LabClient
 from labos.mcp.pages import encode_answer
 from labos.mcp.plan import campaign_of, workflow_of
 
-WAITS = "It has not begun, and begins only if an operator approves it."
+WAITS = "It has not started; it starts only if an operator approves it."
 
 
 class Propose:

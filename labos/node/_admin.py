@@ -106,7 +106,7 @@ class Admin:
         try:
             if request.command not in NEVER_FENCED:
                 if flaw := find_flaw(request.args):
-                    raise BadInput(f"The arguments of {request.command} cannot be taken: {flaw}.")
+                    raise BadInput(f"The arguments of {request.command} cannot be accepted: {flaw}.")
                 self._admission.admit(request.lab, request.epoch)
                 await self._synced()
             return AdminReply(True, result=await handler(request.args))
@@ -136,10 +136,13 @@ class Admin:
 
     async def _observe(self, args: dict[str, Any]) -> dict[str, Any]:
         if doing := self._carrying():
-            raise NodeError(f"{self._module} is carrying labware ({doing}): what is seen now is old soon.")
+            raise NodeError(
+                f"{self._module} is moving labware ({doing}), so an observation now would soon be out of "
+                "date."
+            )
         seen: dict[str, Any] = msgspec.to_builtins(await self._node.observe(), str_keys=True)
         if flaw := find_flaw(seen):
-            raise NodeError(f"What {self._module} sees cannot be told: {flaw}.")
+            raise NodeError(f"The observation of {self._module} cannot be sent: {flaw}.")
         self.variables = {name: value for name, value in seen.items() if name != "labware"}
         return seen
 
@@ -149,7 +152,7 @@ class Admin:
     async def _settle(self, args: dict[str, Any]) -> None:
         action, done = args.get("action"), args.get("done", False)
         if not isinstance(action, str) or not is_name(action) or not isinstance(done, bool):
-            raise BadInput("`settled` wants the id of an action, and whether it is done: true or false.")
+            raise BadInput("`settled` needs the id of an action, and whether it is done: true or false.")
         await self._node.settle(action, done)
 
     async def _rewind(self, args: dict[str, Any]) -> None:

@@ -53,7 +53,7 @@ class Admission:
                 f"{self._module} obeys the kernel of epoch {journal.epoch}; no kernel of its lab can have "
                 f"epoch {epoch}.",
                 "refused",
-                remedy="Nothing was changed; see what sends this.",
+                remedy="Nothing was changed; find the program that sends this.",
             )
         journal.bind(lab)
         journal.raise_epoch(epoch)
@@ -67,7 +67,7 @@ class Admission:
         """A position that a kernel can have sent. Raises NotAdmitted."""
         if type(position) is not int or not 0 <= position <= GREATEST:
             raise NotAdmitted(
-                f"No log has the position {cut(repr(position), 80)}.",
+                f"Not a position of a log: {cut(repr(position), 80)}.",
                 "refused",
                 remedy="Nothing was changed.",
             )
@@ -81,14 +81,14 @@ class Admission:
                 return self._find_flaw_of_request(message)
             case Start():
                 if flaw := find_flaw(message.args, limit=GREATEST):
-                    return f"its arguments cannot be taken, {flaw}"
+                    return f"its arguments cannot be accepted, {flaw}"
                 return self._find_flaw_of_request(message)
 
     def _find_flaw_of_request(self, message: Start | Ask) -> str:
         if not is_name(message.action):
-            return f"an action is not called {cut(repr(message.action), 80)}"
+            return f"not a name of an action: {cut(repr(message.action), 80)}"
         if not 1 <= message.position <= GREATEST:
-            return f"no log has the position {message.position}"
+            return f"not a position of a log: {message.position}"
         last = self._journal.find_last_attempt(message.action)
         if not 1 <= message.attempt <= last + ATTEMPT_JUMP:
             return f"attempt {message.attempt} of {message.action} cannot follow attempt {last}"
@@ -96,7 +96,7 @@ class Admission:
 
     def _find_flaw_of_acknowledgement(self, position: int) -> str:
         if not 0 <= position <= GREATEST:
-            return f"no log has the position {position}"
+            return f"not a position of a log: {position}"
         if position > self._journal.seen + POSITION_JUMP:
             return f"position {position} is too far behind the last request, which has {self._journal.seen}"
         return ""

@@ -15,7 +15,7 @@ from labos.node.limits import cut
 from labos.node.node import Node
 from labos.node.protocol import NodeStatus, Outcome
 
-AWAITING_REST = "waiting for the device to stand still"
+AWAITING_REST = "waiting for the device to stop"
 
 _log = structlog.get_logger(__name__)
 

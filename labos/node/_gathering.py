@@ -59,7 +59,7 @@ class Gathering:
             if not group.decided.done():
                 missing = ", ".join(name for name in group.names if name not in group.starts)
                 self._give_up(
-                    group, f"No start has come of {missing}, which is carried out together with it."
+                    group, f"The start of {missing}, which is carried out together with it, did not arrive."
                 )
             return group.decided.result()
 
@@ -67,7 +67,7 @@ class Gathering:
         """An action may not begin, so none of the actions begins that were to be carried out together with
         it."""
         for group in [group for group in self._groups.values() if action in group.names]:
-            self._give_up(group, f"It is carried out together with {action}, and that is not: {why}")
+            self._give_up(group, f"It is carried out together with {action}, which cannot start: {why}")
 
     def _find_late(self, group: _Group) -> str:
         """Why a waiting start may not begin any more; empty if all may begin."""
@@ -75,7 +75,7 @@ class Gathering:
         for start in group.starts.values():
             known = journal.find(start.action, start.attempt) or journal.is_void(start.action, start.attempt)
             if known or journal.is_forgotten(start.position):
-                return f"{start.action} may not begin any more."
+                return f"{start.action} may no longer start."
         return ""
 
     def _give_up(self, group: _Group, why: str) -> None:

@@ -143,7 +143,7 @@ class Memory(msgspec.Struct):
                 withdrawn = self.actions[record.action].attempts.pop(record.attempt)
                 self._note_void(record.action, record.attempt, withdrawn.position)
             case _:
-                raise TypeError(f"{type(record).__name__} is no record of a journal")
+                raise TypeError(f"{type(record).__name__} is not a record of a journal")
 
     def _attempt(self, action: str, number: int) -> Attempt:
         return self.actions[action].attempts[number]
@@ -191,7 +191,7 @@ class Memory(msgspec.Struct):
                 self.apply(record)
             except KeyError as error:
                 raise JournalDamaged(
-                    f"The node's journal tells the end of an action without its beginning ({error}).",
+                    f"The node's journal has the end of an action without its start ({error}).",
                     remedy=REMEDY,
                 ) from error
 

@@ -70,9 +70,7 @@ def _make_success(name: str, result: Any) -> Outcome:
         plain = msgspec.to_builtins(result, str_keys=True)
         flaw = find_flaw(plain)
     except (TypeError, ValueError, RecursionError, msgspec.MsgspecError) as error:
-        flaw = (
-            describe_error(error) if not isinstance(error, RecursionError) else "it is nested without an end"
-        )
+        flaw = describe_error(error) if not isinstance(error, RecursionError) else "it is nested endlessly"
     if flaw:
         return Outcome(
             False, "all", error=f"{name} was done, but its result cannot be recorded: {flaw.rstrip('.')}."

@@ -16,7 +16,7 @@ from labos.node.protocol import Outcome
 
 FORMAT = 1
 
-REMEDY = "Find out what stands where, then move the journal away; the node begins a new one."
+REMEDY = "Check what stands on the bench, then move the journal away; the node starts a new one."
 
 
 class Record(msgspec.Struct, frozen=True, tag_field="t", omit_defaults=True):
@@ -182,7 +182,7 @@ def read_lines(data: bytes) -> tuple[list[Record], bytes]:
             if newline < 0 or (newline + 1 == len(data) and b"\0" in line):
                 return records, data[:start]
             raise JournalDamaged(
-                f"The node's journal is damaged at byte {start}: it cannot be known what the device did.",
+                f"The node's journal is damaged at byte {start}, so what the device did is unknown.",
                 remedy=REMEDY,
             )
         try:

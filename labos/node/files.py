@@ -61,17 +61,19 @@ class Files:
         while True:
             reply = await self._ask(FetchFile(sha256, len(data)))
             if reply.problem:
-                raise DeviceError(f"The file {name} is not to be had: {reply.problem}", effects="none")
+                raise DeviceError(f"The file {name} cannot be fetched: {reply.problem}", effects="none")
             data += reply.data
             if len(data) >= min(reply.size, LARGEST) or not reply.data:
                 break
         if digest(bytes(data)) != sha256:
-            raise DeviceError(f"The file {name} did not arrive as it was pinned.", effects="none")
+            raise DeviceError(
+                f"The file {name} is not the one that the run needs: its SHA-256 differs.", effects="none"
+            )
         try:
             await asyncio.to_thread(_write, path, bytes(data))
         except OSError as error:
             raise DeviceError(
-                f"The file {cut(name, NAME_LIMIT)} cannot be kept beside the node ({error.strerror}).",
+                f"The file {cut(name, NAME_LIMIT)} cannot be stored beside the node ({error.strerror}).",
                 effects="none",
             ) from error
         return path
@@ -90,7 +92,7 @@ class Files:
             piece = data[sent : sent + PIECE] if sent is not None else b""
             reply = await self._ask(KeepFile(name, len(data), sent or 0, piece))
             if reply.problem:
-                raise DeviceError(f"The lab did not take {attachment.name}: {reply.problem}", effects="all")
+                raise DeviceError(f"The lab did not accept {attachment.name}: {reply.problem}", effects="all")
             if not 0 <= reply.received <= len(data) or (sent is not None and reply.received <= sent):
                 _log.warning("file_part_not_taken", name=attachment.name, received=reply.received)
                 await asyncio.sleep(STALLED_S)
@@ -114,14 +116,14 @@ async def hand_over(result: Any, files: Files | None, depth: int = 0) -> Any:
     DeviceError."""
     if depth > DEPTH_LIMIT:
         raise DeviceError(
-            f"All was done, but the result cannot be recorded: it is nested deeper than {DEPTH_LIMIT} "
-            "levels.",
+            "The action was done, but its result cannot be recorded: it is nested deeper than "
+            f"{DEPTH_LIMIT} levels.",
             effects="all",
         )
     match result:
         case Attachment():
             if files is None:
-                raise DeviceError(f"There is no lab that could take the file {result.name}.", effects="all")
+                raise DeviceError(f"There is no lab to receive the file {result.name}.", effects="all")
             return await files.send(result)
         case dict():
             return {key: await hand_over(value, files, depth + 1) for key, value in result.items()}
@@ -138,7 +140,7 @@ async def _read_content(attachment: Attachment) -> bytes:
         return await asyncio.to_thread(attachment.content.read_bytes)
     except OSError as error:
         raise DeviceError(
-            f"All was done, but the file {cut(attachment.name, NAME_LIMIT)} that it left cannot be read "
+            f"The action was done, but its file {cut(attachment.name, NAME_LIMIT)} cannot be read "
             f"({error.strerror}).",
             effects="all",
         ) from error

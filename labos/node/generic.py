@@ -214,7 +214,7 @@ class GenericDevice:
             self._at_work.cancel()
             self._at_work = None
         if self._is_stopped:
-            raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
+            raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Check it, then reset it.")
 
     def _draw_duration_s(self, nominal_s: float) -> float:
         """A random duration for this execution, in lab seconds."""

@@ -74,10 +74,10 @@ class _Nowhere:
         return b""
 
     async def append(self, data: bytes) -> None:
-        raise OSError("this journal is only looked at")
+        raise OSError("this journal is open for reading only")
 
     async def replace(self, data: bytes) -> None:
-        raise OSError("this journal is only looked at")
+        raise OSError("this journal is open for reading only")
 
     async def close(self) -> None:
         pass
@@ -353,7 +353,7 @@ class Journal:
             _log.error("journal_unwritable", journal=self.id, error=self.broken)
         finally:
             if not written and not self.broken:
-                self.broken = "the last write was broken off"
+                self.broken = "the last write was interrupted"
             self._writing = None
 
     def _snapshot(self) -> bytes:

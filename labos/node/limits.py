@@ -132,4 +132,4 @@ def read(
     except (msgspec.MsgspecError, ValueError) as error:  # a number of 5,000 digits raises ValueError
         raise Unreadable(f"{what} cannot be read: {cut_text(str(error), NAME_LIMIT)}.") from error
     except RecursionError:
-        raise Unreadable(f"{what} is nested too deep to be read.") from None
+        raise Unreadable(f"{what} is nested too deeply.") from None

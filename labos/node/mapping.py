@@ -10,8 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from labos.spec.about import About, ArgAbout, BadEffect, StationAbout, description_of
-    from labos.spec.findings import near
+    from labos.spec.about import About, ArgAbout, BadEffect, StationAbout, make_description
+    from labos.spec.findings import suggest_name
     from labos.spec.parts import Many, Name, Part, Seconds
     from labos.spec.tables import DriverTable, Flaw, read_table
 
@@ -26,14 +26,14 @@ __all__ = [
     "Part",
     "Seconds",
     "StationAbout",
-    "description_of",
-    "near",
+    "make_description",
     "read_table",
+    "suggest_name",
 ]
 
 _HOMES = {
-    "labos.spec.about": ("About", "ArgAbout", "BadEffect", "StationAbout", "description_of"),
-    "labos.spec.findings": ("near",),
+    "labos.spec.about": ("About", "ArgAbout", "BadEffect", "StationAbout", "make_description"),
+    "labos.spec.findings": ("suggest_name",),
     "labos.spec.parts": ("Many", "Name", "Part", "Seconds"),
     "labos.spec.tables": ("DriverTable", "Flaw", "read_table"),
 }

@@ -181,8 +181,9 @@ class Node:
             is_taken = name in vars(Node) and not hasattr(vars(Node)[name], "__labos_action__")
             if is_taken and hasattr(method, "__labos_action__"):
                 raise TypeError(
-                    f"{cls.__qualname__}: an action cannot be called {name!r}: every node has something else "
-                    f'of that name. Call it {name}_device, say, with aliases=("{name}",).'
+                    f"{cls.__qualname__}: an action cannot be called {name!r}: every node already has "
+                    f"an attribute of that name. Use another name, for example {name}_device with "
+                    f'aliases=("{name}",).'
                 )
 
     def __init__(self, setup: Setup) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from labos.errors import DeviceError
 
 
-def secret_of(config: Mapping[str, Any], key: str, *, file_key: str = "") -> str:
+def read_secret(config: Mapping[str, Any], key: str, *, file_key: str = "") -> str:
     """The secret that a config names: ``<key>_env`` names a variable of the node's environment, and
     ``<key>_file`` (or ``file_key``) a file on the node's computer. Empty if it names none. Raises DeviceError
     (``none``) if it names both, a variable that is not set, or a file that cannot be read."""
@@ -19,7 +19,7 @@ def secret_of(config: Mapping[str, Any], key: str, *, file_key: str = "") -> str
     variable, path = str(config.get(by_variable) or ""), str(config.get(by_file) or "")
     if variable and path:
         raise DeviceError(
-            f"`config:` says both `{by_variable}` and `{by_file}`.",
+            f"`config:` has both `{by_variable}` and `{by_file}`.",
             effects="none",
             remedy="Leave one of them out.",
         )
@@ -37,9 +37,9 @@ def secret_of(config: Mapping[str, Any], key: str, *, file_key: str = "") -> str
     try:
         return Path(path).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is no text"
+        why = error.strerror if isinstance(error, OSError) else "it is not a text"
         raise DeviceError(
             f"`{by_file}` names the file {path!r}, which cannot be read ({why}).",
             effects="none",
-            remedy="Put it into that file on the node's computer, and nothing else.",
+            remedy="Put it, and nothing else, into that file on the node's computer.",
         ) from error

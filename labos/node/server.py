@@ -54,7 +54,7 @@ from labos.version import VERSION
 if TYPE_CHECKING:
     from labos.ports import Bus, Handle
 
-STOPPED_BEFORE = "Stopped before it began."
+STOPPED_BEFORE = "Stopped before it started."
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
@@ -283,7 +283,7 @@ class NodeServer:
             resources = await self.node.resources()
             levels = {str(name): float(level) for name, level in resources.items()}
             if flaw := find_flaw(levels):
-                raise DeviceError(f"The levels of {self.module} cannot be told: {flaw}.")
+                raise DeviceError(f"The levels of {self.module} cannot be sent: {flaw}.")
             return _encode(ResourcesReport(levels))
         except Exception as error:
             return _encode(ResourcesReport(error=describe_error(error)))
@@ -351,7 +351,7 @@ class NodeServer:
                     f"{self.module} has no action {cut(start.name, NAME_LIMIT)!r}; it has {offers or 'none'}."
                 )
             if recovering and not spec.recovers:
-                raise ActionInvalid(f"{spec.name} does not bring {self.module} out of an error.")
+                raise ActionInvalid(f"{spec.name} cannot recover {self.module} from an error.")
             kwargs = arguments.bind(spec, start.args)
             why, transient = self._explain_cannot_begin(spec), True
         except ActionInvalid as error:
@@ -444,7 +444,7 @@ class NodeServer:
         reply = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         if ask.void and (reply is None or (reply.attempt and reply.attempt != ask.attempt)):
             self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)
-            self._gathering.break_up(ask.action, "the lab has asked for it meanwhile.")
+            self._gathering.break_up(ask.action, "the lab has requested it meanwhile.")
         await self.journal.sync()
         # During the write, the action may have ended, or its acceptance may have failed.
         reply = self._reply_from_journal(ask.action, ask.attempt, ask.position)
@@ -557,7 +557,7 @@ class NodeServer:
 
         async def keep(handle: str) -> None:
             if find_flaw(handle, limit=TEXT_LIMIT):
-                raise DeviceError(f"The device's own id cannot be kept: it is {cut(repr(handle), 80)}.")
+                raise DeviceError(f"The device's own id cannot be stored: it is {cut(repr(handle), 80)}.")
             for attempt in attempts:
                 self.journal.note_handle(attempt.action, attempt.attempt, handle)
             await self.journal.sync()

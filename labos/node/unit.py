@@ -39,8 +39,8 @@ def see_unit(setup: Setup, serial: Any) -> None:
         accept = f"run `labos node accept-unit {module} {found}`".rstrip(" `") + "`"
     raise WrongDevice(
         f"{module}: the unit with the serial number {expected} was expected, but "
-        + (f"{found} answers." if found else "what answers tells no serial number."),
-        remedy=f"Connect {expected} again; or {accept}, teach what differs, and reset the module.",
+        + (f"{found} answers." if found else "the connected device reports no serial number."),
+        remedy=f"Connect {expected} again; or {accept}, teach the poses that differ, and reset the module.",
     )
 
 
@@ -64,8 +64,9 @@ def read_known_unit(file: Path) -> str:
         return ""
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise NotConnected(
-            f"{file} should tell the device's serial number, and cannot be read ({error}).",
-            remedy="Look which device is connected, and remove the file: the next one is remembered.",
+            f"{file} should contain the device's serial number, but cannot be read ({error}).",
+            remedy="Check which device is connected, and remove the file: the serial number of the next "
+            "device is stored.",
         ) from error
 
 
@@ -74,7 +75,7 @@ def keep_unit(file: Path, serial: str) -> None:
     try:
         replace_file(file, json.dumps({"serial": serial}).encode())
     except OSError as error:
-        raise NotConnected(f"The serial number {serial} cannot be kept in {file} ({error}).") from error
+        raise NotConnected(f"The serial number {serial} cannot be stored in {file} ({error}).") from error
 
 
 def forget_unit(file: Path) -> None:

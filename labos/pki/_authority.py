@@ -119,7 +119,7 @@ class Authority:
         with self._lock():
             if self.exists:
                 raise Refused(
-                    f"There is an authority already in {self.folder}.",
+                    f"There is already an authority in {self.folder}.",
                     remedy="Issue certificates with it: labos pki issue. Or name another --pki FOLDER.",
                 )
             if site is not None:
@@ -144,7 +144,7 @@ class Authority:
             members = self.read_members()
             if members.find(identity) is not None:
                 raise Refused(
-                    f"There is a certificate already for the {identity.shown}: "
+                    f"There is already a certificate for the {identity.shown}: "
                     f"{self.credentials(identity).folder}.",
                     remedy="Renew it (labos pki renew), or revoke it first (labos pki revoke).",
                 )
@@ -185,7 +185,7 @@ class Authority:
             if not entry.own:
                 raise Refused(
                     f"The site issued the certificate of the {entry.identity.shown}.",
-                    remedy="Ask the site for a new one with the same CN, and take it over: labos pki admit.",
+                    remedy="Ask the site for a new one with the same CN, and add it: labos pki admit.",
                 )
             lasted = round((entry.not_after - entry.not_before) / 86_400e9)
             rest = [e for e in members.entries if e.common_name != entry.common_name]
@@ -204,7 +204,7 @@ class Authority:
         if not is_issued_by(parsed, _read(self.folder / CA)):
             raise BadInput(
                 f"{certificate} was not issued by the authority in {self.folder / CA}.",
-                remedy="That file has to hold the certificate of who issued it: labos pki init --ca FILE.",
+                remedy="That file has to contain the certificate of the issuer: labos pki init --ca FILE.",
             )
         if not is_key_of(parsed, private):
             raise BadInput(
@@ -215,10 +215,10 @@ class Authority:
             members = self.read_members()
             taken = next((e for e in members.entries if e.common_name == entry.common_name), None)
             if taken is not None and (taken.revoked_at or taken.identity != identity):
-                state = "revoked" if taken.revoked_at else "that of another party"
+                state = "revoked" if taken.revoked_at else "the CN of another certificate"
                 raise Refused(
                     f"The CN {entry.common_name!r} is {state} ({taken.identity.shown}).",
-                    remedy="One CN, one key: ask the site for a certificate with another CN.",
+                    remedy="Each CN can have only one key: ask the site for a certificate with another CN.",
                 )
             rest = tuple(e for e in members.entries if e.identity != identity or e.revoked_at)
             self._hand_out(identity, cert, private)
@@ -231,7 +231,7 @@ class Authority:
         with self._lock():
             members = self.read_members()
             if entry.revoked_at:
-                raise Refused(f"The certificate of the {entry.identity.shown} is revoked already.")
+                raise Refused(f"The certificate of the {entry.identity.shown} is already revoked.")
             ended = msgspec.structs.replace(entry, revoked_at=now, why=why)
             self._keep(
                 Members(tuple(ended if e.common_name == entry.common_name else e for e in members.entries))
@@ -260,7 +260,7 @@ class Authority:
         if not self.issues:
             raise Refused(
                 f"There is no {self.folder / CA_KEY}: the site issues the certificates of this lab.",
-                remedy="Ask the site, and take over what it issued: labos pki admit.",
+                remedy="Ask the site for a certificate, and add it: labos pki admit.",
             )
         return _read(self.folder / CA), _read(self.folder / CA_KEY)
 
@@ -319,6 +319,4 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise BadInput(
-            f"{path} cannot be read: {error}.", remedy="Look at its name and its rights."
-        ) from error
+        raise BadInput(f"{path} cannot be read: {error}.", remedy="Check its name and its rights.") from error

@@ -54,7 +54,7 @@ class Credentials(msgspec.Struct, frozen=True):
         if entry.not_before > now_ns:
             raise BadInput(
                 f"The certificate {self.certificate} is not valid yet.",
-                remedy="The clock of this computer is wrong: let it follow a time server.",
+                remedy="The clock of this computer is wrong: synchronise it with a time server.",
             )
         if sys.platform != "win32" and self.key.stat().st_mode & 0o077:
             raise BadInput(f"Others may read {self.key}.", remedy=f"chmod 600 {self.key}")
@@ -84,7 +84,8 @@ class Credentials(msgspec.Struct, frozen=True):
             return read_certificate(self.certificate.read_bytes(), str(self.certificate))
         except OSError as error:
             raise BadInput(
-                f"The certificate {self.certificate} cannot be read: {error}.", remedy="Put it right."
+                f"The certificate {self.certificate} cannot be read: {error}.",
+                remedy="Correct or replace the file.",
             ) from error
 
 
@@ -106,7 +107,7 @@ def read_members(path: Path) -> Members:
         return msgspec.json.decode(path.read_bytes(), type=Members)
     except FileNotFoundError:
         raise NotFound(
-            f"There is no {path}, which says who may do what on the bus.",
+            f"There is no {path}, the access rules of the bus.",
             remedy="labos pki init makes it; labos pki issue bus puts a copy into the folder of the bus.",
         ) from None
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:

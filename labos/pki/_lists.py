@@ -40,8 +40,8 @@ class ReceivedList:
         self._check(found, signed=known > 0)
         if found.number < known:
             raise BadInput(
-                f"{self.file} is the list of number {found.number}, and one of number {known} was here: the "
-                "older one may let certificates speak that were revoked since.",
+                f"{self.file} is list number {found.number}, but list number {known} was already "
+                "here: an older list may allow certificates that were revoked later.",
                 remedy="Copy the newest one from the authority. If the authority itself was put back from an "
                 f"older copy, remove {self.folder / NUMBER} first.",
             )
@@ -53,11 +53,14 @@ class ReceivedList:
         """Store a list that came over the bus. Returns whether it is newer than the present one. Raises
         BadInput for a list that the authority has not signed."""
         if len(data) > LARGEST:
-            raise BadInput(f"A list of {len(data)} bytes was sent.", remedy="Look who is on the bus.")
+            raise BadInput(
+                f"A revocation list of {len(data)} bytes was received, which is too long.",
+                remedy="Check which programs are on the bus.",
+            )
         try:
             found = msgspec.json.decode(data, type=Members)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-            raise BadInput(f"A list was sent that cannot be read: {error}.") from None
+            raise BadInput(f"A revocation list was received that cannot be read: {error}.") from None
         with _turn:
             if found.number <= max(self._read_known(), self._find_number()):
                 return False
@@ -78,8 +81,8 @@ class ReceivedList:
             raise BadInput(f"{self.folder / CA} cannot be read: {error}.") from None
         if not found.signature or not has_signed(authority, found.signed_bytes, found.signature):
             raise BadInput(
-                f"The list of number {found.number} is not signed by the authority of {self.folder / CA}.",
-                remedy="Lists are made by the authority (labos pki), where its key is.",
+                f"List number {found.number} is not signed by the authority of {self.folder / CA}.",
+                remedy="Make lists with the authority (labos pki), where its key is.",
             )
 
     def _read_known(self) -> int:

@@ -113,7 +113,7 @@ def read_certificate(pem: bytes, what: str) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(pem)
     except ValueError as error:
-        raise BadInput(f"{what} is no certificate: {error}.", remedy="Give a PEM file.") from error
+        raise BadInput(f"{what} is not a certificate: {error}.", remedy="Give a PEM file.") from error
 
 
 def common_name_of(certificate: x509.Certificate) -> str:
@@ -136,8 +136,8 @@ def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: boo
     common_name = common_name_of(certificate)
     if not common_name:
         raise BadInput(
-            "The certificate bears no common name (CN), by which the bus would know its owner.",
-            remedy="Ask for one that bears a CN, and a different one for each key.",
+            "The certificate has no common name (CN), which the bus needs to identify its owner.",
+            remedy="Request one with a CN; each key needs its own CN.",
         )
     return CertificateEntry(
         identity,
@@ -226,7 +226,7 @@ def _make_address(address: str) -> x509.GeneralName:
         return x509.DNSName(address)
     except ValueError as error:
         raise BadInput(
-            f"{address!r} is no address: {error}.", remedy="Name a host or an IP address."
+            f"{address!r} is not an address: {error}.", remedy="Name a host or an IP address."
         ) from error
 
 

@@ -15,9 +15,9 @@ from collections.abc import Iterable, Iterator
 
 from labos.core import reasons
 from labos.core.actions import Action
-from labos.core.bench import Station
+from labos.core.bench import StationState
 from labos.core.effects import list_arrivals, list_carried
-from labos.core.ids import Owner, RunId, StationName, run_owner, workcell_of
+from labos.core.ids import Owner, RunId, StationName, run_owner, split_owner, workcell_of
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
 from labos.core.rules import convert_lab_s
@@ -81,7 +81,7 @@ def _list_before(plan: Plan, index: int) -> set[int]:
     return found
 
 
-def _would_fill(station: Station) -> bool:
+def _would_fill(station: StationState) -> bool:
     return station.spec.kind != "waste" and station.count + 1 >= station.spec.capacity
 
 
@@ -108,7 +108,7 @@ def _find_free_time(state: LabState, place: StationName, now: int) -> int | None
     return max(times)
 
 
-def _list_in_the_way(state: LabState, station: Station) -> Iterator[Owner]:
+def _list_in_the_way(state: LabState, station: StationState) -> Iterator[Owner]:
     """Whose labware has to leave a place, or is on its way there, before more can come."""
     if not station.full and not station.spec.claim:
         return
@@ -123,7 +123,7 @@ def _list_in_the_way(state: LabState, station: Station) -> Iterator[Owner]:
 def _find_leave_time(state: LabState, owner: Owner, place: StationName, now: int) -> int | None:
     """When a run will have carried its labware away from a place, at the earliest (UTC ns); None if it does
     not, or does not go on now."""
-    kind, _, name = owner.partition(":")
+    kind, name = split_owner(owner)
     run = state.runs.active.get(RunId(name)) if kind == "run" else None
     if run is None or run.status != RunStatus.ACTIVE or find_holds(run):
         return None

@@ -59,7 +59,9 @@ def describe_certificate(found: Certificate) -> Iterator[str]:
     if not found.is_whole:
         yield f"With more than {MOST_STEPS} steps, windows are not certified together."
     for step in found.left_out:
-        yield f"{step!r} has a window whose clock another run starts: nothing can be said of it before."
+        yield (
+            f"{step!r} has a window that is anchored at another run, so it cannot be certified in advance."
+        )
 
 
 def _describe_limits(window: WindowVerdict) -> str:
@@ -88,5 +90,5 @@ def _find_broken(compiled: Compiled, found: Certificate) -> Iterator[Finding]:
             "error",
             f"The windows cannot be certified: the workflow has more than {MOST_STEPS} steps.",
             *compiled.written[index],
-            remedy="Make several runs of it, or write `windows: warn` at the top.",
+            remedy="Split it into several runs, or write `windows: warn` at the top.",
         )

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import msgspec
 
 from labos.core.decide.choices import BindAnew, can_change_to
-from labos.core.ids import ModuleName, local
+from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.runs import SETTLED, RunState, find_chosen_modules, list_options
 from labos.core.state import LabState
 from labos.planning.forecast import find_usual_time
@@ -39,7 +39,7 @@ def sort_options(state: LabState, run: RunState, now: int) -> list[RunState]:
 
 def _load(state: LabState, module: ModuleName, now: int) -> int:
     """How long a module still has to work for the runs inside (lab time in wall ns)."""
-    cell = module.partition("/")[0]
+    cell = workcell_of(module)
     total = 0
     for run in state.runs.list_inside(cell):
         steps = state.runs.plan_of(run).steps

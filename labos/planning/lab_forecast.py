@@ -320,7 +320,7 @@ def _list_conflicts(forecaster: _Forecaster, state: LabState, play: Play) -> Ite
     for name in modules:
         module = state.modules.by_name.get(name)
         if module is None or module.out_of_service or module.status == ModuleStatus.GONE:
-            yield f"{local(name)} is not there, or out of service."
+            yield f"{local(name)} is unavailable, or out of service."
     ends = [end for name, end in play.ends.items() if _is_new(forecaster, play, name)]
     last, _ = forecaster.expect("ends", max(ends, default=None))
     yield from _list_booked(state, user, modules, request.now, last.latest_at if last else request.now)

@@ -26,7 +26,7 @@ def find_way_out(
     ``joint``: see a path."""
     plan = state.runs.plan_of(run)
     left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
-    before = _stand(state, run, claims)
+    before = _list_left(state, run, claims)
     motions = list_motions_of_steps(plan, sort_steps(plan, left), claims, rests, nests, before, joint)
     return tuple(
         motion
@@ -35,7 +35,7 @@ def find_way_out(
     )
 
 
-def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> RunOnBench:
+def _list_left(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> RunOnBench:
     stand = RunOnBench()
     for item in state.bench.list_owned(run_owner(run.id)):
         place = state.bench.find_planned_place(item.station)

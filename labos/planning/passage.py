@@ -35,15 +35,15 @@ def find_first_trap(
         return None
     ground = lay_out(state, cell, here, hopeful=True)
     low, high = 0, len(starts)
-    lost = {actor.name for actor in here} - _find_who_ends(ground, here, starts, safety)
+    lost = {actor.name for actor in here} - _find_ending_runs(ground, here, starts, safety)
     if not lost:
         return None
-    lost &= _find_who_ends(ground, here, (), safety)
+    lost &= _find_ending_runs(ground, here, (), safety)
     if not lost:
         return None
     while high - low > 1:
         middle = (low + high) // 2
-        if lost <= _find_who_ends(ground, here, starts[:middle], safety):
+        if lost <= _find_ending_runs(ground, here, starts[:middle], safety):
             low = middle
         else:
             high = middle
@@ -155,7 +155,7 @@ def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safet
     return [view_actor(actor, view) for actor in actors]
 
 
-def _find_who_ends(
+def _find_ending_runs(
     ground: Floor, actors: Sequence[Actor], starts: Sequence[Step], safety: Safety
 ) -> set[str]:
     """Step comes to its end after these starts; nobody if one of them is not possible."""

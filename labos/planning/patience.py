@@ -89,7 +89,7 @@ class OvertakeCounts:
             found = self._keys[shape] = frozenset(keys)
         return found
 
-    def find_who_keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+    def find_run_that_goes_first(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
         """The run inside for whose sake this one is not let in; None if there is none. Where nothing moves
         nobody is kept out: what the elder waits for may come from the one that waits."""
         plan = state.runs.plan_of(run)

@@ -197,7 +197,7 @@ class Scheduler:
             early = check_arrival(state, run, step, now, self._list_plans(state, cell))
             if early is not None and not self.room.is_overtaken(state, run):
                 return self.adviser.wake_in_time(state, run, step, early, now)
-        inside = self.patience.find_who_keeps_out(state, run, self.sleepers)
+        inside = self.patience.find_run_that_goes_first(state, run, self.sleepers)
         return Wait(reasons.AfterElder(inside), (near_key(cell),)) if inside is not None else None
 
     def _check_safety(self, state: LabState, run: RunState, step: int, *, only_asking: bool) -> Wait | None:
@@ -421,7 +421,7 @@ class Scheduler:
             yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
             if option.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
-            if not self.adviser.has_order(state, state.runs.plan_of(option).workcell):
+            if not self.adviser.has_order(state, state.runs.plan_of(option).workcell, now):
                 yield from self._start_first_steps(state, option.id, now)
             run = self.admission.find_first(state, bundle, now)
 

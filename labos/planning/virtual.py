@@ -39,7 +39,7 @@ from labos.core.runs import (
     RunStarted,
     RunState,
     find_chosen_modules,
-    let_wait_anew,
+    requeue,
 )
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
@@ -156,7 +156,7 @@ class VirtualLab:
             if run is not None and run.id not in self.play.users:
                 self._note(run)
             if run is not None and (run.held or run.unapproved):
-                with let_wait_anew(self.state.runs, run):
+                with requeue(self.state.runs, run):
                     run.held = run.unapproved = False
             campaign = self.state.campaigns.open.get(CampaignId(getattr(event, "campaign", "")))
             if campaign is not None and campaign.status == CampaignStatus.PROPOSED:
@@ -168,7 +168,7 @@ class VirtualLab:
         proposal = self.state.approvals.open.pop(subject, None)
         run = self.state.runs.queued.get(RunId(subject))
         if run is not None:
-            with let_wait_anew(self.state.runs, run):
+            with requeue(self.state.runs, run):
                 run.held = run.unapproved = False
         campaign = self.state.campaigns.open.get(CampaignId(subject))
         if campaign is not None and proposal is not None:
@@ -224,7 +224,9 @@ class VirtualLab:
             self.play.stays = {run.id: self._describe_wait(run) for run in runs}
             if self.play.stays and not self.play.touches:
                 run, why = next(iter(self.play.stays.items()))
-                self._touch(ForeseenTouch(self.now, f"nothing goes on, as {run} waits: {why}", run=run))
+                self._touch(
+                    ForeseenTouch(self.now, f"nothing continues, because {run} waits: {why}", run=run)
+                )
         self.play.levels = {name: level.level for name, level in self.state.resources.levels.items()}
         return self.play
 
@@ -371,7 +373,7 @@ class VirtualLab:
         waits = [wait for _, wait in self._scheduler.list_waits(self.state, run, self.now)]
         found = next((wait for wait in waits if wait.blocked), None) or next(iter(waits), None)
         if found is None:
-            return "nobody can say how its action ended"
+            return "the outcome of its action cannot be found"
         return explain_wait(self._scheduler.safety, self.state, run, found)
 
 

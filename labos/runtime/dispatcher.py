@@ -136,7 +136,7 @@ class Dispatcher:
                 self._open_at.get(event.module, {}).pop(event.action, None)
                 if event.action in self._by_person:
                     self._by_person.discard(event.action)
-                    self.tell_settled(event.module, event.action, done=isinstance(event, ActionSucceeded))
+                    self.report_settled(event.module, event.action, done=isinstance(event, ActionSucceeded))
                 self._acknowledge_soon(event.module)
             elif isinstance(event, InterventionRequested) and event.kind == PlannedWork.KIND:
                 self._by_person.add(event.subject)
@@ -175,14 +175,14 @@ class Dispatcher:
             return
         self._take_answer(event.action, event.attempt, event.journal, reply, started=True)
 
-    def tell_settled(self, module: ModuleName, action: ActionId, *, done: bool) -> None:
+    def report_settled(self, module: ModuleName, action: ActionId, *, done: bool) -> None:
         """Inform a node that a person has settled an action which may still run there; if this message is
         lost, the next heartbeat brings another one."""
         telling = self._telling.setdefault(module, {})
         if action not in telling:
-            telling[action] = self._spawn(self._tell_settled(module, action, done))
+            telling[action] = self._spawn(self._report_settled(module, action, done))
 
-    async def _tell_settled(self, module: ModuleName, action: ActionId, done: bool) -> None:
+    async def _report_settled(self, module: ModuleName, action: ActionId, done: bool) -> None:
         args = {"action": action, "done": done}
         try:
             request = AdminRequest(self._kernel.lab, self._kernel.epoch, "settled", args)
@@ -280,9 +280,9 @@ class Dispatcher:
         if reply.status == "fenced":
             self.note_outranked(action.module, reply.why)
         elif reply.journal != journal:
-            kernel.submit(DoubtAction(name, "its node has lost the journal that would know"), by)
+            kernel.submit(DoubtAction(name, "its node has lost the journal with its outcome"), by)
         elif not 0 <= reply.attempt <= attempt:
-            why = f"its node speaks of attempt {cut(str(reply.attempt), 30)}, which was never sent"
+            why = f"its node reports attempt {cut(str(reply.attempt), 30)}, which was never sent"
             kernel.submit(DoubtAction(name, why), by)
         elif reply.status in ("accepted", "running"):
             kernel.submit(AcceptAction(name, attempt, kernel.clock.now_ns()), by)
@@ -291,7 +291,7 @@ class Dispatcher:
         elif reply.status == "refused" and started:
             kernel.submit(RefuseAction(name, attempt, reply.why, final=not reply.transient), by)
         elif reply.status == "void" and action.status == ActionStatus.UNKNOWN:
-            kernel.submit(RefuseAction(name, attempt, "it was never begun there", final=False), by)
+            kernel.submit(RefuseAction(name, attempt, "it was never started there", final=False), by)
         elif reply.status == "void":
             kernel.submit(ResendAction(name, attempt, journal), by)
         elif reply.status == "interrupted":
@@ -345,7 +345,7 @@ class Dispatcher:
             return
         of_earlier = module == action.module and 0 < result.attempt < action.attempt
         if why and not of_earlier:  # such a result may have been delayed for long
-            what = f"a result of its action {action.name!r} was published that does not fit"
+            what = f"a result of its action {action.name!r} was published that does not match"
             self.doubts.ask(action.module, f"{what}: {cut(why, 2 * LONGEST_NAME)}")
         if self._prompted.spend(action.module):  # else its heartbeat will show it
             self.find_out(name)
@@ -354,9 +354,9 @@ class Dispatcher:
         """Ask a node for the outcome of an action that was settled without it."""
         if name not in self._late and self._prompted.spend(module):
             self._late.add(name)
-            self._spawn(self._hear_late(module, name, attempt))
+            self._spawn(self._on_late_result(module, name, attempt))
 
-    async def _hear_late(self, module: ModuleName, name: ActionId, attempt: int) -> None:
+    async def _on_late_result(self, module: ModuleName, name: ActionId, attempt: int) -> None:
         """The node's own answer is recorded as evidence."""
         pause = 0.2
         try:

@@ -30,7 +30,7 @@ LARGEST_ARRIVING = 2 * 1024 * 1024 * 1024
 """The largest number of bytes of all incomplete files."""
 STALE_S = 3600.0
 """An incomplete file is deleted if no further piece of it has come for so long."""
-WRONG_BYTES = "its bytes are not those of its SHA-256."
+WRONG_BYTES = "its content does not match its SHA-256."
 _encode = msgspec.json.Encoder().encode
 _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | KeepFile)
 

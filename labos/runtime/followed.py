@@ -149,7 +149,9 @@ class FollowedKernel(FoldedLab):
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait({self._task})
-        self._tell_waiting(self._waiting, StoreUnavailable("This process is ending.", remedy="Ask again."))
+        self._tell_waiting(
+            self._waiting, StoreUnavailable("This process is shutting down.", remedy="Ask again.")
+        )
 
     async def wait_until_known(self, at_least: int = 0) -> None:
         """Wait until everything is known here that was on disk when this was called, and until the position
@@ -168,7 +170,8 @@ class FollowedKernel(FoldedLab):
         except TimeoutError:
             raise Behind(
                 f"This process knows the log up to position {self.durable}, not yet up to {at_least}.",
-                remedy="Ask again in a moment; if it stays so, its copy of the database does not follow.",
+                remedy="Ask again in a moment; if this does not change, its copy of the database is not up "
+                "to date.",
             ) from None
         finally:
             self._grown = [pair for pair in self._grown if pair[1] is not grown]
@@ -214,11 +217,11 @@ class FollowedKernel(FoldedLab):
             except LogDamaged:
                 if await asyncio.to_thread(self._is_same_log):
                     raise
-                await self._begin_anew()
+                await self._restart()
                 return
             await self._fold(entries)
         if head.position < self.durable or (head.position == self.durable and head.hash != self._hash):
-            await self._begin_anew()
+            await self._restart()
 
     def _read(self, after: int, before: bytes, head: Head) -> list[Entry]:
         """A page of new records, each checked against the one before. Raises LogDamaged."""
@@ -230,7 +233,7 @@ class FollowedKernel(FoldedLab):
             before = record.hash
             entries.append(Entry(record, decode(record.head.type, record.head.schema, record.payload)))
         if not entries:
-            raise StoreUnavailable("The log has a head that its records do not reach.")
+            raise StoreUnavailable("The head of the log is after its last record.")
         return entries
 
     async def _fold(self, entries: Sequence[Entry]) -> None:
@@ -258,7 +261,7 @@ class FollowedKernel(FoldedLab):
         found = next(iter(self._store.read(position - 1, position)), None)
         return found.hash if found is not None else b""
 
-    async def _begin_anew(self) -> None:
+    async def _restart(self) -> None:
         """The log was replaced by another one: a backup was restored."""
         _log.warning("log_is_another", position=self.durable)
         await self.open()

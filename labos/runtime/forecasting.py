@@ -71,7 +71,7 @@ class ForecastProcess:
         Refused."""
         if self._asked >= MOST_ASKED:
             raise Refused(
-                f"{self._asked} forecasts are asked for already.",
+                f"{self._asked} forecasts are already waiting.",
                 remedy="Ask again when they have been answered.",
             )
         self._asked += 1

@@ -85,13 +85,13 @@ def _is_plain(part: str) -> bool:
 def _check_names(whose: str, *names: str) -> None:
     for name in names:
         if len(name) > LONGEST_NAME:
-            raise Unreadable(f"{whose} bears an id of {len(name)} characters; {LONGEST_NAME} are read.")
+            raise Unreadable(f"{whose} has an id of {len(name)} characters; {LONGEST_NAME} are allowed.")
 
 
 def _check_numbers(whose: str, *numbers: int) -> None:
     for number in numbers:
         if not 0 <= number < 2**63:
-            raise Unreadable(f"{whose} told a number that cannot be: {cut(str(number), 30)}.")
+            raise Unreadable(f"{whose} sent a number that is out of range: {cut(str(number), 30)}.")
 
 
 class RateLimiter:

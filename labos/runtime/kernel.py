@@ -340,7 +340,7 @@ class Kernel(KernelLog):
         fault = find_broken_by(turn.ledger.state, events)
         if fault:
             names = ", ".join(event.TYPE for event in events)
-            raise InvariantBroken(f"[{names}] would break what must always hold: {fault}")
+            raise InvariantBroken(f"[{names}] would break an invariant: {fault}")
 
     def _pass_on(self, entries: list[Entry]) -> None:
         """Give the batch to the writer."""

@@ -165,7 +165,10 @@ class KernelLog(ABC):
         self._to_standby = True
         await self.close()
         self._lose(
-            Fenced("This kernel has left its lab to a standby.", remedy="Ask again: that one answers soon.")
+            Fenced(
+                "This kernel has handed its lab over to a standby.",
+                remedy="Try again: the standby answers soon.",
+            )
         )
 
     async def close(self) -> None:
@@ -326,7 +329,7 @@ class KernelLog(ABC):
             if known is not None and head.epoch != known:
                 raise Fenced(
                     f"Another kernel (epoch {head.epoch}) has taken over this lab.",
-                    remedy="Let it work; this one must stop.",
+                    remedy="This kernel must stop.",
                 )
             follower, self._follower = self._follower, None
             state, _ = load(store, begin=follower.hand_over() if follower is not None else None, end=head)
@@ -334,7 +337,9 @@ class KernelLog(ABC):
 
         head, state = await self._writer.call(read)
         if state.position != head.position:
-            raise StoreUnavailable(f"The log ends at {head.position}, but {state.position} could be read.")
+            raise StoreUnavailable(
+                f"The log ends at {head.position}, but records up to {state.position} were read."
+            )
         self._epoch_claimed = head.epoch
         self._ledger = Ledger(state, head, self.clock, self.ids)
         self.durable = head.position

@@ -128,7 +128,7 @@ class Registry:
             self._greet_soon(module)
             self._drop_stranger(module)
 
-    async def wait_until_left(self, modules: Sequence[str]) -> None:
+    async def wait_until_nodes_left(self, modules: Sequence[str]) -> None:
         """Wait until the log has recorded that the nodes of ``modules``, whose processes have ended, are
         gone. The bus reports this a little later than the end of a process."""
         with contextlib.suppress(TimeoutError):
@@ -147,7 +147,7 @@ class Registry:
         now = self._kernel.clock.monotonic()
         heard = self._living.hear(module, instance, now, keep, len(known) if module not in known else None)
         if not heard:
-            self._dispatcher.doubts.note("too_many_nodes", "", f"there is another one of {module}")
+            self._dispatcher.doubts.note("too_many_nodes", "", f"there is another node of {module}")
         return heard
 
     def _drop_stranger(self, module: ModuleName) -> None:
@@ -163,9 +163,9 @@ class Registry:
             self._greeting[module] = True
             return
         self._greeting[module] = False
-        self._tasks.spawn(self._greet_while_asked(module))
+        self._tasks.spawn(self._query_while_requested(module))
 
-    async def _greet_while_asked(self, module: ModuleName) -> None:
+    async def _query_while_requested(self, module: ModuleName) -> None:
         try:
             await self._greet(module)
             while self._greeting[module]:
@@ -195,7 +195,7 @@ class Registry:
                 state = read_state(await self._query(module, "state"), str(module))
                 if (about.instance, about.journal) != (state.instance, state.journal):
                     self.rejected[module] = TWO_NODES
-                    raise NoAnswer(f"Two nodes answer for {module}, now this one and now that.")
+                    raise NoAnswer(f"Two nodes answer for {module}, in turn.")
                 if skew := explain_skew(about.protocol, "Its node", cut(about.labos, LONGEST_NAME)):
                     self.rejected[module] = skew
                     self._dispatcher.doubts.note("node_not_admitted", module, skew)
@@ -309,7 +309,7 @@ class Registry:
 
     def _lose(self, module: ModuleName, instance: str, why: str) -> None:
         stopped = self._is_stopping(module)
-        reason = "LabOS has told it to end" if stopped else why
+        reason = "LabOS has requested its end" if stopped else why
         try:
             self._kernel.submit(LoseNode(module, instance, reason, stopped), str(module))
         except LabosError as error:
@@ -382,7 +382,7 @@ class Registry:
         mine = [state.actions.open[name] for name in known.in_flight]
         for name in map(ActionId, report.running):
             if name in state.actions.ended.get(module, ()):
-                self._dispatcher.tell_settled(module, name, done=False)
+                self._dispatcher.report_settled(module, name, done=False)
         stopped = report.stopped_at and report.stopped_at != known.stopped_at
         if stopped and self._changes.spend(module):
             self._kernel.submit(RecordStops(report.stopped_by, {module: report.stopped_at}), str(module))

@@ -145,7 +145,7 @@ class ForkServer:
         return await self._plain.spawn(argv, log, attended=attended)
 
     def close(self) -> None:
-        self._give_up("it is not needed any more")
+        self._give_up("it is no longer needed")
 
     def _begin(self) -> socket.socket:
         """The link to the server, which is started if it does not run."""

@@ -68,5 +68,5 @@ async def _stop(bus: Bus, lab: str, module: ModuleName, by: str) -> int | str:
     except BusError as error:  # an error at one module must not prevent the stop of the others
         return str(error)
     if not reply.done or not isinstance(reply.result, int) or not 0 <= reply.result < 2**63:
-        return cut(reply.why) or "its node does not say so"
+        return cut(reply.why) or "its node does not confirm it"
     return reply.result

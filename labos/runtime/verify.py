@@ -85,7 +85,7 @@ class Verifier(ObservingListener[ActionId]):
             if station is not None and station.spec.watched:
                 by_observer.setdefault(station.spec.observer, []).append(place)
         observed: list[Seen] = []
-        unseen: list[str] = [] if by_observer else ["nobody looks there any more"]
+        unseen: list[str] = [] if by_observer else ["no observer is available there"]
         for observer, places in by_observer.items():
             why = self._observer.explain_cannot_ask(observer)
             sights: dict[StationName, Any] = {}
@@ -98,7 +98,7 @@ class Verifier(ObservingListener[ActionId]):
                 if contents is not None:
                     observed.append(Seen(place, local(observer), *contents))
                 else:
-                    what = why or "it does not say"
+                    what = why or "without a reason"
                     unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
         return tuple(observed), cut("; ".join(unseen))
 
@@ -141,7 +141,7 @@ class Verifier(ObservingListener[ActionId]):
         bench = self._kernel.state.bench
         moving = is_disturbed(self._kernel.state, action)
         return [
-            (place, moving, tuple(station.labware), len(station.stock), bench.haunted.get(place, 0))
+            (place, moving, tuple(station.labware), len(station.stock), bench.uncertain_at.get(place, 0))
             for place in action.looks
             if (station := bench.stations.get(place)) is not None
         ]

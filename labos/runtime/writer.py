@@ -189,10 +189,10 @@ class ThreadWriter:
 
     def _give_up(self) -> None:
         error = StoreUnavailable(
-            f"The {self._store.name} has not answered for {self._silence_s:g} s: what was asked of it last "
+            f"The {self._store.name} has not answered for {self._silence_s:g} s: its last requests "
             "may be on disk or not.",
-            remedy="Check that it runs and can be reached. When the lab answers again, look before you ask "
-            "for the same once more.",
+            remedy="Check that it runs and can be reached. When the lab answers again, check what was done "
+            "before you repeat a request.",
         )
         for future in self._calls:
             _fail(future, error)
@@ -287,5 +287,5 @@ def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
 
 def make_in_doubt_error(error: StoreUnavailable) -> CommitInDoubt:
     """The error for callers who wait for a commit during which the store failed."""
-    remedy = f"{error.remedy} Look with `labos log` before you ask for the same again.".strip()
+    remedy = f"{error.remedy} Check with `labos log` before you repeat the request.".strip()
     return CommitInDoubt(error.message, remedy=remedy)

@@ -35,7 +35,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         return msgspec.json.decode(path.read_bytes(), type=Checkpoint)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(
-            f"{path} is no checkpoint ({error}).", remedy="Name one that labos verify has written."
+            f"{path} is not a checkpoint ({error}).", remedy="Name one that labos verify has written."
         ) from None
 
 
@@ -54,7 +54,7 @@ def find_contradiction(log: Log, seen: Checkpoint) -> str:
     record = next(log.read(seen.position - 1, seen.position), None)
     if record is None or record.hash.hex() != seen.hash:
         return (
-            f"position {seen.position} bears another hash than at {seen.time}: "
-            "what stands up to there was rewritten"
+            f"position {seen.position} has another hash than at {seen.time}: the log up to there was "
+            "rewritten"
         )
     return ""

@@ -173,7 +173,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{_name_action(e, n)} succeeded" + _when(e.result is not None, f", result {shorten_value(e.result)}")
     ),
     a.ActionReported: lambda e, n: (
-        f"{_name_action(e, n)} is reported as done; looked at: {', '.join(map(local, e.looks))}"
+        f"{_name_action(e, n)} is reported as done; observed: {', '.join(map(local, e.looks))}"
     ),
     a.ActionFailed: lambda e, n: (
         f"{_name_action(e, n)} failed (effects: {e.effects}"
@@ -185,8 +185,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{_name_action(e, n)} settled by {e.by}: {_DONE.get(e.effects, e.effects)}"
     ),
     a.ActionEvidence: lambda e, n: (
-        f"{_name_action(e, n)}: late word of {'success' if e.succeeded else f'failure ({e.error})'}, "
-        f"effects {e.effects}; settled as {e.settled_as}"
+        f"{_name_action(e, n)}: late report of "
+        f"{('success' if e.succeeded else f'failure ({e.error})')}, effects {e.effects}; settled as "
+        f"{e.settled_as}"
     ),
     a.ActionDiscovered: lambda e, _: (
         f"the node knows an action {e.name!r} ({e.status}) that this log does not"
@@ -211,11 +212,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.LiquidTransferred: lambda e, _: (
         f"got {sum(e.volumes_ul):g} µL of {e.liquid} into {len(e.wells)} wells at {local(e.module)}"
         + _when(e.lots, f" (lot {', '.join(e.lots)})")
-        + _when(not e.certain, ", or a part of it")
+        + _when(not e.certain, ", or part of it")
     ),
     b.LiquidDrawn: lambda e, _: (
         f"gave {sum(e.volumes_ul):g} µL out of {len(e.wells)} wells at {local(e.module)}"
-        + _when(not e.certain, ", or a part of it")
+        + _when(not e.certain, ", or part of it")
     ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: (
@@ -243,13 +244,15 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         else "is bound to one of its plans"
     ),
     r.RunStarted: lambda e, _: "started",
-    RequestRepeated: lambda e, _: f"{e.request} was asked for again: {e.why}",
+    RequestRepeated: lambda e, _: f"{e.request} was requested again: {e.why}",
     r.RunPaused: lambda e, _: f"paused{_when(e.why, f': {e.why}')}",
     r.RunResumed: lambda e, _: "resumed",
     r.RunCancelling: lambda e, _: (
-        f"ends when what is in flight has ended{_when(e.why or e.reason, f': {e.why or e.reason}')}"
+        f"ends when its running actions have ended{_when(e.why or e.reason, f': {e.why or e.reason}')}"
     ),
-    r.RunLeaving: lambda e, _: f"goes its way out in {len(e.steps)} step{'s' if len(e.steps) > 1 else ''}",
+    r.RunLeaving: lambda e, _: (
+        f"clears its labware away in {len(e.steps)} step{('s' if len(e.steps) > 1 else '')}"
+    ),
     r.RunCompleted: lambda e, _: f"completed all {e.steps} steps",
     r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
     r.RunCancelled: lambda e, _: f"cancelled{_when(e.why, f': {e.why}')}",
@@ -269,23 +272,21 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     h.LogFoundShorter: lambda e, _: (
         f"this log has lost its end: it ends at {e.ended}, and {local(e.evidence)} {e.knows}"
     ),
-    h.StationsChecked: lambda e, _: f"{e.by} has said what stands at {', '.join(map(local, e.stations))}",
+    h.StationsChecked: lambda e, _: f"{e.by} has reported the content of {', '.join(map(local, e.stations))}",
     h.BenchCompared: lambda e, _: (
-        f"{e.by} has been round the bench{_when(e.note, f' ({e.note})')}: the lab goes on"
+        f"{e.by} has checked the whole bench{_when(e.note, f' ({e.note})')}: the lab continues"
     ),
     g.WorkcellApplied: lambda e, _: (
         f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})"
         + _when(e.labware, f", its labware: {', '.join(kind.name for kind in e.labware)}")
     ),
-    g.StartsPaused: lambda e, _: (
-        f"{e.by} lets nothing start {_name_place(e.target)}{_when(e.why, f': {e.why}')}"
-    ),
-    g.StartsResumed: lambda e, _: f"{e.by} lets steps start again {_name_place(e.target)}",
+    g.StartsPaused: lambda e, _: f"{e.by} paused starts {_name_place(e.target)}{_when(e.why, f': {e.why}')}",
+    g.StartsResumed: lambda e, _: f"{e.by} resumed starts {_name_place(e.target)}",
     g.AccessRequested: lambda e, _: (
-        f"workcell {e.name}: {e.by} wants to reach in{_when(e.why, f' ({e.why})')}; nothing starts there"
+        f"workcell {e.name}: {e.by} requested access{_when(e.why, f' ({e.why})')}; nothing starts there"
     ),
     g.AccessGranted: lambda e, _: f"workcell {e.name}: nothing moves",
-    g.AccessEnded: lambda e, _: f"workcell {e.name}: {e.by} is out{_when(e.note, f' ({e.note})')}",
+    g.AccessEnded: lambda e, _: f"workcell {e.name}: {e.by} ended the access{_when(e.note, f' ({e.note})')}",
     g.StationsApplied: lambda e, _: f"workcell {e.name}: {len(e.stations)} stations",
     m.NodeJoined: lambda e, _: (
         f"node joined ({e.driver} {e.version}{_when(e.simulated, ', simulated')}), {e.status}"
@@ -297,9 +298,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + _when(e.by, f" (by {e.by})")
     ),
     m.SetpointClaimed: lambda e, _: (
-        f"{e.setpoint} is {'not known' if e.value is None else shorten_value(e.value)}, kept for {e.by}"
+        f"{e.setpoint} is {('not known' if e.value is None else shorten_value(e.value))}, held for {e.by}"
     ),
-    m.SetpointReleased: lambda e, _: f"{e.setpoint} is not kept for {e.by} any more",
+    m.SetpointReleased: lambda e, _: f"{e.setpoint} is no longer held for {e.by}",
     m.ModuleTakenOut: lambda e, _: (
         f"taken out of service: {e.why}" + _when(e.until, f" (until {show_time(e.until)})")
     ),
@@ -315,9 +316,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
     m.StopReported: lambda e, _: (
-        f"{e.by or 'somebody'} stopped {'everything' if e.target == '*' else e.target} in an emergency: "
-        f"{len(e.stopped)} modules say so"
-        + (f", not known of {', '.join(map(local, e.silent))}" if e.silent else "")
+        f"{e.by or 'somebody'} stopped {('everything' if e.target == '*' else e.target)} in an "
+        f"emergency: {len(e.stopped)} modules confirm it"
+        + (f", unknown for {', '.join(map(local, e.silent))}" if e.silent else "")
     ),
     s.LevelSet: lambda e, _: (
         f"{e.resource} set to {e.level:g} of {e.capacity:g}{_when(e.lot, f' (lot {e.lot})')}"
@@ -345,19 +346,19 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     c.CampaignPaused: lambda e, _: f"paused{_when(e.why, f': {e.why}')}",
     c.CampaignResumed: lambda e, _: "resumed",
-    c.CampaignAmended: lambda e, _: "goes on under other terms",
+    c.CampaignAmended: lambda e, _: "continues with other terms",
     c.CampaignRowRefused: lambda e, _: f"row {e.row + 1} cannot be carried out: {e.why}",
     c.CampaignStopped: lambda e, _: f"stopped: {e.why}",
     c.CampaignCancelled: lambda e, _: f"cancelled{_when(e.why, f': {e.why}')}",
     c.CampaignArchived: lambda e, _: "archived",
-    c.CampaignUnarchived: lambda e, _: "stands in lists again",
+    c.CampaignUnarchived: lambda e, _: "is shown in lists again",
     c.CampaignCompleted: lambda e, _: (
-        f"completed: of its runs {e.completed} completed, {e.failed} failed, {e.cancelled} were cancelled"
+        f"completed: {e.completed} runs completed, {e.failed} failed, {e.cancelled} cancelled"
         + _when(e.refused, f"; {e.refused} rows were refused")
         + _when(e.left, f"; {e.left} rows were left")
     ),
     q.SharesApplied: lambda e, _: (
-        f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users hold from now on"
+        f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users are valid from now on"
     ),
     OrderSuggested: lambda e, _: f"{e.by} suggests an order for {len(e.steps)} steps in {e.workcell}",
     RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_when(e.why, f': {e.why}')}",
@@ -366,14 +367,14 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.meaning}{_when(e.why, f': {e.why}')}"
     ),
     ErasureAsked: lambda e, _: (
-        f"{e.by} asks to erase {_words_of(e)} ({e.because}); it takes a second person ({e.erasure})"
+        f"{e.by} asks to erase {_words_of(e)} ({e.because}); a second person has to agree ({e.erasure})"
     ),
     ErasureRefused: lambda e, _: f"{e.by} did not agree to {e.erasure}: no words are erased",
     WordsErased: lambda e, _: (
         f"{e.by} erased {_words_of(e)} ({e.because}; {len(e.digests)} texts)"
         f"{_when(e.approved_by, f'; {e.approved_by} agreed')}"
     ),
-    PolicyApplied: lambda e, _: "another policy says what waits for an approval",
+    PolicyApplied: lambda e, _: "a new policy decides which submissions wait for an approval",
     ApprovalRequested: lambda e, _: (
         f"{'its change ' if e.kind == 'amendment' else ''}waits for approval: "
         + "; ".join(why.text for why in e.why)
@@ -382,15 +383,15 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ApprovalRefused: lambda e, _: f"{e.by} did not approve it{_when(e.comment, f': {e.comment}')}",
     RunApproved: lambda e, _: f"approved by {e.by}, as a second person",
     u.UserAdded: lambda e, _: f"{e.user} may use the lab ({e.kind})",
-    u.UserDisabled: lambda e, _: f"{e.user} may do nothing any more",
-    u.UserEnabled: lambda e, _: f"{e.user} may act again",
-    u.UserErased: lambda e, _: f"the lab has forgotten who {e.user} is",
+    u.UserDisabled: lambda e, _: f"{e.user} is disabled",
+    u.UserEnabled: lambda e, _: f"{e.user} is enabled again",
+    u.UserErased: lambda e, _: f"the personal data of {e.user} was erased",
     u.GroupAdded: lambda e, _: f"the group {e.group} was added",
     u.GroupRemoved: lambda e, _: f"the group {e.group} was removed",
     u.MemberAdded: lambda e, _: f"{e.user} is in the group {e.group}",
     u.MemberRemoved: lambda e, _: f"{e.user} is no longer in the group {e.group}",
-    u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} is {e.role} {_name_place(e.scope)} now",
-    u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} has no role {_name_place(e.scope)} any more",
+    u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} now has the role {e.role} {_name_place(e.scope)}",
+    u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} no longer has a role {_name_place(e.scope)}",
     k.BookingMade: lambda e, _: (
         f"{e.by} booked {_describe_booking(e)}{_when(e.over, f', over {_list(e.over)}')}"
     ),
@@ -403,12 +404,12 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     k.BookingNeared: lambda e, _: f"begins at {show_time(e.begins)}",
     k.BookingBegan: lambda e, _: f"has begun, until {show_time(e.ends)}",
-    k.BookingEnded: lambda e, _: "is over" + _when(e.over, ", and does not come again"),
+    k.BookingEnded: lambda e, _: "is over" + _when(e.over, ", and is not repeated"),
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
     x.ExperimentCancelled: lambda e, _: f"{e.why}: it takes no more runs",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",
     x.ExperimentEnded: lambda e, _: "ended" + _when(e.why not in ("", "ended"), f": {e.why}"),
-    x.ExperimentResumed: lambda e, _: "its application was started again, and goes on",
+    x.ExperimentResumed: lambda e, _: "its application was started again and continues",
     x.ExperimentNoted: lambda e, _: (
         f"{e.kind.replace('_', ' ')} {e.name!r}" + _when(e.facts, f": {shorten_value(e.facts)}")
     ),

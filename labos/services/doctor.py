@@ -81,9 +81,10 @@ def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
         found = msgspec.json.decode((home / REHEARSAL).read_bytes())
         at, folder, position, took = found["at"], found["folder"], found["position"], found["took_s"]
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, KeyError, TypeError):
-        return DoctorFinding("backup", "warning", "Nobody has tried yet whether a backup comes back.", remedy)
+        return DoctorFinding("backup", "warning", "No backup has been restored as a test yet.", remedy)
     result = (
-        f"On {show_time(at)} the backup in {folder} came back, up to position {position}, in {took:.1f} s."
+        f"On {show_time(at)} the backup in {folder} was restored as a test, up to position "
+        f"{position}, in {took:.1f} s."
     )
     if now_ns - at > LONG_UNREHEARSED_NS:
         return DoctorFinding("backup", "warning", result, remedy)
@@ -101,8 +102,8 @@ def check_durations(found: Sequence[Drift]) -> DoctorFinding:
         for drift in found[:MOST_DRIFTS]
     ]
     more = f"; and {len(found) - MOST_DRIFTS} more" if len(found) > MOST_DRIFTS else ""
-    result = f"{'; '.join(named)}{more}. The scheduler goes by what it takes."
-    return DoctorFinding("durations", "warning", result, "Is the device well? Else correct its `duration`.")
+    result = f"{'; '.join(named)}{more}. The scheduler uses the measured times."
+    return DoctorFinding("durations", "warning", result, "Check the device, or correct its `duration`.")
 
 
 def check_calibrations(state: LabState, now_ns: int) -> list[DoctorFinding]:
@@ -162,24 +163,24 @@ def check_sync(folder: Path) -> DoctorFinding:
 def check_permissions(paths: Iterable[Path]) -> DoctorFinding:
     """Whether private files can be read by others than their owner, and whether we are the owner."""
     if sys.platform == "win32":
-        return DoctorFinding("permissions", "ok", "Windows: the rights of the user's own folder hold.")
+        return DoctorFinding("permissions", "ok", "Windows: the rights of the user's own folder apply.")
     there = [path for path in paths if path.exists()]
     foreign = [path for path in there if path.stat().st_uid != os.getuid()]
     if foreign and os.getuid() != 0:
-        result = f"{foreign[0]} belongs to another user than the one who asks."
+        result = f"{foreign[0]} belongs to another user."
         return DoctorFinding(
             "permissions", "fault", result, "Run LabOS as the user who owns the lab's folder, or chown it."
         )
     users = {path.stat().st_uid for path in there}
     if len(users) > 1:
-        result = f"What is in {there[0]} belongs to several users."
+        result = f"The files in {there[0]} belong to several users."
         return DoctorFinding("permissions", "fault", result, "chown -R to the user who runs the lab.")
     open_ = [path for path in there if path.stat().st_mode & 0o077]
     if open_:
         result = f"Others may read {open_[0]}{f' and {len(open_) - 1} more' if len(open_) > 1 else ''}."
         return DoctorFinding("permissions", "fault", result, f"chmod -R go= {open_[0]}")
     return DoctorFinding(
-        "permissions", "ok", f"{len(there)} private files and folders are their owner's alone."
+        "permissions", "ok", f"{len(there)} private files and folders can be read only by their owner."
     )
 
 
@@ -190,8 +191,10 @@ def check_certificates(authority: Authority, now_ns: int) -> list[DoctorFinding]
     found = [finding for entry in admitted if (finding := _check_certificate(entry, now_ns))]
     ends = authority.find_end()
     if ends - now_ns < CA_LITTLE_NS:
-        result = f"The authority in {authority.folder} ends {show_time(ends)}, and all certificates with it."
-        remedy = "Make another authority (labos pki init --pki FOLDER), and issue all certificates anew."
+        result = (
+            f"The authority in {authority.folder} ends {show_time(ends)}, and all its certificates end then."
+        )
+        remedy = "Make another authority (labos pki init --pki FOLDER), and issue all certificates again."
         found.append(DoctorFinding("authority", "warning" if ends > now_ns else "fault", result, remedy))
     if not found:
         first = min((entry.not_after for entry in admitted), default=ends)
@@ -227,7 +230,7 @@ def _check_node(one: Mapping[str, Any], version: str) -> list[DoctorFinding]:
     else:
         state: State = "warning" if answer == "out" else "fault"
         result = f"{name} cannot work ({answer}): {str(one.get('why', '')).rstrip('.')}."
-        found.append(DoctorFinding(about, state, result, f"labos nodes --check {name} says what to do."))
+        found.append(DoctorFinding(about, state, result, f"labos nodes --check {name} shows what to do."))
     if not checked:
         return found
     if checked["labos"] and checked["labos"] != version:

@@ -15,7 +15,7 @@ MOST_STEPS = 5_000
 """At most so many steps are simulated; beyond them there is no forecast."""
 
 
-def tell_due(
+def describe_due(
     state: LabState, stories: Iterable[RunHistory], now: int, *, searches: bool = False
 ) -> dict[str, str]:
     """For each of these runs with a due date: the due date, and whether the run kept it or, if the run has
@@ -32,7 +32,7 @@ def tell_due(
     ends = {run.run: run.ends for run in forecast.runs}
     for story in dated:
         if story.id in alive:
-            kept = tell_whether_kept(story.due_at, ends.get(story.id))
+            kept = describe_margin(story.due_at, ends.get(story.id))
             found[story.id] = f"{show_time(story.due_at)}: {kept}"
     return found
 
@@ -44,11 +44,11 @@ def _tell_past(story: RunHistory) -> str:
     return f"{show_time(story.due_at)}: {'was late' if late else 'was kept'}"
 
 
-def tell_whether_kept(due_at: int, ends: TimeRange | None) -> str:
+def describe_margin(due_at: int, ends: TimeRange | None) -> str:
     """Whether a run will end by its due date, according to a forecast of its end (None: beyond the
     forecast)."""
     if ends is None:
-        return "its end is not in sight"
+        return "its end cannot be estimated"
     late_s = (ends.expected_at - due_at) / 1e9
     if late_s >= 1:
         return f"late by about {_show_about(late_s)}"

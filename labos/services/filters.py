@@ -18,7 +18,7 @@ from labos.errors import BadInput, NotFound
 from labos.ports import LogQuery
 from labos.services.catalogue import Catalogue, read_catalogue
 from labos.services.log import Log, decode_event
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 
 
 class LogFilter(msgspec.Struct, frozen=True):
@@ -47,7 +47,9 @@ def check_types(types: Iterable[str]) -> None:
     families = {name.partition(".")[0] for name in TYPES}
     for kind in types:
         if kind.rstrip(".*") not in TYPES and kind.rstrip(".*") not in families:
-            raise BadInput(f"There are no events of type {kind!r}.", remedy=near(kind, [*TYPES, *families]))
+            raise BadInput(
+                f"There are no events of type {kind!r}.", remedy=suggest_name(kind, [*TYPES, *families])
+            )
 
 
 class FilteredLog:
@@ -126,7 +128,7 @@ class FilteredLog:
             )
         raise NotFound(
             f"There is no module {name!r} in this log.",
-            remedy=near(local(name), map(local, modules), "module"),
+            remedy=suggest_name(local(name), map(local, modules), "module"),
         )
 
     def _knows_labware(self, name: str) -> bool:

@@ -141,8 +141,9 @@ class Handover(msgspec.Struct, frozen=True):
     twh: Twh
 
 
-def read_handover(log: Log, since: int, until: int) -> Handover:
-    """The report on a shift from ``since`` to ``until`` (UTC ns). Raises LogTooNew, LogDamaged."""
+def read_handover(log: Log, since: int, until: int, *, kernel_runs: bool = True) -> Handover:
+    """The report on a shift from ``since`` to ``until`` (UTC ns). Only while a kernel runs, runs may wait for
+    an order that is not in the log. Raises LogTooNew, LogDamaged."""
     meter = Meter()
     book = RunBook(meter.names)
     given: dict[str, str] = {}
@@ -167,8 +168,8 @@ def read_handover(log: Log, since: int, until: int) -> Handover:
         position=state.position,
         since=since,
         until=until,
-        running=tuple(_run(state, run, until) for run in state.runs.active.values()),
-        queued=tuple(_run(state, run, until) for run in queued[:QUEUED_JUDGED]),
+        running=tuple(_run(state, run, until, kernel_runs) for run in state.runs.active.values()),
+        queued=tuple(_run(state, run, until, kernel_runs) for run in queued[:QUEUED_JUDGED]),
         queued_in_all=len(queued),
         ended=tuple(
             make_from(RunEnded, story, run=story.id)
@@ -189,16 +190,16 @@ def read_handover(log: Log, since: int, until: int) -> Handover:
     )
 
 
-def _run(state: LabState, run: RunState, now: int) -> OpenRun:
+def _run(state: LabState, run: RunState, now: int, kernel_runs: bool) -> OpenRun:
     plan = state.runs.plan_of(run)
     doing = tuple(
         f"{plan.steps[action.step].key!r} on {local(action.module)}"
         for action in state.actions.open.values()
         if action.run == run.id
     )
-    waits = (
-        [] if doing else list_reasons(state, run, now, Scheduler()) or list_unknown_reasons(state, run, now)
-    )
+    waits = [] if doing else list_reasons(state, run, now, Scheduler())
+    if not waits and not doing and kernel_runs:
+        waits = list_unknown_reasons(state, run, now)
     status = "paused" if run.paused else run.status
     return OpenRun(
         run=run.id,

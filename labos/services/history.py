@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.bench import Labware, Station
+from labos.core.bench import Labware, StationState
 from labos.core.ids import StationName, workcell_of
 from labos.core.state import LabState
 from labos.errors import BadInput
@@ -21,7 +21,7 @@ def find_position_at(log: Log, moment: Moment = NOW) -> int:
         if not 1 <= moment.position <= head.position:
             raise BadInput(
                 f"The log has no position {moment.position}.",
-                remedy=f"It reaches from 1 to {head.position}." if head.position else "It is empty.",
+                remedy=f"Its positions are 1 to {head.position}." if head.position else "It is empty.",
             )
         return moment.position
     if moment.at_ns is None or moment.at_ns >= head.recorded_at:
@@ -39,13 +39,13 @@ def fold_state_at(log: Log, moment: Moment = NOW) -> LabState:
     return fold_to(log, find_position_at(log, moment))
 
 
-def list_stations(state: LabState) -> list[tuple[StationName, Station]]:
+def list_stations(state: LabState) -> list[tuple[StationName, StationState]]:
     """The stations by workcell and name, as the workcells list them."""
     return sorted(state.bench.stations.items(), key=lambda item: workcell_of(item[0]))
 
 
 def list_possibly_at(state: LabState, station: StationName) -> list[Labware]:
     """Labware of uncertain place that may be at a station."""
-    if station not in state.bench.haunted:
+    if station not in state.bench.uncertain_at:
         return []
     return [item for item in state.bench.labware.values() if station in item.maybe]

@@ -101,7 +101,7 @@ def describe_answer(log: Log, name: str) -> str:
         at = show_time(head.recorded_at)
         note = f" ({event.note})" if event.note else ""
         if event.choice == WITHDRAWN:
-            return f"{name} answered itself at {at}{note}."
+            return f"{name} was auto-resolved at {at}{note}."
         return f"{event.by} answered {name} at {at}: {event.choice}{note}."
     return ""
 
@@ -120,7 +120,7 @@ def _place(state: LabState, name: LabwareId) -> str:
     item = state.bench.labware[name]
     if item.maybe:
         return f"{name} may be at: {', '.join(local(place) or 'off the bench' for place in item.maybe)}"
-    return f"{name} was seen at {local(item.station)}"
+    return f"{name} was observed at {local(item.station)}"
 
 
 def _begin_history(event: InterventionRequested, workflow: str, at: int) -> InterventionHistory:

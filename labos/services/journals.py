@@ -43,11 +43,11 @@ def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
         name, lab = next(iter(known.items()))
         more = f" and {len(known) - 1} more" if len(known) > 1 else ""
         raise Refused(
-            f"The log in {database} is empty, but {folder} holds journals of the lab {lab} ({name}{more}): "
-            "its log is somewhere else, or lost.",
+            f"The log in {database} is empty, but {folder} holds journals of the lab {lab} "
+            f"({name}{more}): the log of that lab is in another place, or lost.",
             remedy="Put it back (`labos restore FOLDER`, or the file that it was in, its -wal file beside "
-            "it), or name its --database. If a new lab is to begin here, look at the bench and move "
-            f"{folder} away first.",
+            f"it), or name its --database. To start a new lab here, check the bench and move {folder} "
+            "away first.",
         )
 
 

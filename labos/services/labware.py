@@ -103,14 +103,14 @@ def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) 
     proof = RecordReference(record.head.position, record.hash.hex())
     match event:
         case b.LabwarePlaced():
-            origin = f"from the stack {local(event.stack)}" if event.stack else "put on the bench"
+            origin = f"from the stack {local(event.stack)}" if event.stack else "placed on the bench"
             _stand(story, (event.station,), at, by, proof, origin)
             story.owner = event.owner
             story.changes.append(LabwareChange(at, "owner", owner_name(event.owner), by, proof))
         case b.LabwareMoved():
             _stand(story, (event.target,), at, by, proof, "")
         case b.LabwareObserved():
-            _stand(story, (event.station,), at, by, proof, f"seen by {event.by}")
+            _stand(story, (event.station,), at, by, proof, f"observed by {event.by}")
         case b.LabwareUncertain():
             _stand(story, event.places, at, by, proof, event.why)
         case b.LabwareRemoved():

@@ -73,7 +73,7 @@ def _list_modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
 def _list_supplies(left: Inventory) -> Iterator[Touch]:
     for name, out in list_shortfalls(left):
         what = local(name).replace(":", " ")
-        yield Touch(out.at, "supply", f"{what} will not do for step {out.step!r}", out.run)
+        yield Touch(out.at, "supply", f"{what} are not suitable for step {out.step!r}", out.run)
 
 
 def _list_work(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:

@@ -82,13 +82,13 @@ def _check(package: NodePackage) -> None:
             )
     if not ENDPOINT.fullmatch(package.connect):
         raise BadInput(
-            f"{package.connect!r} is no address of a bus.",
+            f"{package.connect!r} is not an address of a bus.",
             remedy="Give it as tcp/HOST:7447, or tls/HOST:7447 for a secure bus.",
         )
     secure = package.connect.startswith("tls/")
     if secure != (package.certificate is not None):
         raise BadInput(
-            "A secure bus (tls/) and a certificate go together.",
+            "A secure bus (tls/) and a certificate have to be used together.",
             remedy=f"Make one: labos pki issue node {package.module}"
             if secure
             else "Give the address as tls/HOST:7447.",

@@ -124,11 +124,11 @@ def check_signatures(log: Log) -> VerifiedPart:
     found = list_signatures(log)
     broken = [each for each in found if not each.holds]
     faults = tuple(
-        f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, and they are "
-        "others now."
+        f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, but "
+        "these records have changed."
         for each in broken
     )
-    result = f"{len(found)} signatures are under the records that were signed."
+    result = f"{len(found)} signatures match their records."
     return VerifiedPart("signatures", len(found), result, faults, tuple(each.position for each in broken))
 
 

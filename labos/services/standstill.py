@@ -221,7 +221,7 @@ class Standstill:
         if module.status == ModuleStatus.GONE:
             return Cause("error", "node gone", name, "operational")
         if module.status == ModuleStatus.ERROR:
-            if module.stopped_at and module.error.startswith("Stopped in an emergency"):
+            if module.stopped:
                 return Cause("person", "emergency stop", name)
             return Cause("error", "in error", name, "software")
         return None

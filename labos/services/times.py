@@ -43,7 +43,7 @@ def parse_time(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
             found = found.replace(tzinfo=zone) if zone else found.astimezone()
         since = found - _EPOCH
     except (ValueError, OverflowError, OSError):
-        raise BadInput(f"{text!r} is no time.", remedy=EXAMPLES) from None
+        raise BadInput(f"{text!r} is not a time.", remedy=EXAMPLES) from None
     part = int(fraction[2].ljust(9, "0")) if fraction else 0
     return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000 + part
 
@@ -59,7 +59,7 @@ def parse_due(text: str, now_ns: int) -> int:
     BadInput."""
     found = parse_until(text, now_ns) if text.strip() else 0
     if text.strip() and found <= now_ns:
-        raise BadInput(f"The due time {text!r} has passed.", remedy="Name a time to come, or none.")
+        raise BadInput(f"The due time {text!r} has passed.", remedy="Give a time in the future, or none.")
     return found
 
 

@@ -56,6 +56,8 @@ class Snapshot(Protocol):
     @property
     def genuine(self) -> bool: ...
     @property
+    def tampered(self) -> bool: ...
+    @property
     def fault(self) -> str: ...
     @property
     def on_log(self) -> bytes | None: ...
@@ -92,10 +94,10 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
         return VerifiedPart("snapshot", 0, "There is no snapshot.")
     if not found.genuine:
         refusal = f"The snapshot of position {found.position} is not used: {found.fault}."
-        broken = (refusal,) if found.fault.startswith("its seal") else ()
+        broken = (refusal,) if found.tampered else ()
         return VerifiedPart("snapshot", 1, refusal, broken, (found.position,) if broken else ())
     if found.on_log != found.hash:
-        there = "which the log does not reach" if found.on_log is None else "where the log has another record"
+        there = "after the end of the log" if found.on_log is None else "but the log has another record there"
         fault = f"The sealed snapshot is of position {found.position}, {there}: the log was cut or rewritten."
         return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
     if found.fingerprint != fold_fingerprint():
@@ -105,10 +107,10 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
     for row in store.replay(0, found.position):
         evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
     if encode_picture(state) != found.data:
-        fault = f"The sealed snapshot of position {found.position} is not what the log folds to."
+        fault = f"The sealed snapshot of position {found.position} differs from the state by the log."
         return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
     return VerifiedPart(
-        "snapshot", 1, f"The snapshot of position {found.position} is sealed, and what the log folds to."
+        "snapshot", 1, f"The snapshot of position {found.position} is sealed and agrees with the log."
     )
 
 
@@ -116,17 +118,17 @@ def check_end(store: VerifiableStore) -> VerifiedPart:
     """Whether there is a trace that the log was longer."""
     known, position = store.known_position, store.head().position
     if not known:
-        return VerifiedPart("end", 0, "Nothing is known of how far the log once reached.")
+        return VerifiedPart("end", 0, "There is no record of how long the log once was.")
     if known and not position:
         fault = (
-            f"The log is empty, but the one of this lab's folder once reached {known}: it is lost, or "
-            "another database is meant."
+            f"The log is empty, but the log of this lab's folder once ended at {known}: it is lost, "
+            "or this is the wrong database."
         )
         return VerifiedPart("end", 1, fault, (fault,), (1,))
     if known > position:
-        fault = f"The log ends at position {position}, but it once reached {known}: its tail is lost."
+        fault = f"The log ends at position {position}, but it once ended at {known}: its end is lost."
         return VerifiedPart("end", 1, fault, (fault,), (position + 1,))
-    return VerifiedPart("end", 1, f"The lab's folder knows of the log up to position {known}.")
+    return VerifiedPart("end", 1, f"By the note in the lab's folder, the log has at least {known} positions.")
 
 
 def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
@@ -139,11 +141,11 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
         try:
             blobs.get(digest)
         except NotFound:
-            faults.append(f"Position {position} names the blob {digest}, which is not there.")
+            faults.append(f"Position {position} names the blob {digest}, which is missing.")
             positions.append(position)
         except LogDamaged:
             faults.append(
-                f"The blob {digest} that position {position} names has other bytes than were stored."
+                f"The blob {digest} that position {position} names was changed after it was stored."
             )
             positions.append(position)
     others = stored - named.keys()
@@ -153,12 +155,10 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
         except NotFound:  # another process has removed it meanwhile
             continue
         except LogDamaged:
-            faults.append(
-                f"The blob {digest}, which nothing in the log needs, has other bytes than were stored."
-            )
+            faults.append(f"The blob {digest}, which the log does not need, was changed after it was stored.")
     unnamed = len(others - mentioned)
-    result = f"Blobs: the log names {len(named)}, {len(named) - len(positions)} are there and whole"
-    result += f"; {unnamed} are there that it does not name." if unnamed else "."
+    result = f"Blobs: the log names {len(named)}, {len(named) - len(positions)} are there and unchanged"
+    result += f"; {unnamed} others are there." if unnamed else "."
     return VerifiedPart("blobs", len(named) + len(others), result, tuple(faults), tuple(positions))
 
 

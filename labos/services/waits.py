@@ -30,7 +30,7 @@ QUEUED_JUDGED = 12
 """The reason is determined for at most so many waiting runs; those behind them wait for their turn."""
 
 BEHIND = "runs that were submitted before go first"
-READY = "it may start and is about to"
+READY = "it may start and will start next"
 KEPT = "it may start; probably the lab lets others go first, so that all work ends sooner"
 
 KEPT_NS = 1_000_000_000

@@ -44,20 +44,20 @@ def check_words(store: WordsStore) -> VerifiedPart:
             gone += name in erased
             apart += name not in erased and name in elsewhere
             if name not in erased and name not in elsewhere:
-                found.append((position, "words are gone, and no event says that somebody erased them"))
+                found.append((position, "words are gone, but no event records their erasure"))
         elif name in erased:
-            found.append((position, f"words that were erased at position {erased[name]} are there again"))
+            found.append((position, f"words are there although they were erased at position {erased[name]}"))
         elif not standing.words.is_genuine:
-            found.append((position, "the words that stand beside the log are not those that were written"))
+            found.append((position, "the words stored beside the log were changed after they were written"))
         else:
             whole += 1
     found += [
-        (position, "words are missing beside the log, and no event says that somebody erased them")
+        (position, "words are missing beside the log, but no event records their erasure")
         for name, position in named.items()
         if name not in erased
     ]
     found.sort()
-    result = f"Words beside the log: {whole} are those that were written, {gone} were erased"
+    result = f"Words beside the log: {whole} are unchanged, {gone} were erased"
     result += f", {apart} in a newer copy of this log." if apart else "."
     faults = tuple(f"Position {position}: {fault}." for position, fault in found)
     return VerifiedPart(

@@ -115,7 +115,7 @@ class BadEffect(ValueError):
         self.remedy = remedy or f"Known effects: {', '.join(sorted(EFFECTS))}."
 
 
-def description_of(about: About, driver: str) -> Description:
+def make_description(about: About, driver: str) -> Description:
     """Convert ``about:`` to a driver's description. Raises BadEffect."""
     return make_from(
         Description,
@@ -150,7 +150,7 @@ def add_reset(description: Description) -> Description:
     """The description with the action ``reset``, which every node has, even if the file does not have it."""
     if description.action("reset") is not None:
         return description
-    reset = ActionSpec(name="reset", description="Bring the device out of an error.", recovers=True)
+    reset = ActionSpec(name="reset", description="Recover the device from an error.", recovers=True)
     return msgspec.structs.replace(description, actions=(*description.actions, reset))
 
 
@@ -159,7 +159,7 @@ def find_description(module: ModuleSpec, descriptions: Mapping[str, Description]
     its driver, or else from the driver."""
     written = module.config.get("about") or module.config.get("offers")
     if written:
-        found = add_reset(description_of(About.model_validate(written), module.driver))
+        found = add_reset(make_description(About.model_validate(written), module.driver))
     elif module.driver in descriptions:
         found = descriptions[module.driver]
     else:
@@ -216,7 +216,7 @@ def _find_form(name: str) -> str:
     fields = msgspec.structs.fields(kind)
     needed = ", ".join(f"{field.name}: …" for field in fields if field.required)
     others = ", ".join(field.name for field in fields if not field.required)
-    return f"Write `{name}: {{{needed}}}`{f'; it may also say {others}' if others else ''}."
+    return f"Write `{name}: {{{needed}}}`{(f'; it may also have {others}' if others else '')}."
 
 
 def make_about(description: Description) -> dict[str, Any]:

@@ -51,11 +51,11 @@ def compute_amount(
         why = "it is not here" if name else "no file is named"
         return Count(otherwise, why, "Put the file beside the workflow, and name it.")
     if counter is None:
-        return Count(otherwise, "it does not say", f"Say it there: {show_path(path)}.")
+        return Count(otherwise, "it does not say", f"Write it there: {show_path(path)}.")
     counted = counter(name, content, values)
     if not counted.doubt:
         return counted
-    remedy = counted.remedy or f"Say it there: {show_path(path)}."
+    remedy = counted.remedy or f"Write it there: {show_path(path)}."
     return Count(max(counted.amount, otherwise), counted.doubt, remedy)
 
 

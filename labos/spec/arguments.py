@@ -13,7 +13,7 @@ from labos.core.arguments import describe_arg, find_flaw, list_names, unit_of
 from labos.core.canonical import refuse_non_finite
 from labos.core.model import ActionSpec, Arg
 from labos.spec.durations import SECONDS, match_quantity
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 
 Tell = Callable[[str, str, str], None]
 """Called with an argument's written name (empty for the action itself), the fault, and a remedy."""
@@ -32,7 +32,7 @@ def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str
             tell(
                 name,
                 f"The action {action.name!r} has no argument {name!r}.",
-                near(name, [arg.name for arg in action.args], "argument"),
+                suggest_name(name, [arg.name for arg in action.args], "argument"),
             )
         elif arg.name in bound:
             tell(name, f"The argument {arg.name!r} is given twice, once as {name!r}.", "Remove one of them.")
@@ -83,7 +83,7 @@ def _read(arg: Arg, value: Any) -> Any:
     if arg.type == "list" and isinstance(value, tuple):
         return list(value)
     if arg.type == "station" and isinstance(value, list):
-        raise ValueError("must name a station; joint angles alone do not say what is there")
+        raise ValueError("must name a station; joint angles do not show which station it is")
     if arg.type in ("station", "file") and value == "" and arg.required:
         raise ValueError("is empty")
     return value

@@ -82,6 +82,8 @@ def _check(place: str, counts: Mapping[str, int], station: StationSpec, remarks:
             remarks.error(
                 f"{place} does not accept {labware!r}.",
                 ("stock", place, labware),
-                "One may not stand upon another." if stacked else f"It accepts {', '.join(station.accepts)}.",
+                "Pieces of this type cannot be stacked."
+                if stacked
+                else f"It accepts {', '.join(station.accepts)}.",
                 key=True,
             )

@@ -153,13 +153,13 @@ def stop_rule(text: str) -> Condition:
     for found in list_names(tree):
         if len(found) < 3 or found[0] != "steps" or found[2] != "result":
             raise ExpressionError(
-                f"{'.'.join(map(str, found))!r} is no result of a step.",
+                f"{'.'.join(map(str, found))!r} is not a result of a step.",
                 remedy='Write `steps.Read.result.od`, or `steps["Read it"].result.od`.',
             )
         values[found] = ("name", (found[0], found[1], *found[3:]))
     if not values:
         raise ExpressionError(
-            f"{text!r} reads no result.", remedy="Name a step's result: `steps.Read.result.od > 0.5`."
+            f"{text!r} uses no result.", remedy="Name a step's result: `steps.Read.result.od > 0.5`."
         )
     return make_condition(text, fill_in(tree, values))
 

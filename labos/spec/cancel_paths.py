@@ -21,14 +21,14 @@ class CancelPaths:
         self.plan, self.error, self.warning = plan, error, warning
         self.steps = list_steps_out(plan)
         self._seen: set[Any] = set()
-        self._told: set[tuple[int, str]] = set()
+        self._reported: set[tuple[int, str]] = set()
         self._left: set[StationName] = set()
 
     def check(self) -> None:
         """Check what does not depend on the place of the cancellation."""
         for index in self.steps:
             if any(what.stock for what in list_carried(self.plan.steps[index].effects)):
-                what = "A way out takes no new labware."
+                what = "A workflow on cancellation cannot take new labware."
                 self.error(index, what, "Move what the run has on the bench, or leave this step out.")
 
     def try_out(self, dry: DryRun, last: int) -> None:
@@ -40,9 +40,9 @@ class CancelPaths:
         key = self.plan.steps[last].key
 
         def tell(index: int, message: str, remedy: str) -> None:
-            if (index, message) not in self._told:
-                self._told.add((index, message))
-                self.error(index, f"After a cancellation behind {key!r}: {message}", remedy)
+            if (index, message) not in self._reported:
+                self._reported.add((index, message))
+                self.error(index, f"After a cancellation that follows {key!r}: {message}", remedy)
 
         steps = find_way_out(self.plan, find_bench_on_paper(dry))
         out = dry.copy(tell)
@@ -52,7 +52,8 @@ class CancelPaths:
                 self._left.add(place)
                 self.warning(
                     last,
-                    f"If the run is cancelled after it, labware stays at {local(place)}, in others' way.",
+                    f"If the run is cancelled after it, labware stays at {local(place)} and blocks "
+                    "other runs.",
                     "Add a step under `on_cancel` that carries it to storage or waste.",
                 )
 

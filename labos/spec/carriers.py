@@ -44,13 +44,13 @@ class Carriers:
         parts. Raises SpecError if there is no way, or for stations that this workcell does not have."""
         start, end = self.stations.find(source), self.stations.find(target)
         if start == end:
-            message = f"The labware is moved from {local(start)} to where it stands."
+            message = f"The labware is moved from {local(start)} to the same place."
             raise SpecError(message, remedy="Name another target.")
         for place in (start, end):
             if not self.stations[place].transfers:
                 raise SpecError(
                     f"{local(place)} takes part in no transfer (`transfers: false`).",
-                    remedy="Name the `module:` that carries labware there.",
+                    remedy="Name the `module:` that moves labware there.",
                 )
         came: dict[StationName, tuple[StationName, TransferWay] | None] = {start: None}
         best = {start: (0.0, 0)}
@@ -106,9 +106,9 @@ class Carriers:
     def _make_no_way_error(self, start: StationName, end: StationName) -> SpecError:
         reaching = sorted({local(module) for module, places in self._reach.items() if end in places})
         return SpecError(
-            f"Nobody carries labware from {local(start)} to {local(end)}, which "
+            f"No module moves labware from {local(start)} to {local(end)}, which "
             f"{', '.join(reaching) or 'nobody'} can reach.",
-            remedy="Teach an arm both of them, or a station from which another one goes on.",
+            remedy="Teach one arm both stations, or two arms a common station between them.",
         )
 
     def _reach_of(self, module: ModuleName) -> frozenset[StationName]:

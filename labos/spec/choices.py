@@ -17,7 +17,7 @@ import msgspec
 from labos.core.decide.choices import MOST_PLANS
 from labos.core.ids import local
 from labos.core.model import Plan, Workcell
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.models import ANY_OF, SAME_AS, RunSteps, StepEntry, WorkflowFile
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
@@ -51,7 +51,7 @@ def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> li
     count = prod(len(names) for names in choices.values())
     if count > MOST_PLANS:
         remarks.error(
-            f"There are {count} ways to choose the modules of this workflow, and {MOST_PLANS} may be.",
+            f"There are {count} ways to choose the modules of this workflow; {MOST_PLANS} are allowed.",
             ("steps",),
             "Name fewer modules, or let steps go together: `module: same as <step>`.",
         )
@@ -122,7 +122,7 @@ def _list_modules_meant(
             remarks.error(
                 f"Step {entry.name!r}: no module of the workcell has the driver {names[0]!r}.",
                 path,
-                f"{near(names[0], set(known.values()), 'driver')} Or list modules: `{{any: [a, b]}}`.",
+                f"{suggest_name(names[0], known.values(), 'driver')} Or list modules: `{{any: [a, b]}}`.",
             )
         return found
     for name in names:
@@ -130,7 +130,7 @@ def _list_modules_meant(
             remarks.error(
                 f"Step {entry.name!r}: there is no module {name!r} to choose.",
                 path,
-                near(name, known, "module"),
+                suggest_name(name, known, "module"),
             )
     return names
 
@@ -155,21 +155,23 @@ def _check_references(file: WorkflowFile, known: Mapping[str, str], remarks: Rem
             found = True
             if name not in names:
                 remarks.error(
-                    f"There is no step {name!r}.", ("hold", key), near(name, names, "step"), key=True
+                    f"There is no step {name!r}.", ("hold", key), suggest_name(name, names, "step"), key=True
                 )
     return found
 
 
 def _check_reference(entry: StepEntry, name: str, at: Path_, names: Sequence[str], remarks: Remarks) -> None:
     if name == entry.name and at[-1] == "module":
-        remarks.error(f"Step {name!r} has the module of itself.", at, "Name another step.")
+        remarks.error(f"Step {name!r} refers to itself for its module.", at, "Name another step.")
     elif name not in names:
         remarks.error(
-            f"Step {entry.name!r}: there is no step {name!r} with a module.", at, near(name, names, "step")
+            f"Step {entry.name!r}: there is no step {name!r} with a module.",
+            at,
+            suggest_name(name, names, "step"),
         )
     elif names.count(name) > 1:
         remarks.error(
-            f"Step {entry.name!r}: several steps are called {name!r}.", at, "Give each a name of its own."
+            f"Step {entry.name!r}: several steps are called {name!r}.", at, "Give each its own name."
         )
 
 

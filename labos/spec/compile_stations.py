@@ -12,7 +12,7 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.core.structs import make_from
 from labos.errors import SpecError
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.kinds import warn_of_unknown
 from labos.spec.labware import load_packaged_labware
 from labos.spec.models import LabwareType, StationEntry, WorkcellFile
@@ -100,9 +100,9 @@ class _StationCompiler:
             for number in range(1, (entry.shelves or 0) + 1):
                 name = StationName(f"{hotel}.{number}")
                 if local(name) in self.file.stations:
-                    message = f"{local(name)} is a shelf of {place}: all of them are alike."
+                    message = f"{local(name)} is a shelf of {place}, and all its shelves are alike."
                     at = ("stations", local(name))
-                    self.remarks.error(message, at, f"Say it of {place}, or make it a station of its own.")
+                    self.remarks.error(message, at, f"Write it for {place}, or make it a separate station.")
                 self._put(StationSpec(name=name, kind="hotel", hotel=hotel))
 
     def reach_hotels(self) -> None:
@@ -114,9 +114,10 @@ class _StationCompiler:
                 if missing:
                     some = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
                     self.remarks.error(
-                        f"{local(arm)} was taught some shelves of {local(hotel)}, but not {some}.",
+                        f"{local(arm)} was taught only some shelves of {local(hotel)}; these are "
+                        f"missing: {some}.",
                         ("locations", local(arm)),
-                        "Teach it all of them, or give the hotel fewer `shelves:`.",
+                        "Teach all of them, or give the hotel fewer `shelves:`.",
                         key=True,
                     )
             reach = {**self.stations[hotel].reach, **dict.fromkeys(sorted(taught), ())}
@@ -142,16 +143,16 @@ class _StationCompiler:
             if owner not in self.modules and owner != "workcell":
                 tell = self.remarks.add_warning if self.foreign else self.remarks.error
                 tell(
-                    f"Locations are given for {owner!r}, which is no module here.",
+                    f"Locations are given for {owner!r}, which is not a module of this workcell.",
                     ("locations", owner),
-                    near(owner, self.modules, "module"),
+                    suggest_name(owner, self.modules, "module"),
                     key=True,
                 )
             for place in places:
                 name = self._locate(owner, place)
                 if name in self._list_hotels():
                     self.remarks.error(
-                        f"{place} has shelves, and {owner} was taught one place there.",
+                        f"{place} has shelves, but {owner} was taught only one place there.",
                         ("locations", owner, place),
                         f"Write `{{first: […], step: […]}}`, or a location for each: {place}.1, {place}.2, …",
                     )
@@ -194,7 +195,7 @@ class _StationCompiler:
                 wanted = [kind for kind in entry.accepts or () if kind in kinds]
                 if wanted and self.make_index().find(place) == station.name:
                     message = (
-                        f"One {wanted[0]} may not stand upon another, so that {place} cannot stack them."
+                        f"Labware of the type {wanted[0]} cannot be stacked, so {place} cannot be a stack."
                     )
                     at = ("stations", place, "accepts", (entry.accepts or []).index(wanted[0]))
                     self.remarks.error(message, at, "Make it a `kind: hotel`, or leave the type out.")
@@ -238,8 +239,12 @@ class _StationCompiler:
                     remedy = f"{error.remedy} Or declare it under `stations:`."
                     self.remarks.error(error.message, path, remedy, key=True)
                     return None
-                why = "no driver describes it" if module in self.modules else f"{module!r} is no module here"
-                message = f"The place {place!r} is taken for a nest: {why}."
+                why = (
+                    "no driver describes it"
+                    if module in self.modules
+                    else f"{module!r} is not a module of this workcell"
+                )
+                message = f"The place {place!r} is assumed to be a nest: {why}."
                 self.remarks.add_warning(message, path, error.remedy, key=True)
             station = self._add(strip_place(place) if "." in place else f"wc.{place}", None)
             self._put(station)
@@ -280,9 +285,9 @@ class _StationCompiler:
         for manipulator, grips in entry.reach.items():
             if manipulator not in self.drivers:
                 self.remarks.error(
-                    f"{manipulator!r} is no module here.",
+                    f"{manipulator!r} is not a module of this workcell.",
                     ("stations", place, "reach", manipulator),
-                    near(manipulator, self.drivers, "module"),
+                    suggest_name(manipulator, self.drivers, "module"),
                     key=True,
                 )
             arm = self._name_module(manipulator)
@@ -299,17 +304,17 @@ class _StationCompiler:
         """The observer of the station, and when it is asked."""
         if entry.observer is None:
             if entry.verify is not None:
-                message = f"{place!r} says when it is looked at, but not by which observer."
+                message = f"{place!r} has a time of observation, but no observer."
                 self.remarks.error(
                     message, ("stations", place, "verify"), "Add `observer:`, or leave it out."
                 )
             return {}
         at = ("stations", place, "observer")
         if entry.observer not in self.drivers:
-            remedy = near(entry.observer, self.drivers, "module")
-            self.remarks.error(f"{entry.observer!r} is no module here.", at, remedy)
+            remedy = suggest_name(entry.observer, self.drivers, "module")
+            self.remarks.error(f"{entry.observer!r} is not a module of this workcell.", at, remedy)
         if kind == "waste":
-            message = f"What is thrown into {place!r} is gone: nobody can be asked to look for it there."
+            message = f"Labware in the waste {place!r} is off the bench and cannot be observed there."
             self.remarks.error(message, at, "Leave out `observer:`.")
         return {"observer": self._name_module(entry.observer), "verify": entry.verify or "always"}
 

@@ -65,7 +65,7 @@ class StepConditions:
             self.steps.error(f"Step {self.steps.keys[index]!r}: {error.message}", path, error.remedy)
             return None
         if key == "expect" and not any(name[0] == "result" for name in names):
-            what = "`expect` says nothing of the step's result."
+            what = "`expect` does not use the step's result."
             self.steps.error(f"Step {self.steps.keys[index]!r}: {what}", path, "Name it: `result.od > 0.1`.")
             return None
         return written.text, fill_in(tree, values)
@@ -73,7 +73,7 @@ class StepConditions:
     def _resolve_name(self, index: int, name: tuple[Any, ...], written: Written, path: Path_) -> Tree | None:
         """The name of an earlier step's result, with the step's key."""
         if len(name) < 3 or name[2] != "result":
-            what = f"Step {self.steps.keys[index]!r}: of an earlier step its result can be read."
+            what = f"Step {self.steps.keys[index]!r}: of an earlier step, only the result can be used."
             self.steps.error(what, path, 'Write `steps.Read.result.od`, or `steps["Read it"].result.od`.')
             return None
         step = self.steps.find(str(name[1]), path, written.box)

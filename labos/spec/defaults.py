@@ -40,7 +40,7 @@ def find_timeout(entry: StepEntry, action: ActionSpec, remarks: Remarks, path: P
             f"Step {entry.name!r} counts as unknown after {entry.timeout:g} s, and {entry.action} takes "
             f"{action.duration_s:g} s.",
             (*path, "timeout"),
-            "Give the step a longer `timeout`, or `none`; if it says nothing, its module's holds.",
+            "Give the step a longer `timeout`, or `none`; without one, the module's timeout applies.",
         )
     return entry.timeout
 

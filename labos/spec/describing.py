@@ -18,7 +18,7 @@ from labos.spec.description import (
     PlaceEntry,
     VariantEntry,
 )
-from labos.spec.findings import FindingList, near
+from labos.spec.findings import FindingList, suggest_name
 from labos.spec.frames import Frame, frame, slide, spin
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source, read
@@ -43,7 +43,9 @@ def load_description(source: Source | str | Path) -> DescriptionFile:
 def apply_variant(file: DescriptionFile, name: str) -> DescriptionFile:
     """The description with the changes of a variant. Raises NotFound."""
     if name not in file.variants:
-        raise NotFound(f"{file.driver} has no variant {name!r}.", remedy=near(name, file.variants, "variant"))
+        raise NotFound(
+            f"{file.driver} has no variant {name!r}.", remedy=suggest_name(name, file.variants, "variant")
+        )
     entry = file.variants[name]
     changed = {key: getattr(entry, key) for key in entry.model_fields_set - {"models"}}
     return file.model_copy(update=changed)
@@ -57,7 +59,7 @@ def apply_model(file: DescriptionFile, model: str) -> DescriptionFile:
     return file
 
 
-def places(file: DescriptionFile) -> dict[str, PlaceEntry]:
+def list_places(file: DescriptionFile) -> dict[str, PlaceEntry]:
     """The stations by name; rows of stations are expanded."""
     return {
         name: entry for pattern, row in file.stations.items() for name, entry in _expand_row(pattern, row)
@@ -76,7 +78,7 @@ def locate_parts(file: DescriptionFile, joints: Mapping[str, float] | None = Non
                 here = found[part.on].then(frame(part.at_mm, part.turn_deg))
                 found[name] = here.then(_move(file, name, joints))
         if len(found) == before:
-            raise ValueError("parts that stand on nothing")  # ``load_description`` refuses such files
+            raise ValueError("parts that are on no other part")  # ``load_description`` refuses such files
     return found
 
 
@@ -84,7 +86,8 @@ def locate_places(file: DescriptionFile, joints: Mapping[str, float] | None = No
     """The frames of all stations in the instrument's own frame, with ``joints`` as for ``locate_parts``."""
     parts = locate_parts(file, joints)
     return {
-        name: parts[entry.on].then(frame(entry.at_mm, entry.turn_deg)) for name, entry in places(file).items()
+        name: parts[entry.on].then(frame(entry.at_mm, entry.turn_deg))
+        for name, entry in list_places(file).items()
     }
 
 
@@ -132,15 +135,15 @@ class _Check:
             known = [ASSUMED, DERIVED, *self.file.sources]
             if based.basis not in known:
                 message = f"There is no source {based.basis!r}."
-                self._add_error(message, (*path, "from"), near(based.basis, known, "source"))
+                self._add_error(message, (*path, "from"), suggest_name(based.basis, known, "source"))
         for name, part in self.file.parts.items():
             if name == BASE:
                 message = f"{BASE!r} is the instrument's own frame."
-                self._add_error(message, ("parts", name), "Call the part otherwise.", key=True)
+                self._add_error(message, ("parts", name), "Give the part another name.", key=True)
             if part.moves is not None and not part.shapes:
                 message = f"The part {name!r} moves and has no shape."
                 self._add_error(
-                    message, ("parts", name), "Give it one: simulators refuse what moves and has no mass."
+                    message, ("parts", name), "Give it a shape: simulators refuse moving parts without mass."
                 )
             self._check_stands_on(part.on, ("parts", name, "on"))
             self._check_follows(name)
@@ -153,7 +156,7 @@ class _Check:
             for key in ("radius_mm", "height_mm", "rail_mm"):
                 pair = getattr(self.file.reach, key)
                 if pair is not None and pair[0] >= pair[1]:
-                    self._add_error("The lesser value comes first.", ("reach", key), "Write them in order.")
+                    self._add_error("The lower value comes first.", ("reach", key), "Write them in order.")
 
     def _list_based(self) -> Iterator[tuple[Path_, Based]]:
         yield ("footprint",), self.file.footprint
@@ -169,7 +172,7 @@ class _Check:
     def _check_stands_on(self, on: str, path: Path_) -> None:
         known = [BASE, *self.file.parts]
         if on not in known:
-            self._add_error(f"There is no part {on!r}.", path, near(on, known, "part"))
+            self._add_error(f"There is no part {on!r}.", path, suggest_name(on, known, "part"))
 
     def _check_follows(self, name: str) -> None:
         moves = self.file.parts[name].moves
@@ -179,7 +182,9 @@ class _Check:
         if leader is None or leader.moves is None or leader.moves.like is not None:
             message = f"No part {moves.like!r} moves by itself."
             moving = [n for n, p in self.file.parts.items() if p.moves is not None and p.moves.like is None]
-            self._add_error(message, ("parts", name, "moves", "like"), near(moves.like, moving, "part"))
+            self._add_error(
+                message, ("parts", name, "moves", "like"), suggest_name(moves.like, moving, "part")
+            )
 
     def _check_no_circles(self) -> None:
         for name in self.file.parts:
@@ -188,18 +193,18 @@ class _Check:
                 seen.add(here)
                 here = self.file.parts[here].on
             if here == name:
-                message = f"The part {name!r} stands on itself."
-                self._add_error(message, ("parts", name, "on"), f"Let one of them stand on {BASE!r}.")
+                message = f"The part {name!r} is on itself."
+                self._add_error(message, ("parts", name, "on"), f"Put one of them on {BASE!r}.")
 
     def _check_numbers(self, name: str, place: PlaceEntry) -> None:
         written = set(PLACEHOLDER.findall(name))
         if written != set(place.each):
-            message = f"The name {name!r} and `each` do not bear the same numbers."
+            message = f"The name {name!r} and `each` do not have the same numbers."
             self._add_error(message, ("stations", name), "Write {n} in the name for a number n in `each`.")
         for key, each in place.each.items():
             if each.from_to[0] > each.from_to[1]:
                 path = ("stations", name, "each", key, "from_to")
-                self._add_error("The lesser number comes first.", path, "Write them in order.")
+                self._add_error("The lower number comes first.", path, "Write them in order.")
 
     def _add_error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
         self.remarks.error(message, self._find_path(path), remedy, key=key)
@@ -216,6 +221,6 @@ def make_plain(file: DescriptionFile) -> dict[str, Any]:
     data = file.model_dump(by_alias=True, exclude_none=True)
     data["stations"] = {
         name: entry.model_dump(by_alias=True, exclude_none=True, exclude={"each"})
-        for name, entry in places(file).items()
+        for name, entry in list_places(file).items()
     }
     return data

@@ -86,9 +86,10 @@ def draft_stations(
                     warned.add(text)
                     what = name if _find(stations, name, "") else f"a nest, {name}"
                     remarks.add_warning(
-                        f"Nobody describes the place {text!r} ({use.where}): it is taken for {what}.",
+                        f"There is no description of the place {text!r} ({use.where}): it is assumed "
+                        f"to be {what}.",
                         ("stations", name),
-                        f"Say what it is: `stations: {{{name}: {{kind: …}}}}`.",
+                        "Describe it: `stations: {{name}: {kind: …}}`.",
                         assumed="place",
                     )
             if text != name and not _is_taught(stations, file, use.module, name):
@@ -181,9 +182,9 @@ def _draft_extends(
             continue
         drafted = found.get(offered)
         is_silent = drafted is not None and drafted.effects == [] and (action is None or drafted.replaces)
-        believes = " LabOS believes that it moves no labware." if is_silent else ""
+        believes = " LabOS assumes that it moves no labware." if is_silent else ""
         remarks.add_warning(
-            f"{message} It is passed on as it is written, and not understood.{believes}",
+            f"{message} LabOS passes it on unchanged, without knowing what it means.{believes}",
             path,
             "Write below `extends:` what it does, or correct its name.",
             assumed="action",
@@ -356,7 +357,7 @@ def _tell_module(
     names = ", ".join(sorted({use.action for use in uses}))
     drafted = f"its actions are drafted from the workflows: {names}" if names else "no workflow uses it"
     remarks.add_warning(
-        f"No driver serves the module {entry.name!r} ({what}); {drafted}.",
+        f"There is no driver for the module {entry.name!r} ({what}); {drafted}.",
         (*path, "model") if entry.model else path,
         "It can be simulated. Write below `about:` what its actions do to labware and how long they take.",
         assumed="module",

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from labos.core.model import PlanStep
 from labos.spec.paper import Paper
-from labos.spec.paperstep import StepOnPaper
+from labos.spec.paperstep import DryRunStep
 
 
 class DryRun(Paper):
@@ -22,6 +22,6 @@ class DryRun(Paper):
         for index, step in steps:
             if is_conditional:
                 self.left.clear()
-            StepOnPaper(self, index, step).carry_out()
+            DryRunStep(self, index, step).carry_out()
             if after is not None:
                 after(index)

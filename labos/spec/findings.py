@@ -137,8 +137,19 @@ class FindingList:
             raise SpecErrors(self.sort_findings())
 
 
-def near(name: str, known: Iterable[str], what: str = "name") -> str:
+def suggest_name(name: str, known: Iterable[str], what: str = "name") -> str:
     """A remedy that names the known name nearest to the written one, or the few names that contain it."""
+    names = sorted(set(known))
+    if similar := suggest_similar(name, names):
+        return similar
+    if not names:
+        return f"There is no {what} here."
+    shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else ".")
+    return f"Known: {shown}"
+
+
+def suggest_similar(name: str, known: Iterable[str]) -> str:
+    """A remedy that names the similar known names; empty if there are none."""
     names = sorted(set(known))
     alike = [candidate for candidate in names if candidate.lower() == name.lower()]
     if alike:
@@ -148,9 +159,4 @@ def near(name: str, known: Iterable[str], what: str = "name") -> str:
     if found:
         return f"Did you mean {' or '.join(repr(by_lower[match]) for match in found)}?"
     part = [candidate for candidate in names if len(name) >= 3 and name.lower() in candidate.lower()]
-    if 1 <= len(part) <= 3:
-        return f"Did you mean {' or '.join(map(repr, part))}?"
-    if not names:
-        return f"There is no {what} here."
-    shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else ".")
-    return f"Known: {shown}"
+    return f"Did you mean {' or '.join(map(repr, part))}?" if 1 <= len(part) <= 3 else ""

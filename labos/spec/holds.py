@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Hold, ModuleSpec, PlanStep
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.models import HoldEntry
 from labos.spec.remarks import Remarks
 from labos.spec.steps import Steps
@@ -36,7 +36,7 @@ def make_holds(
             remarks.error(
                 f"There is no module {name!r} to hold.",
                 ("hold", name),
-                near(name, modules, "module"),
+                suggest_name(name, modules, "module"),
                 key=True,
             )
             continue

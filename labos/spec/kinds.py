@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 from labos.core.bench import split_item
-from labos.spec.findings import near
+from labos.spec.findings import suggest_similar
 from labos.spec.models import ANY, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
@@ -18,9 +18,8 @@ def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks
     for kind, path, key in _list_named(file):
         if kind not in seen:
             seen.add(kind)
-            meant = near(kind, known)
             remedy = "Describe it in a labware file, and name that under `labware:`."
-            if meant.startswith("Did you mean"):
+            if meant := suggest_similar(kind, known):
                 remedy = f"{meant} Else describe it in a labware file that `labware:` names."
             message = f"Nobody describes the labware type {kind!r}: its wells and grips are not checked."
             remarks.add_warning(message, path, remedy, key=key)

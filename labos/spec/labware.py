@@ -103,7 +103,7 @@ class _Reader:
             found = _read_contents(entry, self.beside.folder)
         if not found:
             nowhere = self.sent is None and self.beside.folder is None
-            why = "this workcell was not read from a folder" if nowhere else "none stands there"
+            why = "this workcell was not loaded from a folder" if nowhere else "none stands there"
             remedy = "Check its path, which is relative to the workcell file's own."
             if self.sent is not None:
                 why, remedy = (

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from labos.core.model import MAIN, AnyPart
-from labos.spec.findings import Assumed, FindingList, near
+from labos.spec.findings import Assumed, FindingList, suggest_name
 from labos.spec.models import StepEntry
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
@@ -121,7 +121,7 @@ class Layout:
             keys = [
                 leaf.key.removeprefix(box.prefix) for leaf in self.leaves if leaf.key.startswith(box.prefix)
             ]
-            remarks.error(f"There is no step {name!r}.", path, near(name, keys, "step"))
+            remarks.error(f"There is no step {name!r}.", path, suggest_name(name, keys, "step"))
         elif (
             isinstance(found, LayoutNode)
             and not found.entry.use

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from labos.errors import NotFound
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -28,7 +28,9 @@ def find_spec(kind: str, name: str) -> Path:
     known = list_specs(kind)
     stem = name.removesuffix(".yaml").removesuffix(".yml")
     if stem not in known:
-        raise NotFound(f"There is no packaged spec {name!r} in {kind!r}.", remedy=near(stem, known, "spec"))
+        raise NotFound(
+            f"There is no packaged spec {name!r} in {kind!r}.", remedy=suggest_name(stem, known, "spec")
+        )
     return next(
         path for suffix in SUFFIXES if (path := find_specs_folder() / kind / f"{stem}{suffix}").is_file()
     )

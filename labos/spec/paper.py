@@ -106,13 +106,13 @@ class Paper:
             return left[-1]
         station = self.stations[place]
         if station.kind == "waste":
-            self.error(index, f"Nothing can be taken out of {local(place)}.", "Name another station.")
+            self.error(index, f"Labware cannot be taken out of {local(place)}.", "Name another station.")
             return None
         if (place in self.inputs or place in self.left) and not station.is_storage:
             self.error(
                 index,
-                f"There is no labware of this run at {local(place)} any more.",
-                "An earlier step took it away; name where it is now, or move some there first.",
+                f"The labware of this run is no longer at {local(place)}.",
+                "An earlier step moved it away; name its present station, or move labware there first.",
             )
             return None
         self.inputs.append(place)

@@ -29,7 +29,7 @@ from labos.core.wells import add_doses, draw_doses, find_misfit, list_doses
 from labos.spec.paper import UNKNOWN, Paper, Piece
 
 
-class StepOnPaper:
+class DryRunStep:
     """A step of a dry run: a store that reports all faults, and therefore never returns an obstacle. All
     requirements of a step are checked before any of its effects is carried out."""
 
@@ -81,7 +81,7 @@ class StepOnPaper:
     def stock(self, what: Carrying, stack: StationName) -> None:
         """Count the taken pieces if the stock is known; the stack may be refilled during the run."""
         if self.paper.stations[stack].kind not in ("stack", "hotel"):
-            self._add_error(f"{local(stack)} is no stack.", "Name a stack to take from.")
+            self._add_error(f"{local(stack)} is not a stack.", "Name a stack to take from.")
         if self.at.get(stack):
             self._add_error(
                 f"Labware of this run lies on the stack {local(stack)}.", "Move it away in a step before."
@@ -95,7 +95,7 @@ class StepOnPaper:
             self.paper.missing.append(stack)
             self._add_warning(
                 f"The stack {local(stack)} is empty by then; the step will wait.",
-                f"Fill it and say so: labos load {local(stack)} --type TYPE --count N --lot LOT",
+                f"Fill it and report that: labos load {local(stack)} --type TYPE --count N --lot LOT",
             )
 
     def check_stands(self, what: Carrying, place: StationName) -> None:
@@ -110,8 +110,8 @@ class StepOnPaper:
         several = station.kind == "hotel" and station.capacity > 1 and not shelves and not what.lid
         if several and station.module != self.step.module:
             self._add_warning(
-                f"{local(place)} holds {station.capacity} pieces, and {local(self.step.module)} was taught "
-                "one place there: it takes what stands at it, whosever it is.",
+                f"{local(place)} holds {station.capacity} pieces, but {local(self.step.module)} was "
+                "taught only one place there, so it could take labware of another run.",
                 f"Write `shelves: {station.capacity}` instead of its capacity, and teach them.",
             )
 
@@ -126,7 +126,8 @@ class StepOnPaper:
         waste = self.paper.stations[what.target].kind == "waste"
         if waste and what.stock:
             self._add_error(
-                f"What comes off a stack gets its name where it is put down: not in {local(what.target)}.",
+                "Labware from a stack gets its id where it is put down, which cannot be in "
+                f"{local(what.target)}.",
                 "Take it to a station first, and discard it in a step after that.",
             )
         if piece is None:
@@ -146,7 +147,7 @@ class StepOnPaper:
             message = f"The lid and its plate cannot both be at {where}."
             self._add_error(message, "Name another place for the lid.")
         else:
-            self._add_error(f"The labware is moved from {where} to where it stands.", "Name another target.")
+            self._add_error(f"The labware is moved from {where} to the same place.", "Name another target.")
 
     def _check_lid(self, what: Carrying, plate: Piece, lid: Piece | None) -> None:
         where, lidded = local(what.plate_at), plate.find_variable("lidded")
@@ -154,14 +155,14 @@ class StepOnPaper:
             lidded = False
         if what.lid == "off" and lidded is False:
             self._add_error(
-                f"The labware at {where} has no lid to take off.",
+                f"The labware at {where} has no lid.",
                 "Leave this step out, or stock plates with lids (`plate96+lid96`).",
             )
         elif what.lid == "off" and lidded is UNKNOWN:
             plate.at_first["lidded"] = True
         elif what.lid == "on" and lidded is True:
             self._add_error(
-                f"The labware at {where} has a lid already.",
+                f"The labware at {where} already has a lid.",
                 "Take it off in a step before, or leave this step out.",
             )
 
@@ -181,7 +182,9 @@ class StepOnPaper:
             stacked = kind in station.refuses
             self._add_error(
                 f"{local(place)} does not accept {kind}.",
-                "One may not stand upon another." if stacked else f"It accepts {', '.join(station.accepts)}.",
+                "Pieces of this type cannot be stacked."
+                if stacked
+                else f"It accepts {', '.join(station.accepts)}.",
             )
 
     def _turn_piece(self, what: Carrying, piece: Piece) -> None:
@@ -191,7 +194,7 @@ class StepOnPaper:
             self._add_error(
                 f"The labware would lie turned by {way} degrees at {local(what.target)}, "
                 f"which takes it turned by {wanted}.",
-                "Grip it narrow at one end and wide at the other, or not.",
+                "Change the grip (narrow or wide) at one of the two ends.",
             )
 
     def _compute_a1(self, what: Carrying, piece: Piece) -> Any:
@@ -205,7 +208,7 @@ class StepOnPaper:
         """A plate goes to waste: its lid must not stay behind where others need the room."""
         if piece.parked is not None and self.at.get(piece.parked):
             self._add_error(
-                f"The plate is discarded, and its lid stays behind at {local(piece.parked)}.",
+                f"The plate is discarded, but its lid stays at {local(piece.parked)}.",
                 "Put the lid back on, or discard it in a step before.",
             )
 
@@ -277,8 +280,8 @@ class StepOnPaper:
             )
             return None
         self._add_warning(
-            f"{self.step.action} needs labware on {where}, and no step before puts any there.",
-            "It must stand there when the run starts; else move some there first.",
+            f"{self.step.action} needs labware on {where}, but no earlier step puts any there.",
+            "It must be there when the run starts, or an earlier step must move some there.",
         )
         if places[0].name not in {place for place, _ in self.paper.taken}:
             self.paper.taken.append((places[0].name, Piece("", fresh=False)))
@@ -364,7 +367,7 @@ class StepOnPaper:
         fault = find_misfit(effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
         if fault:
             message = f"{fault[0].upper()}{fault[1:]}."
-            self._add_error(message, "Pour into a well what fits, and draw what is there.")
+            self._add_error(message, "Keep within the volume that the well can hold and contains.")
             return
         for effect in effects:
             with suppress(ValueError):

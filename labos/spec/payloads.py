@@ -15,7 +15,7 @@ from labos.core.expressions import ExpressionError, list_names, parse_expression
 from labos.errors import SpecError
 from labos.spec.dialects import convert_workflow
 from labos.spec.files import FileFinder
-from labos.spec.findings import FindingList, near
+from labos.spec.findings import FindingList, suggest_name
 from labos.spec.models import RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import list_keys
 from labos.spec.source import Source, parse
@@ -40,7 +40,7 @@ def refuse_unused(
     and in LabOS' own form."""
     for key, remedy in find_unused(payload, file, sources, finder):
         report.error(
-            f"Nothing in the workflow takes {key!r} from the payload.", field=f"payload.{key}", remedy=remedy
+            f"The workflow does not use {key!r} of the payload.", field=f"payload.{key}", remedy=remedy
         )
 
 
@@ -60,11 +60,11 @@ def find_unused(
 
 def _suggest(key: str, taken: Sequence[str]) -> str:
     if not taken:
-        return "Leave it out: this workflow takes nothing from a payload."
+        return "Leave it out: this workflow uses no payload."
     inside = [name for name in taken if name.startswith(f"{key}.") or name.endswith(f".{key}")]
     if inside and not difflib.get_close_matches(key, taken, cutoff=0.9):
         return f"Did you mean {' or '.join(repr(name) for name in inside[:2])}?"
-    return near(key, taken, "key")
+    return suggest_name(key, taken, "key")
 
 
 def _serves_key(name: str, key: str, value: Any) -> bool:

@@ -68,8 +68,11 @@ class PlanBranches:
             try:
                 found = list_ways(self.plan)
             except TooManyWays:
-                what = "The workflow may go too many ways: more of its steps may fail than can be tried out."
-                remedy = "Let fewer steps that move something be skipped or recovered from."
+                what = (
+                    "The workflow has too many possible paths: too many of its steps may fail to check "
+                    "all combinations."
+                )
+                remedy = "Allow skipping or recovery for fewer steps that move labware."
                 self.errors.append((self.main[0], what, remedy))
                 return
         for way in found[1:]:
@@ -83,7 +86,7 @@ class PlanBranches:
         way = Way(steps, without=frozenset((index,)))
         faults = self._list_faults(way)[0]
         if self.conditional and not faults:
-            faults = [(index, "What follows depends on results.", "")]
+            faults = [(index, "The following steps depend on results.", "")]
         if not faults:
             return
         if index in self.explicit:
@@ -94,14 +97,19 @@ class PlanBranches:
         if policy.do == "skip":
             module = local(self.plan.steps[index].module)
             what = f"It cannot be skipped as {module} says by default: {_start_lower_case(faults[0][1])}"
-            self.warnings.append((index, what, "If it fails, the run fails. Say otherwise under `on_error`."))
+            self.warnings.append(
+                (index, what, "If it fails, the run fails. Set another reaction under `on_error`.")
+            )
 
     def _try_recovery(self, index: int) -> None:
         policy = self.plan.steps[index].on_error
         assert policy is not None
         if self.plan.steps[index].expect is not None and not is_inert(self.plan, index):
-            what = "It changes something, so recovery steps cannot find all as it was if its result is wrong."
-            self.errors.append((index, what, "Expect the result of a step of its own that only measures."))
+            what = (
+                "The step changes the bench, so after a wrong result recovery steps would not find the "
+                "state before it."
+            )
+            self.errors.append((index, what, "Put `expect` on a separate step that only measures."))
         if self.conditional:
             return  # all ways are checked below
         at = self.main.index(index)
@@ -152,8 +160,8 @@ class PlanBranches:
                 faults.append(
                     (
                         way.steps[-1],
-                        f"Labware of this run is needed at {where}, and none is there.",
-                        "Bring it there, or do not skip the step that does.",
+                        f"Labware of this run is needed at {where}, but none is there.",
+                        "Move it there, or do not skip the step that does.",
                     )
                 )
         return faults, dry.inputs

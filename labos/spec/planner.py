@@ -45,7 +45,7 @@ from labos.spec.conditions import StepConditions
 from labos.spec.defaults import find_timeout
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import FindingList, near
+from labos.spec.findings import FindingList, suggest_name
 from labos.spec.holds import make_holds
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
@@ -149,7 +149,7 @@ class StepPlanner:
                 self.remarks.add_warning(
                     f"The workcell {self.workcell.name!r} has no module {name!r}.",
                     ("modules", index),
-                    near(name, self.modules, "module"),
+                    suggest_name(name, self.modules, "module"),
                 )
 
     # -- a step ------------------------------------------------------------------------------
@@ -239,7 +239,7 @@ class StepPlanner:
             try:
                 value = fill(getattr(entry, key), self.layout.leaves[index].scope)
                 if not isinstance(value, str):
-                    raise SpecError(f"The {key} is no text.", remedy=f"Give the name of the {key}.")
+                    raise SpecError(f"The {key} is not a text.", remedy=f"Give the name of the {key}.")
                 found[key] = value
             except SpecError as error:
                 self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, key), error.remedy)
@@ -253,12 +253,12 @@ class StepPlanner:
             remedy = "Switch it on in the workcell file, give it a `driver:` or describe it below `about:`."
             self.remarks.error(message, (*path, "module"), remedy)
         elif module is None and name.startswith((ANY_OF, SAME_AS)):
-            message = f"Step {entry.name!r}: `{name}` counts in the workflow that is submitted only."
-            remedy = "Hand the module over in the payload: `module: ${step.module}`; here `payload.module`."
+            message = f"Step {entry.name!r}: `{name}` is allowed only in the submitted workflow."
+            remedy = "Pass the module in the payload: `module: ${step.module}`; here `payload.module`."
             self.remarks.error(message, (*path, "module"), remedy)
         elif module is None:
             message = f"Step {entry.name!r}: there is no module {entry.module!r} in {self.workcell.name!r}."
-            self.remarks.error(message, (*path, "module"), near(name, self.modules, "module"))
+            self.remarks.error(message, (*path, "module"), suggest_name(name, self.modules, "module"))
         elif module.name not in self.described:
             message = (
                 f"Step {entry.name!r}: the driver {module.driver!r} of {entry.module!r} is not installed."
@@ -275,7 +275,7 @@ class StepPlanner:
             self.remarks.error(
                 f"Step {entry.name!r}: {entry.module} has no action {entry.action!r}.",
                 (*path, "action"),
-                near(entry.action, known, "action"),
+                suggest_name(entry.action, known, "action"),
             )
         return action
 
@@ -377,7 +377,7 @@ class StepPlanner:
             hotel = self.stations[found].hotel
             if hotel:
                 raise SpecError(
-                    f"{local(found)} is a shelf of {local(hotel)}, which is told when the step starts.",
+                    f"{local(found)} is a shelf of {local(hotel)}, which LabOS chooses when the step starts.",
                     remedy=f"Write {local(hotel)}.",
                 )
             return local(found)
@@ -425,7 +425,7 @@ class StepPlanner:
             if used and not isinstance(effect, Transfers | Draws):
                 names = ", ".join(sorted(used))
                 self.remarks.error(
-                    f"Step {entry.name!r}: {names} decides what moves, and is not known before the run.",
+                    f"Step {entry.name!r}: {names} decides what moves, so it must be known before the run.",
                     (*path, "args", *sorted(used)[:1]),
                     "Write the value itself, or take it from the payload.",
                 )
@@ -514,13 +514,13 @@ class StepPlanner:
         have."""
         module = self.modules.get(local(ModuleName(effect.module)))
         if module is None:
-            remedy = near(effect.module, self.modules, "module")
+            remedy = suggest_name(effect.module, self.modules, "module")
             raise SpecError(f"There is no module {effect.module!r}.", remedy=remedy)
         if effect.resource not in module.levels:
-            remedy = near(effect.resource, module.levels, "resource")
+            remedy = suggest_name(effect.resource, module.levels, "resource")
             raise SpecError(f"{effect.module} uses no {effect.resource!r}.", remedy=remedy)
         if effect.expires and not DATE.fullmatch(effect.expires):
-            raise SpecError(f"{effect.expires!r} is no date.", remedy="Write 2027-05-31, say.")
+            raise SpecError(f"{effect.expires!r} is not a date.", remedy="Write it like 2027-05-31.")
         return msgspec.structs.replace(effect, module=module.name)
 
 

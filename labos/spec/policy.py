@@ -58,12 +58,15 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     file = expect_valid(PolicyFile, source, report)
     if file.trusted and not file.programs:
         place = source.place(("trusted",), key=True)
-        what = "Programs need no approval, so none of them can be trusted more."
+        what = "Programs need no approval, so a list of trusted programs has no effect."
         report.error(what, place, field="trusted", remedy="Leave it out, or write `programs: true`.")
     booked = file.bookings
     if booked.hours and booked.total_hours and booked.hours > booked.total_hours:
         place = source.place(("bookings", "hours"))
-        what = f"One booking may have {booked.hours:g} hours, and all of them {booked.total_hours:g}."
+        what = (
+            f"One booking may have {booked.hours:g} hours, but all bookings together only "
+            f"{booked.total_hours:g}."
+        )
         report.error(what, place, field="bookings.hours", remedy="Give a larger `total_hours`.")
     report.raise_if_failed()
     above = Budget(file.above.runs, file.above.lab_time, dict(file.above.consumables))

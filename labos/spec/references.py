@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from labos.errors import SpecError
-from labos.spec.findings import near
+from labos.spec.findings import suggest_similar
 
 _WHOLE = re.compile(r"payload[.:]([A-Za-z_][\w.\-]*)|\$\{payload[.:]([A-Za-z_][\w.\-]*)\}")
 _INSIDE = re.compile(r"\$\{payload[.:]([A-Za-z_][\w.\-]*)\}")
@@ -63,14 +63,14 @@ def look_up(key: str, payload: Mapping[str, Any], needed: Sequence[str] = ()) ->
     """The payload's value for a key, which may be in nested tables. Raises SpecError."""
     found, value = _descend(key, payload)
     if not found:
-        raise SpecError(f"The payload holds no {key!r}.", remedy=_explain_how_to_give(key, payload, needed))
+        raise SpecError(f"The payload has no {key!r}.", remedy=_explain_how_to_give(key, payload, needed))
     return value
 
 
 def _explain_how_to_give(key: str, payload: Mapping[str, Any], needed: Sequence[str]) -> str:
     """The values that the workflow needs, and how to give them; a probable typing error is named first."""
-    meant = near(key, _list_table_keys(payload))
-    slip = f"{meant} " if meant.startswith("Did you mean") else ""
+    meant = suggest_similar(key, _list_table_keys(payload))
+    slip = f"{meant} " if meant else ""
     missing = [name for name in needed if not has_key(name, payload)] or [key]
     every = ", ".join(repr(name) for name in missing)
     options = " ".join(f"--payload {name}=VALUE" for name in missing[:_SHOWN])
@@ -111,8 +111,8 @@ def _as_text(key: str, value: Any) -> str:
     if isinstance(value, str | int | float):
         return str(value)
     raise SpecError(
-        f"The payload's {key!r} is no text or number and cannot stand inside a text.",
-        remedy="Let the reference be the whole value.",
+        f"The payload's {key!r} is neither a text nor a number and cannot be part of a text.",
+        remedy="Make the reference the whole value.",
     )
 
 

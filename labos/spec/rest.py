@@ -99,5 +99,5 @@ def find_flaw(table: Any) -> str:
     except ValidationError as errors:
         return describe_flaw(errors)
     if mapping.action is None and not mapping.actions:
-        return "neither `action` nor `actions` says how an action is started"
+        return "`action` or `actions` is needed, to define how an action is started"
     return ""

@@ -14,7 +14,7 @@ from labos.core.ids import local
 from labos.core.model import Description, Workcell
 from labos.errors import BadInput
 from labos.spec.about import find_description
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.models import StepEntry, WorkflowFile
 from labos.spec.references import iterate_texts, list_keys
 from labos.spec.stations import Stations
@@ -85,7 +85,7 @@ def propose(
         if chosen:
             misfits += _list_misfits(name, after[chosen], need, places)
         else:
-            actions = ", ".join(sorted(need.actions)) or "no action, but stations"
+            actions = ", ".join(sorted(need.actions)) or "only stations, no action"
             misfits.append(f"No module of {new.name} stands in for {name} ({actions}).")
     return Retargeting(matches, misfits)
 
@@ -102,7 +102,8 @@ def _describe_modules(cell: Workcell, descriptions: Mapping[str, Description]) -
 def _refuse_strangers(name: str, modules: Mapping[str, _Module], workcell: str) -> None:
     if name not in modules:
         raise BadInput(
-            f"--map: the workcell {workcell} has no module {name!r}.", remedy=near(name, modules, "module")
+            f"--map: the workcell {workcell} has no module {name!r}.",
+            remedy=suggest_name(name, modules, "module"),
         )
 
 
@@ -129,7 +130,7 @@ def _iterate_places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterato
 def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: Stations) -> tuple[str, str]:
     """The module with the most points among those that have all actions; with equal points, the first by
     name."""
-    best, chosen, why = 0.0, "", "nothing here does that"
+    best, chosen, why = 0.0, "", "no module here does that"
     for name, module in sorted(modules.items()):
         actions = {action: module.about.action(action) for action in need.actions}
         held = [station for station in need.stations if places.list_matches(f"{name}.{station}")]

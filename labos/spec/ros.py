@@ -32,7 +32,7 @@ class Call(Part):
     @model_validator(mode="after")
     def _is_one_thing(self) -> Call:
         if sum(map(bool, (self.service, self.action, self.frame))) != 1:
-            raise ValueError("say one of `service`, `action` and `frame`")
+            raise ValueError("write one of `service`, `action` and `frame`")
         if not self.frame and not self.type:
             raise ValueError("`type` is missing, as `std_srvs/srv/Trigger`")
         return self

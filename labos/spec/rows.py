@@ -58,7 +58,7 @@ def expand(
     given = [name for field, name in KINDS.items() if getattr(file.rows, field)]
     at = source.place(("rows",))
     if len(given) != 1:
-        what = f"Rows come from {' and '.join(given)}." if given else "It is not said where rows come from."
+        what = f"Rows come from {' and '.join(given)}." if given else "The source of the rows is missing."
         report.error(what, at, field="rows", remedy=f"Write one of {', '.join(KINDS.values())}.")
         return []
     if file.rows.table:
@@ -166,7 +166,9 @@ def _read_list(file: CampaignFile, name: str, text: str, report: FindingList) ->
         rows = make_plain(found)
         places = [Place(place.line - 1, place.column) for place in getattr(found, "values_at", [])]
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        report.error("The file is no list of tables.", Place(1, 1), file=name, remedy="Write `- key: value`.")
+        report.error(
+            "The file is not a list of tables.", Place(1, 1), file=name, remedy="Write `- key: value`."
+        )
         return []
     lines = []
     for number, (row, place) in enumerate(zip(rows, places, strict=True)):
@@ -225,9 +227,7 @@ def _check_header(header: list[str], name: str, line: int, report: FindingList) 
         if not key:
             report.error("A column has no name.", at, file=name, remedy="Name it after a payload key.")
         elif header.index(key) != column - 1:
-            report.error(
-                f"The column {key!r} stands there twice.", at, file=name, remedy="Remove one of them."
-            )
+            report.error(f"The column {key!r} is there twice.", at, file=name, remedy="Remove one of them.")
 
 
 def _read_value(cell: str) -> Any:

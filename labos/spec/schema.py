@@ -8,7 +8,7 @@ from labos.errors import NotFound
 from labos.spec import models
 from labos.spec.campaign import CampaignFile
 from labos.spec.description import DescriptionFile
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.parts import Part
 from labos.spec.policy import PolicyFile
 from labos.spec.shares import SharesFile
@@ -44,7 +44,7 @@ _ACTION = {
     "duration_from": "the formula for the duration if it depends on arguments: `{seconds}`, `20 + {minutes}`",
     "safe_to_repeat": "whether it can be repeated without harm",
     "exclusive": "false for a pure query, which does not occupy the module",
-    "recovers": "whether it brings the module out of an error",
+    "recovers": "whether it recovers the module from an error",
     "aliases": "other names",
     "result": "the type of its result; empty for none",
     "returns": "the result of the simulated module; a file in it as `{file: name, text: content}`",
@@ -140,7 +140,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "kind": "the kind of the station",
         "capacity": "its capacity for pieces of labware",
         "access": "values of the module's variables with which an arm can reach in",
-        "claim": "whether labware here keeps the module from other runs",
+        "claim": "whether labware here blocks the module for other runs",
         "aliases": "other names",
     },
     "StationEntry": {
@@ -150,8 +150,8 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "transfers": "false: only steps that name their module move labware to or from here",
         "accepts": "labware types; any, if left out",
         "access": "values of the module's variables with which an arm can reach in",
-        "claim": "whether labware here keeps the module from other runs",
-        "independent": "labware here and at the module's other stations do not concern each other: no claim",
+        "claim": "whether labware here blocks the module for other runs",
+        "independent": "labware here does not claim the module",
         "zone": "a part of the bench in which only one arm may be at a time",
         "reach": "module, then its possible grips here, by labware type if they differ; empty for any",
         "rotation": "the rotation of the nest in the room's frame, in degrees",
@@ -346,7 +346,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "deadline": "the time by which it should end: 2026-05-04T10:30, in the lab's time unless it names "
         "a zone, or 12h from now; its runs go first when time is short",
         "budget": "the most that it may use",
-        "tags": "words for finding it",
+        "tags": "keywords for finding it",
         "until": "no further row is submitted after this is true for a run: steps.Read.result.od > 0.5",
         "on_failure": "go_on, stop at the first failure, or stop_after a number of failures",
         "visibility": "who sees it besides operators: lab (all), group (its user's), private (only its user)",
@@ -434,7 +434,7 @@ def make_schema(kind: str) -> dict[str, Any]:
     """The JSON Schema of a kind of file. Raises NotFound."""
     if kind not in FILES:
         known = get_args(SchemaKind)
-        raise NotFound(f"There is no schema of a {kind!r}.", remedy=near(kind, known, "schema"))
+        raise NotFound(f"There is no schema of a {kind!r}.", remedy=suggest_name(kind, known, "schema"))
     model = FILES[kind]
     schema = model.model_json_schema()
     for name, part in (*schema.get("$defs", {}).items(), (model.__name__, schema)):

@@ -68,13 +68,13 @@ def parse_shares(text: str, name: str = "") -> CompiledShares:
             if user in homes:
                 place = source.place(("groups", group, "members", user), key=True)
                 what = f"{user!r} is in the group {homes[user]!r} already."
-                report.error(what, place, field=f"groups.{group}.members", remedy="Name everybody once.")
+                report.error(what, place, field=f"groups.{group}.members", remedy="Name each user once.")
             homes[user] = group
     for user in file.users:
         if user in homes:
             place = source.place(("users", user), key=True)
             what = f"{user!r} is in the group {homes[user]!r} already."
-            report.error(what, place, field="users", remedy="Name everybody once.")
+            report.error(what, place, field="users", remedy="Name each user once.")
     report.raise_if_failed()
     groups = [
         Group(

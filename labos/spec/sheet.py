@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core.labware import Sample
 from labos.core.wells import normalise_well, parse_well, row_name
-from labos.spec.findings import FindingList, near
+from labos.spec.findings import FindingList, suggest_name
 from labos.spec.source import Place
 
 COLUMNS = ("plate", "well", "sample", "volume", "unit")
@@ -79,7 +79,7 @@ def read_sheet(text: str, report: FindingList) -> list[SheetLine]:
         if before != number:
             where = f"{row.sample.well} of {row.plate}" if row.plate else row.sample.well
             report.error(
-                f"The well {where} stands here twice; the first is in line {before}.",
+                f"The well {where} is listed twice; the first is in line {before}.",
                 row.at,
                 field="well",
                 remedy="Remove or correct one of them.",
@@ -175,10 +175,12 @@ def _check_header(header: list[Cell], report: FindingList) -> bool:
     for cell in header:
         if cell.text not in COLUMNS:
             report.error(
-                f"The column {cell.text!r} is not known.", cell.at, remedy=near(cell.text, COLUMNS, "column")
+                f"The column {cell.text!r} is not known.",
+                cell.at,
+                remedy=suggest_name(cell.text, COLUMNS, "column"),
             )
         elif cell.text in seen:
-            report.error(f"The column {cell.text!r} stands here twice.", cell.at, remedy="Remove one.")
+            report.error(f"The column {cell.text!r} is there twice.", cell.at, remedy="Remove one.")
         seen.add(cell.text)
     for name in ("well", "sample"):
         if name not in seen:
@@ -220,6 +222,6 @@ def _read_volume(volume: Cell | None, unit: Cell | None, separator: str, report:
     text = volume.text.replace(",", ".") if separator != "," else volume.text
     if not re.fullmatch(r"\+?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,2})?", text):
         remedy = "Write a number; its unit goes into a column 'unit'."
-        report.error(f"{volume.text!r} is no volume.", volume.at, field="volume", remedy=remedy)
+        report.error(f"{volume.text!r} is not a volume.", volume.at, field="volume", remedy=remedy)
         return None
     return round(float(text) * factor, 6)

@@ -18,11 +18,13 @@ def expand_shelves(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:
             if not isinstance(written, ShelfPoses):
                 known[place] = written
             elif shelves is None:
-                message = f"{place} has no shelves, but {owner} was taught a first one."
+                message = f"{place} has no shelves, but {owner} has a pose for its first shelf."
                 remarks.error(message, path, f"Give it `shelves:` under `stations: {place}:`, or one pose.")
             elif len(written.first) != len(written.step):
                 message = f"The first shelf has {len(written.first)} values, the step {len(written.step)}."
-                remarks.error(message, (*path, "step"), "Give as many: 0 for a value that stays.")
+                remarks.error(
+                    message, (*path, "step"), "Give the same number: 0 for a value that does not change."
+                )
             else:
                 known |= {f"{place}.{number}": written.find_pose(number) for number in range(1, shelves + 1)}
     return file.model_copy(update={"locations": locations})

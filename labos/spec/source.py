@@ -160,7 +160,7 @@ def parse(
         raise SpecError(
             f"The file is larger than {MAX_BYTES // 1024 // 1024} MB.",
             file=file,
-            remedy="Keep data in files of their own and name them in arguments.",
+            remedy="Keep data in separate files and name them in arguments.",
         )
     try:
         written = raw.decode("utf-8-sig")
@@ -178,14 +178,14 @@ def parse(
             file=file,
             line=at.line,
             column=at.column,
-            remedy="Keep data in files of their own and name them in arguments."
+            remedy="Keep data in separate files and name them in arguments."
             if isinstance(error, _TooMuch)
             else "Check indentation, quotes and colons just before this place.",
         ) from None
     except yaml.reader.ReaderError as error:
         line = written.count("\n", 0, int(error.position)) + 1
         raise SpecError(
-            "The file holds characters that are not text.", file=file, line=line, column=1,
+            "The file contains characters that are not text.", file=file, line=line, column=1,
             remedy="Is it a YAML file? Save it as UTF-8 text.",
         ) from None  # fmt: skip
     except (yaml.YAMLError, RecursionError, ValueError) as error:
@@ -211,9 +211,9 @@ def parse(
 def _explain_plainly(problem: str) -> str:
     """Plain explanations for messages of the parser that the author of a file would not understand."""
     if problem == "expected <block end>, but found '?'":
-        return "a key stands here whose indentation fits nothing above it"
+        return "the indentation of this key fits no line above it"
     if problem == "expected <block end>, but found '-'":
-        return "a dash stands here whose indentation fits nothing above it"
+        return "the indentation of this dash fits no line above it"
     return problem
 
 
@@ -324,7 +324,7 @@ class _Builder:
             key = key_node.value
             if key in table:
                 first = table.keys_at[key]
-                what = f"The key {key!r} stands here twice; the first is in line {first.line}."
+                what = f"The key {key!r} is there twice; the first is in line {first.line}."
                 self.doubles.append(self._make_error(what, key_at, "Remove or rename one of them.", key))
             table.put(key, self.build(value_node), key_at, _mark(value_node.start_mark))
         for part in merged:
@@ -369,7 +369,7 @@ class _Builder:
             number = float(text.replace(".inf", "inf").replace(".nan", "nan"))
         except ValueError:
             raise self._make_error(
-                f"{text[:40]} is not a number that can be kept.", at, "Put it in quotes."
+                f"{text[:40]} is not a number that can be stored.", at, "Put it in quotes."
             ) from None
         if not math.isfinite(number):
             raise self._make_error(f"{text} is not a finite number.", at, "Write a number or leave it out.")

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import StationSpec, Workcell
 from labos.errors import SpecError
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 
 
 def strip_place(text: str) -> str:
@@ -64,7 +64,7 @@ class Stations:
         if slash:
             if home != self.workcell:
                 raise SpecError(
-                    f"The station {text!r} stands in another workcell than {self.workcell!r}.",
+                    f"The station {text!r} is not in the workcell {self.workcell!r}.",
                     remedy="Name a station of this workcell.",
                 )
             written = rest
@@ -73,10 +73,10 @@ class Stations:
             return found[0]
         if found:
             names = ", ".join(map(local, found))
-            raise SpecError(f"The station {text!r} may be any of {names}.", remedy="Write its full name.")
+            raise SpecError(f"The station {text!r} is ambiguous: {names}.", remedy="Write its full name.")
         raise SpecError(
             f"There is no station {text!r} in workcell {self.workcell!r}.",
-            remedy=near(strip_place(written), self._exact, "station"),
+            remedy=suggest_name(strip_place(written), self._exact, "station"),
         )
 
     def list_matches(self, written: str, module: str = "") -> list[StationName]:

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from labos.core.model import MAIN, Window
 from labos.errors import SpecError
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.layout import Box, Layout, LayoutNode
 from labos.spec.models import StepEntry, Wait, Within
 from labos.spec.references import fill
@@ -35,8 +35,8 @@ class Steps:
         if isinstance(found, LayoutNode):
             inside = [key for key in self.keys if key.startswith((f"{found.key}/", f"{found.key}["))]
             what = found.why_empty or "it stands for several steps"
-            remedy = near(name, inside, "step") if inside else "Refer to a step that is always there."
-            self.error(f"{name!r} is no single step: {what}.", path, remedy)
+            remedy = suggest_name(name, inside, "step") if inside else "Refer to a step that is always there."
+            self.error(f"{name!r} is not a single step: {what}.", path, remedy)
             return None
         return found.index if found is not None else None
 
@@ -94,7 +94,7 @@ class Steps:
         if self.entries and not self.sort_steps():
             stuck = next(i for i in range(len(self.entries)) if i in self.list_before(i))
             self.error(
-                f"The step {self.entries[stuck].name!r} waits for itself, by way of other steps.",
+                f"The step {self.entries[stuck].name!r} waits for itself, through other steps.",
                 ("steps", stuck, "after"),
                 "Break the circle of `after:`.",
             )
@@ -143,7 +143,7 @@ class Steps:
             self.error(error.message, path, error.remedy)
             return None
         if not isinstance(found, str):
-            self.error("`of` is no text.", path, "Name a workflow, or give the id of a run.")
+            self.error("`of` is not a text.", path, "Name a workflow, or give the id of a run.")
             return None
         return found
 

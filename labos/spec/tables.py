@@ -104,7 +104,7 @@ def read_source(written: Any, beside: Source, sent: Mapping[str, bytes] | None =
         return parse(sent[written], str(Path(beside.file).parent / written))
     if beside.folder is None and not Path(written).is_absolute():
         raise SpecError(
-            f"The file {written!r} cannot be found: this workcell was not read from a folder.",
+            f"The file {written!r} cannot be found: this workcell was not loaded from a folder.",
             remedy="Write the table itself here.",
         )
     return read((beside.folder or Path()) / written)

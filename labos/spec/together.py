@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.effects import Needs, Reads, Requires, Sets
 from labos.core.model import ActionSpec, Description, StationSpec, Together
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.models import ModuleEntry
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
@@ -25,7 +25,7 @@ def read_together(
         action = description.action(name)
         if action is None:
             known = {each.name: True for each in description.actions}
-            remedy = near(name, known, "action")
+            remedy = suggest_name(name, known, "action")
             remarks.error(f"{entry.name} has no action {name!r}.", (*at, "actions", index), remedy)
             continue
         fault = _find_fault(action)
@@ -50,7 +50,7 @@ def _find_fault(action: ActionSpec) -> str:
         if isinstance(effect, Sets) and effect.of != "labware":
             return f"leaves {effect.variable} of the module changed"
         if not isinstance(effect, Needs | Reads | Requires | Sets):
-            return f"does more than to change labware where it stands ({effect.__struct_config__.tag})"
+            return f"does more than change labware in its place ({effect.__struct_config__.tag})"
     return "" if needs else "needs no labware"
 
 
@@ -61,10 +61,10 @@ def _check_places(name: str, own: list[StationSpec], at: Path_, remarks: Remarks
     for place in own:
         local = place.name.partition("/")[2]
         if place.claim:
-            message = f"Labware at {local} keeps other runs from {name}: nothing is done together there."
+            message = f"Labware at {local} blocks {name} for other runs, so actions cannot be done together."
             remedy = f"Write `{local}: {{independent: true}}` below `stations:`."
             remarks.error(message, at, remedy)
         elif place.stands_apart and not place.hotel:
             message = f"Arms reach into {local} at any time, also while {name} is at work."
-            remedy = f"Say what has to be open: `{local}: {{access: {{lid: open}}}}` below `stations:`."
+            remedy = f"Define what has to be open: `{local}: {{access: {{lid: open}}}}` below `stations:`."
             remarks.error(message, at, remedy)

@@ -9,7 +9,7 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import Description, TransferWay
 from labos.core.structs import make_from
 from labos.errors import SpecError
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.models import TransferEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
@@ -58,20 +58,20 @@ class _Reader:
 
     def _check_action(self, entry: TransferEntry, path: Path_) -> None:
         if entry.module not in self.drivers:
-            message = f"No active module is called {entry.module!r}: nothing is transferred by it."
-            self._add_fault(message, (*path, "module"), near(entry.module, self.drivers, "module"))
+            message = f"No active module is called {entry.module!r}, so it cannot be used for transfers."
+            self._add_fault(message, (*path, "module"), suggest_name(entry.module, self.drivers, "module"))
             return
         known = self.drivers[entry.module]
         action = known.action(entry.action)
         if action is None:
-            remedy = near(entry.action, (each.name for each in known.actions), "action")
-            message = f"{entry.module} has no action {entry.action!r}: nothing is transferred by it."
+            remedy = suggest_name(entry.action, (each.name for each in known.actions), "action")
+            message = f"{entry.module} has no action {entry.action!r}, so it cannot be used for transfers."
             self._add_fault(message, (*path, "action"), remedy)
             return
         names = list_names(action)
         for written in (entry.source, entry.target, *entry.args):
             if written not in names:
-                remedy = near(written, (arg.name for arg in action.args), "argument")
+                remedy = suggest_name(written, (arg.name for arg in action.args), "argument")
                 message = f"The action {entry.action!r} of {entry.module} has no argument {written!r}."
                 self._add_fault(message, path, remedy)
 

@@ -25,17 +25,19 @@ def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
     if isinstance(value, str):
         found = match_quantity(value)
         if found is None:
-            raise SpecError(f"{value!r} is no amount of {what}.", remedy=f"Write {_make_example(wanted)}.")
+            raise SpecError(
+                f"{value!r} is not an amount of {what}.", remedy=f"Write {_make_example(wanted)}."
+            )
         value, unit = float(found[1]), found[2] or unit
     if value < 0:
-        raise SpecError(f"There cannot be {value:g} of {what}.", remedy="Write 0 or more.")
+        raise SpecError(f"The amount of {what} cannot be {value:g}.", remedy="Write 0 or more.")
     given, counted = _simplify_unit(unit), _simplify_unit(wanted)
     if not given or given == counted:
         return value
     family = next((known for known in FAMILIES.values() if counted in known), {counted: 1.0})
     if given not in family:
         raise SpecError(
-            f"{what} is counted in {_show_unit(wanted)}, which {unit!r} cannot be turned into.",
+            f"{what} is counted in {_show_unit(wanted)}; {unit!r} cannot be converted to it.",
             remedy=f"Write one of {_list_units([name for name in family if name])}.",
         )
     # Divide by the greater factor: then whole results stay whole.

@@ -76,7 +76,7 @@ class Unroller:
         self.layout.settle()
         if not self.layout.leaves and not self.report.errors:
             self.report.error(
-                "Of this workflow no step is left.",
+                "No step of this workflow is left.",
                 source.place(("steps",)),
                 field="steps",
                 remedy="Check `when` and the lists of `for_each`, or do not submit it.",
@@ -185,7 +185,7 @@ class Unroller:
         if len(self.layout.leaves) < MOST_STEPS and self._entries <= MOST_ENTRIES:
             return False
         self._full = True
-        remedy = "Make runs of their own of it."
+        remedy = "Split it into several runs."
         self._add_error(frame, f"The workflow unrolls to more than {MOST_STEPS} steps.", path, remedy)
         return True
 
@@ -232,7 +232,7 @@ class Unroller:
             self._add_error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
             return []
         if not isinstance(found, list | tuple):
-            what = f"Step {entry.name!r}: `for_each` goes through a list, and this is none."
+            what = f"Step {entry.name!r}: `for_each` needs a list, and this is not one."
             self._add_error(frame, what, at, "Name a list of the payload: `in: payload.plates`.")
             return []
         return list(found)
@@ -249,7 +249,7 @@ class Unroller:
             expression = parse_expression(entry.when)
             roots = {name[0] for name in list_names(expression)}
             if "result" in roots or ("steps" in roots and self._part != MAIN):
-                what = f"Step {entry.name!r}: `when` reads the payload and earlier results only."
+                what = f"Step {entry.name!r}: `when` can use only the payload and earlier results."
                 self._add_error(frame, what, at, "Name values of the payload: `payload.count > 0`.")
                 return False
             if "steps" in roots:
@@ -330,7 +330,7 @@ class Unroller:
                 if name in frame.names
                 else f"Files use each other too deeply: {chain}."
             )
-            self._add_error(frame, what, at, "Take it out of one of them.")
+            self._add_error(frame, what, at, "Remove it from one of them.")
             return
         known = self._read(name, frame, at)
         if known is None:
@@ -348,7 +348,7 @@ class Unroller:
         if "payload" in node.entry.model_fields_set and not foreign and not node.rounds:
             for key, remedy in find_unused(inner, file, [source], self.finder):
                 where = (*path, "payload", key.partition(".")[0])
-                self._add_error(frame, f"Nothing in {name} takes {key!r} from its payload.", where, remedy)
+                self._add_error(frame, f"{name} does not use {key!r} of its payload.", where, remedy)
         box = Box(prefix, node, len(node.rounds))
         node.rounds.append(box)
         self._fill_box(
@@ -374,7 +374,8 @@ class Unroller:
             for key in ("hold", "windows", "on_cancel") if file is not None else ():
                 if getattr(file, key):
                     report.error(
-                        f"`{key}` counts in the workflow that is submitted, not in a file that it uses.",
+                        f"`{key}` is allowed only in the submitted workflow, not in a file that it "
+                            "uses.",
                         form.place((key,), key=True), field=key, remedy="Write it there.",
                     )  # fmt: skip
         except SpecError as error:

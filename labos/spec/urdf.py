@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from math import cos, pi, radians, sin
 from xml.etree import ElementTree
 
-from labos.spec.describing import places
+from labos.spec.describing import list_places
 from labos.spec.description import BASE, DescriptionFile, MovesEntry, ShapeEntry
 
 SIDES = 32
@@ -57,7 +57,7 @@ def write_urdf(file: DescriptionFile, name: str = "") -> str:
         joint = _add_joint(robot, part_name, part.on, part.at_mm, part.turn_deg, part.moves)
         if part.moves is not None:
             _add_motion(joint, part.moves)
-    for place_name, place in places(file).items():
+    for place_name, place in list_places(file).items():
         ElementTree.SubElement(robot, "link", name=name_station_link(place_name))
         _add_joint(robot, name_station_link(place_name), place.on, place.at_mm, place.turn_deg, None)
     ElementTree.indent(robot)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from labos.spec.findings import MOST, FindingList, SpecErrors, near
+from labos.spec.findings import MOST, FindingList, SpecErrors, suggest_name
 from labos.spec.mismatch import describe_mismatch
 from labos.spec.source import Source, make_plain
 
@@ -60,7 +60,7 @@ def _translate(model: type[BaseModel], source: Source, report: FindingList, erro
                 f"The key {path[-1]!r} is not known here.",
                 source.place(path, key=True),
                 field=field,
-                remedy=near(str(path[-1]), known, "key"),
+                remedy=suggest_name(str(path[-1]), known, "key"),
             )
         case "missing":
             report.error(

@@ -14,13 +14,13 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import LABWARE_TYPE, Description, ModuleSpec, Workcell
 from labos.errors import SpecError
 from labos.spec import rest
-from labos.spec.about import GENERIC, BadEffect, description_of, extend, make_about
+from labos.spec.about import GENERIC, BadEffect, extend, make_about, make_description
 from labos.spec.bench import DEFAULT_LID, BenchFile, make_default_stock, read_stock
 from labos.spec.compile_stations import compile_stations
 from labos.spec.defaults import make_setup, retry_of
 from labos.spec.dialects import convert_workcell
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
-from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding, near
+from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding, suggest_name
 from labos.spec.flaws import find_first_flaw
 from labos.spec.interfaces import (
     NATIVE,
@@ -81,7 +81,9 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
         """The modules of the file that are not in the workcell, with the reasons."""
         there = {local(module.name) for module in self.workcell.modules}
         return {
-            entry.name: "no driver serves it" if entry.active else "it is switched off (`active: false`)"
+            entry.name: "there is no driver for it"
+            if entry.active
+            else "it is switched off (`active: false`)"
             for entry in (self.file.modules if self.file is not None else ())
             if entry.name not in there
         }
@@ -190,7 +192,7 @@ class _Modules:
         self._tables: dict[str, Source] = {}
         for index, entry in enumerate(file.modules):
             if entry.name in self._entries:
-                message = f"The module {entry.name!r} stands here twice."
+                message = f"The module {entry.name!r} is listed twice."
                 remarks.error(message, ("modules", index, "name"), "Rename one.")
                 continue
             self._entries[entry.name] = (index, entry)
@@ -214,7 +216,7 @@ class _Modules:
         try:
             if entry.about is not None:
                 reached = entry.interface if entry.interface not in NATIVE else GENERIC
-                return description_of(entry.about, reached)
+                return make_description(entry.about, reached)
             if found is None or entry.extends is None:
                 return found
             return extend(found, entry.extends)
@@ -270,7 +272,9 @@ class _Modules:
         at = (*path, "interface")
         why = explain_unreachable(entry.interface)
         if why and entry.interface not in PLANNED and not self.foreign:
-            self.remarks.error(why, at, near(entry.interface, (*REACHED, *PLANNED, "native"), "interface"))
+            self.remarks.error(
+                why, at, suggest_name(entry.interface, (*REACHED, *PLANNED, "native"), "interface")
+            )
         for key in list_missing_keys(entry.interface, entry.config):
             tell = self.remarks.add_warning if self.foreign else self.remarks.error
             tell(f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`.")
@@ -289,7 +293,7 @@ class _Modules:
         if entry.driver:
             if entry.driver in self.descriptions:
                 return entry.driver
-            remedy = near(entry.driver, self.descriptions, "driver")
+            remedy = suggest_name(entry.driver, self.descriptions, "driver")
             self.remarks.error(f"There is no driver {entry.driver!r}.", (*path, "driver"), remedy)
             return None
         driver = match_driver(entry.model, self.descriptions) if entry.model else None
@@ -299,21 +303,21 @@ class _Modules:
             serving = list_drivers(entry.model, self.descriptions) if entry.model else []
             if len(serving) > 1:
                 tell = self.remarks.add_warning if self.foreign else self.remarks.error
-                message = f"The model {entry.model!r} is served by several drivers: {', '.join(serving)}."
-                tell(message, (*path, "model"), f"Say which one: `driver: {driver}`.")
+                message = f"The model {entry.model!r} has several drivers: {', '.join(serving)}."
+                tell(message, (*path, "model"), f"Choose one: `driver: {driver}`.")
             return driver
         remedy = "Add `model:` or `driver:`."
         if entry.model:
-            remedy = near(entry.model, list_models(self.descriptions), "model")
+            remedy = suggest_name(entry.model, list_models(self.descriptions), "model")
         at = (*path, "model") if entry.model else path
         what = f"the model {entry.model!r}" if entry.model else "no model"
         if self.foreign:
-            message = f"No driver serves the module {entry.name!r} ({what}); it is left out."
+            message = f"There is no driver for the module {entry.name!r} ({what}); it is left out."
             if entry.interface in REACHED:
                 remedy = f"Or write what `labos node about {entry.interface} ADDRESS` prints below `about:`."
             self.remarks.add_warning(message, at, remedy, assumed="module")
         else:
-            self.remarks.error(f"No driver serves the module {entry.name!r} ({what}).", at, remedy)
+            self.remarks.error(f"There is no driver for the module {entry.name!r} ({what}).", at, remedy)
         return None
 
     def _suggest(self, entry: ModuleEntry, path: Path_) -> str | None:
@@ -326,9 +330,10 @@ class _Modules:
             driver = suggest_driver(text, self.descriptions) if text else None
             if driver:
                 self.remarks.add_warning(
-                    f"The module {entry.name!r} is taken for the driver {driver} by its {key} {text!r}.",
+                    f"The module {entry.name!r} is assumed to have the driver {driver}, because of "
+                    f"its {key} {text!r}.",
                     (*path, key),
-                    f"Say so: `driver: {driver}`. Or describe it below `about:`.",
+                    f"Write it down: `driver: {driver}`. Or describe it below `about:`.",
                     assumed="driver",
                 )
                 return driver
@@ -352,7 +357,7 @@ class _Modules:
             arguments = {arg.name: True for action in description.actions for arg in action.args}
             if entry.setup.by not in arguments:
                 message = f"No action of {name} has the argument {entry.setup.by!r}."
-                remedy = near(entry.setup.by, arguments, "argument")
+                remedy = suggest_name(entry.setup.by, arguments, "argument")
                 self.remarks.error(message, (*path, "setup", "by"), remedy)
         return ModuleSpec(
             name=ModuleName(f"{self.file.name}/{name}"),
@@ -390,7 +395,7 @@ class _Modules:
     ) -> None:
         for key in written.keys() - known.keys():
             message = f"The module has no {what} {key!r}."
-            self.remarks.error(message, (*path, key), near(key, known, what), key=True)
+            self.remarks.error(message, (*path, key), suggest_name(key, known, what), key=True)
 
     def _make_config(
         self, name: str, entry: ModuleEntry, description: Description, stations: Stations
@@ -464,7 +469,7 @@ class _Modules:
         a pose for all other types."""
         at = ("locations", name, place)
         if ANY not in written:
-            message = f"It is not said where {name} finds {place} with labware of other types."
+            message = f"{name} has no pose for {place} with labware of other types."
             self.remarks.error(message, at, f"Add `{ANY}:` with the pose for all other labware.", key=True)
         if not any(arg.name == LABWARE_TYPE for action in description.actions for arg in action.args):
             message = f"The driver of {name} has one pose for all labware."

@@ -146,7 +146,7 @@ def _refuse_unlike(found: Sequence[Compiled], form: Source, report: FindingList)
     keys = [[(step.key, step.part) for step in each.plan.steps] for each in found]
     if any(other != keys[0] for other in keys):
         report.error(
-            "The steps differ with the modules that are chosen.",
+            "The steps depend on which modules are chosen.",
             form.place(("steps",)),
             field="steps",
             remedy="Name the `module:` of transfers to and from modules that are chosen.",

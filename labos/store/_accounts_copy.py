@@ -71,7 +71,9 @@ def read_accounts_copy(folder: Path, lab: str, key: bytes = b"") -> AccountsCopy
             for row in found.tables.get(table.name, ()):
                 _decode_row(table, row)
     except (ValueError, TypeError) as error:
-        raise BadInput(f"{path} has a row that is no {table.name} ({error}).", remedy=_WITHOUT) from None
+        raise BadInput(
+            f"{path} has a row that does not fit the table {table.name} ({error}).", remedy=_WITHOUT
+        ) from None
     fault = check_seal(found, key) if found.lab == lab else f"it is of the lab {found.lab}"
     if fault:
         raise Refused(f"The accounts in {path} are not those of this backup: {fault}.", remedy=_WITHOUT)

@@ -31,7 +31,8 @@ def move_old_segments(folder: Path, to: Path, before_ns: int) -> list[Segment]:
         except OSError as error:
             raise StoreUnavailable(
                 f"{segment.file} cannot be moved to {to}: {error.strerror or error}.",
-                remedy="Look for room, and whether this user may write there. The backup still has it.",
+                remedy="Check the free space, and that this user may write there. The segment is still in "
+                "the backup.",
             ) from error
         moved.append(segment)
     return moved
@@ -39,13 +40,13 @@ def move_old_segments(folder: Path, to: Path, before_ns: int) -> list[Segment]:
 
 def _move(segment: Segment, source: Path, target: Path) -> None:
     if digest_file(source) != segment.sha256:
-        raise report_damage(segment, "has other bytes than when it was sealed")
+        raise report_damage(segment, "has changed since it was sealed")
     make_folder(target.parent)
     if not target.is_file() or digest_file(target) != segment.sha256:
         replace_file(target, source.read_bytes())
     if digest_file(target) != segment.sha256:
         raise LogDamaged(
-            f"{target} has other bytes than were written there.",
+            f"{target} is not what was written there.",
             position=segment.first,
             remedy="Check that disk. The segment is still in the backup.",
         )

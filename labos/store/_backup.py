@@ -93,9 +93,7 @@ def backup(
     if known is not None:
         _refuse_other(known, store, head.lab, folder)
     elif folder.exists() and any(folder.iterdir()):
-        raise Refused(
-            f"{folder} holds other things.", remedy="Name a new folder, or one with a backup in it."
-        )
+        raise Refused(f"{folder} holds other files.", remedy="Name a new folder, or one with a backup in it.")
     make_folder(folder)
     tighten([folder], "the backup's folder")
     remove_leftovers(folder, ".*.part")
@@ -149,8 +147,8 @@ def read_backup(folder: Path) -> Backup:
         # The name is used for reading and moving files beside the manifest.
         if not _FILE.fullmatch(segment.file):
             raise BadInput(
-                f"The manifest of {folder} names {segment.file[:80]!r}, which is no segment.",
-                remedy="Somebody has changed it: take another copy of the backup.",
+                f"The manifest of {folder} names {segment.file[:80]!r}, which is not a segment.",
+                remedy="The manifest was changed: use another copy of the backup.",
             )
     return found
 
@@ -181,7 +179,7 @@ def read_stretch(
         for record in check_chain(_read_segment_of_lab(path, segment), before, after):
             yield record
         if record is None or (record.head.position, record.hash.hex()) != (segment.last, segment.hash):
-            raise report_damage(segment, "does not end as its manifest says")
+            raise report_damage(segment, "does not end as its manifest states")
         before, after = record.hash, segment.last
 
 
@@ -216,12 +214,12 @@ def verify_backup(folder: Path, *, key: bytes = b"", archive: Path | None = None
             raise LogDamaged(
                 f"Position {at.position}: the record contradicts the log ({error}).",
                 position=at.position,
-                remedy="What stands before it may be trusted.",
+                remedy="The records before it can be trusted.",
             ) from None
         end = ends.get(at.position)
         # Another version of LabOS may encode the same state differently.
         if end is not None and end.fold == fold_fingerprint() and end.state != hash_state(state):
-            raise report_damage(end, "folds to another state than when it was sealed")
+            raise report_damage(end, "gives a different state than when it was sealed")
     words.end()
     check_files(folder, found.segments, archive)
     blobs = FolderBlobs(folder / "blobs")
@@ -229,7 +227,7 @@ def verify_backup(folder: Path, *, key: bytes = b"", archive: Path | None = None
         try:
             blobs.get(name)
         except NotFound as error:
-            raise LogDamaged(str(error), position=0, remedy="Take another copy of the backup.") from None
+            raise LogDamaged(str(error), position=0, remedy="Use another copy of the backup.") from None
     return found, state
 
 
@@ -257,7 +255,7 @@ def report_damage(segment: Segment, why: str) -> LogDamaged:
     return LogDamaged(
         f"The segment {segment.file} (positions {segment.first} to {segment.last}) {why}.",
         position=segment.first,
-        remedy="Take another copy of the backup; keep this one.",
+        remedy="Use another copy of the backup; keep this one.",
     )
 
 
@@ -270,8 +268,8 @@ def _refuse_other(known: Backup, store: SqlEventStore, lab: str, folder: Path) -
     record = next(store.read(known.position - 1, known.position), None)
     if record is None or record.hash.hex() != known.hash:
         raise Refused(
-            f"{folder} reaches to position {known.position}, which this log does not have or has otherwise: "
-            "the log was cut, rewritten, or restored from an older backup.",
+            f"{folder} reaches to position {known.position}, but this log is shorter, or differs "
+            "before it: the log was cut, rewritten, or restored from an older backup.",
             remedy="Keep that folder, and name a new one.",
         )
 

@@ -22,8 +22,8 @@ Row = tuple[Any, ...]
 
 COLUMNS = 'position, type, "schema", recorded_at, payload, envelope, hash'
 REMEDY = (
-    "Nothing that stands there or behind it was used. Find out more with `labos verify`, keep this database "
-    "as it is, and restore the log from a backup."
+    "This record and all records after it were not used. Run `labos verify` for details, keep this "
+    "database as it is, and restore the log from a backup."
 )
 
 _FOLDED = itemgetter(slice(0, 5))
@@ -82,7 +82,7 @@ def _find_fault(row: Row, previous: bytes, lab: str) -> str:
     if wrong:
         return f"a column holds a value of the wrong type ({', '.join(wrong)})"
     if _sha256(previous + envelope).digest() != stored:
-        return "its envelope or its hash is not the one that was recorded, or the record before it is another"
+        return "its envelope or its hash was changed after it was recorded, or the record before it was"
     try:
         head = decode_folded(envelope)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

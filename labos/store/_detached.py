@@ -53,7 +53,7 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
     there = [(folder / segment.file).is_file() for segment in found.segments]
     if not any(there):
         raise BadInput(
-            f"None of the segments of {folder} is there.", remedy="Put one back, or name another folder."
+            f"All segments of {folder} are missing.", remedy="Put one back, or name another folder."
         )
     first = there.index(True)
     absent, segments = found.segments[:first], found.segments[first:]
@@ -62,7 +62,7 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
     try:
         rests_on = bytes.fromhex(before) if after else GENESIS
     except ValueError:
-        raise report_damage(segments[0], "names no hash that it rests on") from None
+        raise report_damage(segments[0], "names no hash of the record before it") from None
     words = WordsExpected(folder)
     for record in read_stretch(folder, found.lab, segments, rests_on, after):
         words.take(record)

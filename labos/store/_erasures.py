@@ -47,8 +47,8 @@ def read_erasures(file: Path) -> Iterator[Erased]:
             yield _decoder.decode(line)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise BadInput(
-                f"{file}:{number}: this is no line of a list of erasures ({error}).",
-                remedy="Put back a copy of it, as it stands in a backup.",
+                f"{file}:{number}: this is not a line of a list of erasures ({error}).",
+                remedy="Replace it with the copy from a backup.",
             ) from None
 
 

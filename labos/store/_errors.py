@@ -26,7 +26,7 @@ _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     ),
     (
         ("database is locked", "database table is locked", "lock timeout", "lock_timeout"),
-        "Another program holds it locked: close that program.",
+        "Another program has locked it: close that program.",
     ),
     (
         ("not a database", "malformed"),

@@ -32,7 +32,7 @@ class ObjectBlobs:
             # Other processes write there too, so an earlier listing may be outdated.
             found = url_to_fs(self.url, use_listings_cache=False, skip_instance_cache=True)
         except (ImportError, ValueError) as error:
-            raise BadInput(f"Blobs cannot be kept at {url}: {error}.", remedy=REMEDY) from None
+            raise BadInput(f"Blobs cannot be stored at {url}: {error}.", remedy=REMEDY) from None
         self._files: Any = found[0]
         self._root = str(found[1]).rstrip("/")
 

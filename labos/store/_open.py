@@ -78,6 +78,6 @@ def _expect_current(status: _migrate.DatabaseStatus) -> None:
     if status.state != "current":
         found = f"revision {status.revision}" if status.revision else "no log yet"
         raise StoreUnavailable(
-            f"The {status.name} is not ready: it has {found}, this LabOS needs {status.expected}.",
+            f"The {status.name} is not ready: it has {found}, and this LabOS needs {status.expected}.",
             remedy="Start a kernel on it, or migrate it.",
         )

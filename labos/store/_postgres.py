@@ -260,8 +260,8 @@ class PostgresBackend:
             may = connection.execute(text(_MAY_REWRITE)).one()
             if not may.owns and not may.granted:
                 return (
-                    "this role may not have the table `words` written anew; the owner of the tables allows "
-                    "it (labos db writer ROLE), or does it (labos db scrub)"
+                    "this role may not rewrite the table `words`; the owner of the tables can allow "
+                    "it (labos db writer ROLE) or do it (labos db scrub)"
                 )
             try:
                 connection.execute(text(f"SET lock_timeout = '{SCRUB_WAITS_S}s'"))
@@ -271,7 +271,10 @@ class PostgresBackend:
             except DBAPIError as error:
                 return f"{str(error.orig).strip()}; repeat it when nobody reads there (labos db scrub)"
         if may.sampled and not may.rules:
-            return "the server had sampled the texts; the owner of the database says VACUUM FULL pg_statistic"
+            return (
+                "the server has samples of the texts in its statistics; the owner of the database has to "
+                "run VACUUM FULL pg_statistic"
+            )
         return ""
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
@@ -307,8 +310,8 @@ class PostgresBackend:
                 return
             if time.monotonic() >= give_up:
                 raise StoreUnavailable(
-                    f"The {self.name} still works for a connection that was lost.",
-                    remedy="Wait until it is done.",
+                    f"The {self.name} is still carrying out a request of a lost connection.",
+                    remedy="Wait until it has finished.",
                 )
             time.sleep(LOOK_S / 5)
 

@@ -41,14 +41,16 @@ _LIMIT = literal_column(str(_CHUNK), Integer)
 
 
 class StoredSnapshot(msgspec.Struct, frozen=True):
-    """The row of the snapshot. ``fault`` says why it is not ``genuine``. ``on_log`` is the hash of the log at
-    the snapshot's position; None if the log is shorter."""
+    """The row of the snapshot. ``fault`` says why it is not ``genuine``; ``tampered``: it has a seal, but not
+    a correct one. ``on_log`` is the hash of the log at the snapshot's position; None if the log is
+    shorter."""
 
     position: int
     hash: bytes
     fingerprint: str
     data: bytes
     genuine: bool
+    tampered: bool
     fault: str
     on_log: bytes | None
 
@@ -88,7 +90,7 @@ class LogReader:
         upto = end.position if end is not None else upto
         start, recorded_at = self._read_chain_at(after)
         if before and before != start:
-            raise report_damage(self.name, after, "its hash is not the one that was known of it")
+            raise report_damage(self.name, after, "its hash is not the known one")
         checked: CheckedRows | None = None
         position = after
         for rows in self._read_chunks(_REPLAY, after, upto):
@@ -103,18 +105,18 @@ class LogReader:
         """Raises LogDamaged if the end of a log that was read up to a position does not match its head
         row."""
         if position != end.position:
-            fault = f"it is missing, though the head row says that the log reaches to {end.position}"
+            fault = f"it is missing, but by the head row the log ends at {end.position}"
             raise report_damage(self.name, position + 1, fault)
         if hash_ != end.hash:
-            fault = "the head row bears another hash than this record, the last one"
+            fault = "the head row has another hash than this record, which is the last one"
             raise report_damage(self.name, position, fault)
         with self._door:
             rows = self._backend.fetch(_BEHIND, (position,))
         if rows:
-            fault = f"it stands behind the end of the log, which is {position} by the head row"
+            fault = f"it is after the end of the log, which is {position} by the head row"
             raise report_damage(self.name, rows[0][0], fault)
         if recorded_at != end.recorded_at:
-            fault = "the head row bears another time (recorded_at) than this record, the last one"
+            fault = "the head row has another time (recorded_at) than this record, which is the last one"
             raise report_damage(self.name, position, fault)
 
     def _read_chain_at(self, position: int) -> tuple[bytes, int]:
@@ -229,10 +231,10 @@ class LogReader:
                 self._warn_unused(found.fault)
             return None
         if found.on_log is None:
-            self._warn_unused(f"it is of position {found.position}, which the log does not reach")
+            self._warn_unused(f"it is of position {found.position}, which is after the end of the log")
             return None
         if found.on_log != found.hash:
-            fault = "its hash is not the one that the sealed snapshot of this position bears"
+            fault = "its hash differs from the sealed snapshot of this position"
             raise report_damage(self.name, found.position, fault)
         return (found.position, found.hash, found.data) if found.fingerprint == fingerprint else None
 
@@ -249,16 +251,17 @@ class LogReader:
             genuine = bool(seal) and hmac.compare_digest(seal, row.digest)
         except (TypeError, AttributeError, ValueError):  # SQLite allows values of any type in a column
             seal, genuine = "-", False
+        tampered = not genuine and bool(seal) and str(row.digest).startswith(SEAL)
         if genuine:
             fault = ""
         elif not seal:
-            fault = "this lab's folder has no key to check it with"
-        elif str(row.digest).startswith(SEAL):
-            fault = "its seal is not of this lab's key, or what it seals was changed"
+            fault = "the key for checking it is missing from this lab's folder"
+        elif tampered:
+            fault = "its seal was made with another key, or its content was changed"
         else:
-            fault = "it bears no seal"
+            fault = "it has no seal"
         return StoredSnapshot(
-            row.position, row.hash, row.fingerprint, row.data, genuine=genuine, fault=fault, on_log=row.on_log
+            row.position, row.hash, row.fingerprint, row.data, genuine, tampered, fault, row.on_log
         )
 
     def flaw(self) -> str:
@@ -270,7 +273,9 @@ class LogReader:
     def _warn_unused(self, why: str) -> None:
         if not self._said_unused:
             self._said_unused = True
-            _log.warning("snapshot_not_used", why=why, instead="the log is folded from its beginning")
+            _log.warning(
+                "snapshot_not_used", why=why, instead="the state is computed from the beginning of the log"
+            )
 
     def _lab_id(self) -> str:
         """The lab's id, from the head row. It is constant as soon as there is a record."""

@@ -88,7 +88,7 @@ def refuse_to_overwrite(url: str) -> None:
     owner = find_lease_holder(url)
     if owner:
         raise Refused(
-            f"A kernel ({owner}) lives on the {status.name}.",
+            f"A kernel ({owner}) is running on the {status.name}.",
             remedy="Restore into another database, or stop it and move its database away.",
         )
     if status.state != "current":
@@ -115,7 +115,7 @@ def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
     parsed = parse_url(url)
     if owner:
         raise Refused(
-            f"A kernel ({owner}) lives on the {display_name(parsed)}.",
+            f"A kernel ({owner}) is running on the {display_name(parsed)}.",
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
     backend = choose_backend(parsed)

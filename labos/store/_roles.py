@@ -64,14 +64,18 @@ def grant_writer(url: str, role: str) -> None:
             found = connection.execute(_ROLE, {"role": role}).first()
             if found is None:
                 raise NotFound(
-                    f"The {display_name(parsed)} knows no role {role!r}.",
+                    f"The {display_name(parsed)} has no role {role!r}.",
                     remedy="Make it first: CREATE ROLE name LOGIN PASSWORD '…'",
                 )
             if found.rolsuper or found.owns:
-                what = "is a superuser" if found.rolsuper else "owns the tables, or belongs to who does"
+                what = (
+                    "is a superuser"
+                    if found.rolsuper
+                    else "owns the tables, or belongs to a role that owns them"
+                )
                 raise Refused(
-                    f"The role {role!r} {what}: it may change every record whatever it is granted.",
-                    remedy="Name a role of its own for the kernel.",
+                    f"The role {role!r} {what}, so it can change every record without a grant.",
+                    remedy="Use a separate role for the kernel.",
                 )
             quoted = connection.dialect.identifier_preparer.quote_identifier(role)
             schema = find_schema_of_log(connection)

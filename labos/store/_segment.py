@@ -22,7 +22,7 @@ from labos.errors import BadInput, LogDamaged
 from labos.private import create_file
 
 _GZIP = b"\x1f\x8b"
-_RESTORE = "Take another copy of the file; keep this one."
+_RESTORE = "Use another copy of the file; keep this one."
 
 
 class _Line(msgspec.Struct):
@@ -87,7 +87,7 @@ def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
                     record = decode_record(line)
                 except (msgspec.MsgspecError, ValueError) as error:
                     raise LogDamaged(
-                        f"{path}:{number}: this is no record of a log ({error}).",
+                        f"{path}:{number}: this is not a record of a log ({error}).",
                         position=position + 1,
                         remedy=_RESTORE,
                     ) from None
@@ -99,7 +99,7 @@ def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
                 f"{path} cannot be read: {error.strerror}.", remedy="Name a file of records."
             ) from None
         raise LogDamaged(
-            f"{path} cannot be read behind position {position} ({error}).",
+            f"{path} cannot be read after position {position} ({error}).",
             position=position + 1,
             remedy=_RESTORE,
         ) from None
@@ -126,7 +126,7 @@ def _report_break(position: int, fault: str) -> LogDamaged:
     return LogDamaged(
         f"Position {position}: {fault}.",
         position=position,
-        remedy="What stands before it may be trusted.",
+        remedy="The records before it can be trusted.",
     )
 
 

@@ -23,7 +23,7 @@ def parse_url(url: str) -> URL:
     if backend == "sqlite":
         if not parsed.database or parsed.database == ":memory:" or parsed.query:
             raise BadInput(
-                "The log needs a file of its own: the SQLite URL names none, or carries options.",
+                "The log needs its own file: the SQLite URL names no file, or has options.",
                 remedy="Use sqlite:///lab.db (relative) or sqlite:////var/lib/labos/lab.db (absolute).",
             )
         return parsed.set(drivername="sqlite+pysqlite")

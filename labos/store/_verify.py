@@ -38,7 +38,7 @@ def find_first_damage(
                 return Damage(position + 1, "the record is missing")
             reason = _describe_damage(previous, record)
             if not reason and record.head.recorded_at < recorded_at:
-                reason = "it was recorded before the record that it follows"
+                reason = "its time is before the time of the previous record"
             if reason:
                 return Damage(position + 1, reason)
             previous, position, recorded_at = record.hash, position + 1, record.head.recorded_at
@@ -49,12 +49,12 @@ def find_first_damage(
     if position < head.position:
         return Damage(position + 1, f"the log ends here, but its head says {head.position}")
     if head.hash != previous:
-        return Damage(position, "the head bears another hash than the last record")
+        return Damage(position, "the head has another hash than the last record")
     extra = next(iter(store.read(position, position + 1)), None)
     if extra is not None and store.head().position <= position:
-        return Damage(position + 1, f"the record stands behind the head, which says {head.position}")
+        return Damage(position + 1, f"the record is after the end by the head, which is {head.position}")
     if head.recorded_at != recorded_at:
-        return Damage(position, "the head bears another time than the last record")
+        return Damage(position, "the head has another time than the last record")
     if progress is not None:
         progress(position, head.position)
     return None

@@ -60,9 +60,11 @@ def read_words_copy(folder: Path) -> Iterator[StoredWords]:
             entry = _decoder.decode(line)
             kept = Kept(entry.reference, bytes.fromhex(entry.salt), entry.text)
         except (msgspec.MsgspecError, ValueError) as error:
-            raise _report_damage(0, f"{path}:{number}: this is no text of a backup ({error})") from None
+            raise _report_damage(0, f"{path}:{number}: this is not a text of a backup ({error})") from None
         if not kept.is_genuine:
-            raise _report_damage(entry.position, f"{path}:{number}: the text is not the one that was written")
+            raise _report_damage(
+                entry.position, f"{path}:{number}: the text was changed after it was written"
+            )
         yield StoredWords(kept, entry.position, entry.erased_at)
 
 
@@ -81,7 +83,9 @@ class WordsExpected:
             for reference in event.references():
                 self._named.pop(reference, None)
                 if self._known.get(reference) is False:
-                    raise _report_damage(head.position, f"{WORDS} holds words that were erased there")
+                    raise _report_damage(
+                        head.position, f"{WORDS} contains words that are erased in the backup's log"
+                    )
         for reference in list_references_in_words(head.type, record.payload):
             self._named.setdefault(reference, head.position)
 
@@ -95,5 +99,5 @@ class WordsExpected:
 def _report_damage(position: int, fault: str) -> LogDamaged:
     where = f"Position {position}: " if position else ""
     return LogDamaged(
-        f"{where}{fault}.", position=position, remedy="Take another copy of the backup; keep this one."
+        f"{where}{fault}.", position=position, remedy="Use another copy of the backup; keep this one."
     )

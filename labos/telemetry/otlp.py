@@ -31,7 +31,7 @@ def check_receiver(url: str) -> None:
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname:
         raise BadInput(
-            f"{url!r} is no address of a receiver of traces.",
+            f"{url!r} is not an address of a receiver of traces.",
             remedy="Give it as http://HOST:4318 (--otlp, LABOS_OTLP).",
         )
     try:

@@ -199,7 +199,7 @@ class People(Processes):
         station = kernel.state.bench.stations[stack]
         kind = next(kind for name, kind, _ in self.stand.stock if name == stack)
         count = station.spec.capacity - station.count
-        if count > 0 and stack not in kernel.state.bench.haunted:
+        if count > 0 and stack not in kernel.state.bench.uncertain_at:
             self._reach_in(kernel)
             self.world.stock(local(stack), kind, count)
             await self._tell(kernel, LoadStation(stack, kind, count))

@@ -13,7 +13,7 @@ import polymers
 import pytest
 
 from labos.client import LabUnreachable
-from labos.client.report import parser_for, run_program
+from labos.client.report import make_parser, run_program
 from labos.errors import BadInput
 from tests.apps.growth import APP
 
@@ -61,7 +61,7 @@ def test_what_was_stopped_says_how_it_goes_on(
         raise error
 
     monkeypatch.setattr("sys.argv", ["app", "--resume", "E3"])
-    assert run_program("app", parser_for("Nothing.", user="ada", out="out"), prepare) == code
+    assert run_program("app", make_parser("Nothing.", user="ada", out="out"), prepare) == code
     told = f"{said}app: E3 stays open: start the program again with --resume E3.\n"
     assert capsys.readouterr().err == told
 

@@ -144,7 +144,7 @@ def test_after_its_program_was_killed_plates_leave_the_incubator_if_a_person_say
         lab.wait(lambda: all(lab.is_over(run) for run in runs))
         assert lab.kernel is not None
         state = lab.kernel.state
-        lab.execute(LoseExperiment(ExperimentId(experiment.id), "no sign of life"))
+        lab.execute(LoseExperiment(ExperimentId(experiment.id), "no heartbeat"))
         (asked,) = state.interventions.open.values()
         lab.execute(ResolveIntervention(asked.id, "close", "bo"))
         lab.wait(lambda: not state.experiments.open)

@@ -73,7 +73,7 @@ def test_in_the_papers_words(tmp_path: Path) -> None:
         assert (info["run_id"], info["status"]) == ("R1", "completed")
         assert info["hist"]["Close"]["action_response"] == "succeeded"
         assert json.loads(info["hist"]["Read"]["action_msg"])["quantity"] == "absorbance"
-        with pytest.raises(BadInput, match="No loop was begun"):
+        with pytest.raises(BadInput, match="No loop was started"):
             experiment.events.log_loop_end()
         experiment.events.log_decision("Go on", dec_value=True)
         experiment.events.end_experiment()

@@ -71,7 +71,7 @@ def test_a_series_that_is_not_whole_is_told() -> None:
     ("text", "why"),
     [
         ("liquid_1: water", "missing 2 required"),
-        ("[1]", "is no table"),
+        ("[1]", "is not a table"),
         ("liquid_1: water\nliquid_2: s\nviscosity: 0", "above 0"),
         ("liquid_1: water\nliquid_2: s\nviscosity: 1\nwell: A1", "'well' is unknown"),
         ("liquid_1: water\nliquid_2: s\nviscosity: 1\nwells: []", "`wells` is empty"),

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from prometheus_client import CollectorRegistry, generate_latest
 
 from labos.core.actions import ActionRequested, ActionSucceeded
-from labos.core.bench import Station
+from labos.core.bench import StationState
 from labos.core.envelope import Envelope, Record
 from labos.core.ids import ActionId, ExperimentId, ModuleName, RunId, StationName
 from labos.core.model import ModuleSpec, Plan, PlanStep, StationSpec
@@ -47,7 +47,7 @@ def factory(modules: int, queued: int) -> LabState:
         state.resources.levels[f"{name}:tips"] = Level(500.0, 960.0)
         for place in range(STATIONS):
             station = StationName(f"{name}.s{place}")
-            state.bench.stations[station] = Station(StationSpec(station, "nest", name))
+            state.bench.stations[station] = StationState(StationSpec(station, "nest", name))
     for number in range(CELLS):
         plan = Plan(f"w{number}", f"cell{number}", (PlanStep("s", module(number), "a0"),))
         state.runs.plans[f"p{number}"] = PlanState(plan, "", 1, "")

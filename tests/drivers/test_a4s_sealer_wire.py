@@ -188,7 +188,7 @@ def test_who_is_no_sealer_is_not_driven(port: Path, monkeypatch: pytest.MonkeyPa
 
     async def body() -> None:
         node = at_port(A4sSealer, "sealer", port)
-        with pytest.raises(NotConnected, match="does not say who it is") as told:
+        with pytest.raises(NotConnected, match="does not identify itself") as told:
             await node.connect()
         assert told.value.effects == "none"
 

@@ -292,7 +292,7 @@ def test_another_device_on_the_bus(drive: DriveOnSlcan, monkeypatch: pytest.Monk
         with pytest.raises(WrongDevice, match="a device of the profile 401 answers"):
             await node_at(drive).connect()
         monkeypatch.setattr(objects, "ANSWER_S", 0.2)
-        with pytest.raises(NotConnected, match="does not say who it is"):
+        with pytest.raises(NotConnected, match="does not identify itself"):
             await node_at(drive, node=7).connect()
 
     run(body)

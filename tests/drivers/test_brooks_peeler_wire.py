@@ -259,7 +259,7 @@ def test_the_wire_of_another_device(world: World, port: Path, monkeypatch: pytes
 
     async def body() -> None:
         node = at_port(BrooksPeeler, "peeler", port)
-        with pytest.raises(NotConnected, match="does not say who it is"):
+        with pytest.raises(NotConnected, match="does not identify itself"):
             await node.connect()
 
     with power_on(SealerOnWire, "sealer", world, port):

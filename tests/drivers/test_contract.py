@@ -21,7 +21,7 @@ from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
 from labos.node.server import NodeServer
 from labos.spec.amounts import list_arguments
-from labos.spec.describing import load_description, places
+from labos.spec.describing import list_places, load_description
 from labos.torture import find_declaration
 from labos.torture.cases import cases_of, list_wrong_args
 from tests.integration.node.bench import LAB, bench
@@ -267,7 +267,7 @@ def test_describes_itself_in_json(about: Description) -> None:
 def test_the_description_file_agrees(package: str, about: Description) -> None:
     written = load_description(HERE / package / "description.yaml")
     assert written.driver == about.driver
-    assert {name: place.kind for name, place in places(written).items()} == {
+    assert {name: place.kind for name, place in list_places(written).items()} == {
         station.name: station.kind for station in about.stations
     }
 

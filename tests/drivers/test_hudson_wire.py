@@ -276,7 +276,7 @@ def test_who_repeats_nothing_is_no_arm(kind: str, port: Path, monkeypatch: pytes
     end = PtyEnd(port)
 
     async def body() -> None:
-        with pytest.raises(NotConnected, match="does not say who it is") as told:
+        with pytest.raises(NotConnected, match="does not identify itself") as told:
             await at_port(KINDS[kind][0], kind, port).connect()
         assert told.value.effects == "none"
 

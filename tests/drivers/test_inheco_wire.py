@@ -61,9 +61,9 @@ def test_answers_are_taken_whole_or_not_at_all() -> None:
         assert answers.take(buffer) is None
     buffer = bytearray(whole + protocol.make_answer("1", 0))
     assert (answers.take(buffer), answers.take(buffer)) == (b"\x07", b"\x001")
-    with pytest.raises(BadFrame, match="does not begin"):
+    with pytest.raises(BadFrame, match="does not have the start"):
         answers.take(bytearray(b"370" + whole))
-    with pytest.raises(BadFrame, match="no end"):
+    with pytest.raises(BadFrame, match="without a terminator"):
         answers.take(bytearray(b"\xb2" + b"3" * 300))
 
 
@@ -157,7 +157,7 @@ def test_a_drawer_that_jams(
         await node.connect()
         incubator.jammed = True
         monkeypatch.setattr(inheco_driver, "DRAWER_S", 0.5)
-        with pytest.raises(DeviceError, match=r"not come to its end within 0\.5 s") as told:
+        with pytest.raises(DeviceError, match=r"not reached its end within 0\.5 s") as told:
             await node.open_door()
         assert told.value.effects == "unknown"
         assert not await node.is_idle()

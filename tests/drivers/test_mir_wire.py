@@ -116,9 +116,9 @@ def test_a_robot_that_does_not_know_where_it_is_has_not_arrived(base: MiROnWire,
     async def body() -> None:
         async with drive(base) as node:
             base._compute_position = lambda: (x, 0.0)  # type: ignore[method-assign,return-value,assignment]
-            with pytest.raises(Garbled, match="does not tell where the robot is"):
+            with pytest.raises(Garbled, match="does not contain the robot's position"):
                 await node.observe()
-            with pytest.raises(Garbled, match="does not tell where the robot is") as told:
+            with pytest.raises(Garbled, match="does not contain the robot's position") as told:
                 await node.move("bench2")
             assert told.value.effects == "unknown"
             base._compute_position = here  # type: ignore[method-assign]
@@ -352,7 +352,7 @@ def test_a_robot_that_says_nothing_of_errors_is_not_sent_away(base: MiROnWire) -
 
     async def body() -> None:
         async with drive(base) as node:
-            with pytest.raises(Garbled, match="does not tell whether the robot has errors") as told:
+            with pytest.raises(Garbled, match="does not contain the robot's errors") as told:
                 await node.move("bench1")
             assert told.value.effects == "none"
 
@@ -371,7 +371,7 @@ def test_an_answer_without_a_list_does_not_say_that_a_mission_has_no_step(base: 
         async with drive(base) as node:
             await node.move("bench1")
             base._route = tells_nothing  # type: ignore[method-assign]
-            with pytest.raises(Garbled, match="is no list") as told:
+            with pytest.raises(Garbled, match="is not a list") as told:
                 await node.move("bench1")
             assert told.value.effects == "none"
 

@@ -133,7 +133,7 @@ def test_one_that_fails_only_when_it_is_played_fails_the_run(
             with pytest.raises(DeviceError, match=r"failed: FileNotFoundError 4000: line 5: .*once") as told:
                 await node.run_protocol(write_protocol(tmp_path, text), **WELLS)
             assert told.value.effects == "unknown"
-            assert "Look at the deck" in told.value.remedy
+            assert "Check the deck" in told.value.remedy
             assert await node.is_idle()
 
     run(body)

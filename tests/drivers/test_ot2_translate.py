@@ -91,11 +91,11 @@ def test_a_protocol_in_yaml_goes_to_the_robot(world: World, monkeypatch: pytest.
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("commands: [\n", "no YAML"),
-        ("- 1\n", "no protocol"),
-        (PLATE, "its commands are no list"),
+        ("commands: [\n", "not YAML"),
+        ("- 1\n", "not a protocol"),
+        (PLATE, "its commands are not a list"),
         (PLATE + "commands:\n  - {command: shake}\n", "command 1: 'shake' is not known"),
-        (PLATE + "commands:\n  - {source: 'a:A1', volume: 3}\n", "does not say destination"),
+        (PLATE + "commands:\n  - {source: 'a:A1', volume: 3}\n", "has no destination"),
         (
             PLATE + "commands:\n  - {source: 'a:A1', destination: 'b:A1', volume: 3, touch_tip: true}\n",
             "touch_tip is not translated",

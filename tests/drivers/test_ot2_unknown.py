@@ -142,7 +142,7 @@ def test_an_answer_that_names_no_run_does_not_say_that_there_is_none(
         async with drive(robot) as node:
             assert await node.is_idle()
             monkeypatch.setattr(robot, "_route", odd)
-            with pytest.raises(Garbled, match="does not tell which run"):
+            with pytest.raises(Garbled, match="does not contain the present run"):
                 await node.is_idle()
 
     run(asks)

@@ -105,8 +105,8 @@ def test_a_protocol_is_run_with_its_values(robot: OT2OnWire, world: World, file:
     ("name", "text", "more", "why"),
     [
         ("mix.py", "def run(:\n", {}, "refuses the protocol"),
-        ("mix.yaml", "commands: []\n", {}, "its equipment are no list"),
-        ("mix.xlsx", "", {}, "no protocol that an OT-2 takes"),
+        ("mix.yaml", "commands: []\n", {}, "its equipment are not a list"),
+        ("mix.xlsx", "", {}, "not a protocol for an OT-2"),
         ("none.py", None, {}, "no protocol file"),
         ("mix.py", PROTOCOL, {"color_A_volumes": [1.0]}, "1 volumes for 0 destination wells"),
         ("mix.py", PROTOCOL, {"red_volumes": [-1.0], "destination_wells": ["A1"]}, "below 0"),
@@ -285,7 +285,7 @@ def test_a_robot_that_lost_its_power_does_not_guess(world: World, file: str) -> 
             with pytest.raises(DeviceError, match="stopped: the robot has lost its record") as told:
                 await node.take_up("run_protocol", name)
             assert told.value.effects == "unknown"
-            with pytest.raises(OutcomeUnknown, match="does not know the run run-99"):
+            with pytest.raises(OutcomeUnknown, match="no longer knows the run run-99"):
                 await node.take_up("run_protocol", "run-99")
             await node.reset()
             await node.run_protocol(file)
@@ -374,7 +374,7 @@ class Other(OnHttp):
     ("says", "error", "why"),
     [
         (Reply(200, {"robot_model": "OT-3 Standard"}), WrongDevice, "model 'OT-3 Standard' answers"),
-        (Reply(200, b"<html>a router</html>"), NotConnected, "no JSON"),
+        (Reply(200, b"<html>a router</html>"), NotConnected, "not JSON"),
         (Reply(503, {"message": "Motor controller not ready"}), NotConnected, "still starting"),
     ],
 )
@@ -491,7 +491,7 @@ def test_a_robot_that_takes_no_offsets_runs_nothing(robot: OT2OnWire, world: Wor
     async def body() -> None:
         node = configure(robot, labware_offsets=OFFSETS)
         await node.connect()
-        with pytest.raises(DeviceError, match="has not taken the labware offsets") as told:
+        with pytest.raises(DeviceError, match="has not accepted the labware offsets") as told:
             await node.run_protocol(file)
         assert told.value.effects == "none"
         await node.close()
@@ -505,12 +505,12 @@ def test_a_robot_that_takes_no_offsets_runs_nothing(robot: OT2OnWire, world: Wor
     ("config", "why"),
     [
         ({"labware_offsets": {}}, None),
-        ({"labware_offsets": "none"}, "is no list"),
-        ({"labware_offsets": [{"slot": 1}]}, "is no offset"),
-        ({"labware_offsets": [{**OFFSETS[0], "slot": 14}]}, "no labware in a slot"),
-        ({"labware_offsets": [{**OFFSETS[0], "labware": "corning"}]}, "no labware in a slot"),
+        ({"labware_offsets": "none"}, "is not a list"),
+        ({"labware_offsets": [{"slot": 1}]}, "is not an offset"),
+        ({"labware_offsets": [{**OFFSETS[0], "slot": 14}]}, "not labware in a slot"),
+        ({"labware_offsets": [{**OFFSETS[0], "labware": "corning"}]}, "not labware in a slot"),
         ({"labware_offsets": [{**OFFSETS[0], "x": 200}]}, "20 are allowed"),
-        ({"labware_offsets": [{**OFFSETS[0], "x": True}]}, "x is no number"),
+        ({"labware_offsets": [{**OFFSETS[0], "x": True}]}, "x is not a number"),
         ({"labware_definitions": ["/nowhere/plate.json"]}, "cannot be read"),
     ],
 )
@@ -546,7 +546,7 @@ def test_a_run_that_waits_for_a_person_says_so_and_is_resumed(world: World, file
                 robot.after(0, robot.open_door)
             else:
                 robot.stumbles = True
-            waiting = {"paused": "is paused", "door": "is open", "error": "a person can mend"}[how]
+            waiting = {"paused": "is paused", "door": "is open", "error": "a person can correct"}[how]
             await until(lambda: waiting in node.device.waits_for)  # type: ignore[union-attr]
             assert waiting in await node.trouble()
             if how == "door":

@@ -422,7 +422,7 @@ def answer_with(*answers: bytes) -> tuple[TcpEnd, threading.Thread]:
     ("answers", "error", "why"),
     [
         ((b"0\r\n", b"0\r\n", b"0 15\r\n", b"0 1\r\n"), WrongDevice, "a robot of type 15 answers"),
-        ((b"Welcome to a printer\r\n",), NotConnected, "does not say who it is"),
+        ((b"Welcome to a printer\r\n",), NotConnected, "does not identify itself"),
         ((b"0\r\n", b"0\r\n", b"0 twelve\r\n"), NotConnected, "is no number"),
     ],
 )

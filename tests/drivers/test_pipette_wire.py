@@ -272,7 +272,10 @@ def test_at_the_tool_port_of_an_arm(world: World) -> None:
 
 def test_nobody_answers(port: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipette_driver, "ANSWER_S", 0.2)
-    with answer_on(PtyEnd(port), {}, stop=b"\r"), pytest.raises(NotConnected, match="does not say who it is"):
+    with (
+        answer_on(PtyEnd(port), {}, stop=b"\r"),
+        pytest.raises(NotConnected, match="does not identify itself"),
+    ):
         run(at_port(Pipette, "pipette", port).connect)
 
 

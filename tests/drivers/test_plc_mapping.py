@@ -108,9 +108,13 @@ SLIPS = {
     "two places": (
         "{coil: 0}",
         "{coil: 0, holding: 3}",
-        "A point stands in one of coil, discrete, input, holding",
+        "A point is in one of coil, discrete, input, holding",
     ),
-    "no type of a coil": ("{coil: 1}", "{coil: 1, type: int16}", "A coil is a bit, and has no other type"),
+    "no type of a coil": (
+        "{coil: 1}",
+        "{coil: 1, type: int16}",
+        "A coil is a bit and cannot have another type",
+    ),
     "out of limits": (
         'value: 1}, {point: speed, value: "{speed}"}',
         "value: 1}, {point: speed, value: 200}",
@@ -121,7 +125,11 @@ SLIPS = {
         'value: "fast"}',
         "'fast' is neither a value nor an",
     ),
-    "not a bit": ("busy: is_moving", "busy: fault", "fault is a number, which is compared with nothing."),
+    "not a bit": (
+        "busy: is_moving",
+        "busy: fault",
+        "fault is a number, but the condition has nothing to compare it with.",
+    ),
     "no variable": (
         "sets: {door: open}",
         "sets: {dor: open}",
@@ -138,13 +146,13 @@ SLIPS = {
         "    done: is_open\n    start: reset\n",
         "With a handshake",
     ),
-    "no number": ("number: number,", "number: speed,", "speed holds no number of an attempt."),
+    "no number": ("number: number,", "number: speed,", "speed cannot hold the number of an attempt."),
     "no effect": (
         "    sets: {door: open}\n",
         "    sets: {door: open}\n    effects: [{moves: {}}]\n",
         "the effect 'moves'",
     ),
-    "no number of a fault": ("    1: {why", "    one: {why", "'one' is no number of a fault."),
+    "not the number of a fault": ("    1: {why", "    one: {why", "'one' is not the number of a fault."),
 }
 """By what is wrong: what is replaced by what, and what is said of it."""
 
@@ -191,7 +199,9 @@ def test_a_table_in_the_workcell_file_itself() -> None:
 def test_a_module_without_a_mapping() -> None:
     with pytest.raises(BadInput, match="The driver plc needs `plc`"):
         parse_workcell(WORKCELL, descriptions(), "lab.yaml")
-    with pytest.raises(BadInput, match=r"lab\.yaml:8:12: .*cannot be found: this workcell was not read from"):
+    with pytest.raises(
+        BadInput, match=r"lab\.yaml:8:12: .*cannot be found: this workcell was not loaded from"
+    ):
         parse_workcell(WORKCELL + "      plc: hatch.yaml\n", descriptions(), "lab.yaml")
     with pytest.raises(BadInput, match="neither a table nor the name of a file"):
         read_table(TABLE, 7)
@@ -233,7 +243,7 @@ def test_what_does_not_fit_is_refused(value: int) -> None:
 
 
 def test_noise_is_no_number() -> None:
-    with pytest.raises(DeviceError, match="which is no number"):
+    with pytest.raises(DeviceError, match="which is not a number"):
         decode(Point.model_validate({"input": 0, "type": "float32"}), [0x7FC0, 0])
 
 

@@ -227,12 +227,12 @@ def test_a_plc_that_was_switched_off_meanwhile_knows_nothing(
         with power_on(HatchOnTcp, "hatch", world, pace=PACE) as other:
             again = node_at(other)
             await again.connect()
-            with pytest.raises(OutcomeUnknown, match="started anew meanwhile"):
+            with pytest.raises(OutcomeUnknown, match="restarted meanwhile"):
                 await again.take_up("close", handle)
             without = {key: value for key, value in table().items() if key != "boot"}
             blind = node_at(other, plc=without)
             await blind.connect()
-            with pytest.raises(OutcomeUnknown, match="does not show that it has taken"):
+            with pytest.raises(OutcomeUnknown, match="does not show that it has accepted"):
                 await blind.take_up("close", handle.replace('"boot":', '"was":'))
             await again.close()
             await blind.close()
@@ -253,7 +253,7 @@ def test_without_a_handshake_nobody_knows(on_tcp: Hatch, world: World) -> None:
         handle = await interrupt(node, on_tcp, world, "closes")
         again = node_at(on_tcp, plc=told)
         await again.connect()
-        with pytest.raises(OutcomeUnknown, match="nothing in the PLC tells this attempt from another"):
+        with pytest.raises(OutcomeUnknown, match="the PLC does not distinguish this attempt from others"):
             await again.take_up("close", handle)
         await until(lambda: on_tcp._shown[0][1])
         assert (await again.observe())["door"] == "closed"
@@ -269,7 +269,7 @@ def test_what_a_plc_does_not_take_is_withdrawn(
         node = node_at(hatch)
         await node.connect()
         hatch.local = True
-        with pytest.raises(DeviceError, match="has not taken close, which was withdrawn") as told:
+        with pytest.raises(DeviceError, match="has not accepted close, which was withdrawn") as told:
             await do(node, "close")
         assert told.value.effects == "none"
         hatch.local = False
@@ -327,7 +327,7 @@ def test_a_point_that_is_not_there(on_tcp: Hatch) -> None:
         told = table()
         told["points"]["fault"] = {"input": 900}
         node = node_at(on_tcp, plc=told)
-        with pytest.raises(DeviceError, match=r"no such address .* It was asked for fault"):
+        with pytest.raises(DeviceError, match=r"no such address .* The request was for fault"):
             await node.connect()
         with pytest.raises(NotConnected):
             await Plc(setup_of("hatch", None, 1.0, config={"address": "127.0.0.1:1"})).connect()

@@ -393,7 +393,7 @@ def test_a_camera_sees_what_is_there(bench: Bench, world: World) -> None:
         assert (await camera.grab_image("a.jpg", save_location="runs")).name == "runs/a.jpg"
         assert await camera.observe() == {"labware": {"plate_station": True}}
         assert [motion.plate for motion in world.motions("picture")] == ["", plate]
-        with pytest.raises(DeviceError, match="no kind of picture"):
+        with pytest.raises(DeviceError, match="no known file type for pictures"):
             await camera.grab_image("a.doc")
 
     asyncio.run(body())

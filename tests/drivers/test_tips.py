@@ -83,7 +83,7 @@ def test_a_protocol_in_python_is_counted(body: str, tips: float) -> None:
         ("eight.configure_nozzle_layout(style=1)\neight.pick_up_tip()", "configure_nozzle_layout"),
         ("import helpers\nhelpers.prepare(one)", "what `prepare` does with a pipette"),
         ("import helpers\nhelpers.prepare(protocol)", "what `prepare` does with a pipette"),
-        ("take = one.pick_up_tip\ntake()\ntake()", "cannot be told"),
+        ("take = one.pick_up_tip\ntake()\ntake()", "cannot be determined"),
         ("take = lambda: one.pick_up_tip()\ntake()", "how often"),
         (
             "def a():\n    one.pick_up_tip()\ndef b():\n    a()\na()\nfor w in plate.wells():\n    b()",
@@ -92,7 +92,7 @@ def test_a_protocol_in_python_is_counted(body: str, tips: float) -> None:
         ("def a():\n    one.pick_up_tip()\na()\n[a() for w in plate.wells()]", "how often `a`"),
         ("def a():\n    one.pick_up_tip()\na()\nx = a() if plate.x else 0", "how often `a`"),
         ("def a():\n    one.pick_up_tip()\na()\nplate.x and a()", "how often `a`"),
-        ("p = one\nif plate.x:\n    p = eight\np.pick_up_tip()", "with which pipette"),
+        ("p = one\nif plate.x:\n    p = eight\np.pick_up_tip()", "the pipette of"),
         ("wells = [1]\nplate.fill(wells)\nfor w in wells:\n    one.pick_up_tip()", "how often"),
         ("wells = [1]\nwells.extend(plate.wells())\nfor w in wells:\n    one.pick_up_tip()", "how often"),
         ("try:\n    one.pick_up_tip()\nexcept Exception:\n    one.pick_up_tip()", "how often"),
@@ -104,7 +104,7 @@ def test_a_protocol_in_python_is_counted(body: str, tips: float) -> None:
             "a = [1]\nfor n in range(60):\n    a = [a, a]\nfor w in a[n]:\n    one.pick_up_tip()",
             "how often",
         ),
-        ("p = protocol.load_instrument(plate.x, 'left')\np.pick_up_tip()", "which pipette"),
+        ("p = protocol.load_instrument(plate.x, 'left')\np.pick_up_tip()", "the pipette of"),
         ("x = [0] * 10 ** 9\nfor w in x:\n    one.pick_up_tip()", "how often"),
     ],
 )
@@ -117,7 +117,7 @@ def test_a_protocol_in_python_can_say_it_itself() -> None:
     assert count_python_tips(body, 'resources = {"tips": 96}\n') == (96, "")
     doubt = count_used_tips("p.py", python(body), {})
     assert 'resources = {"tips": N}' in doubt.remedy
-    assert "no Python" in count_used_tips("p.py", b"def run(:", {}).doubt
+    assert "not Python" in count_used_tips("p.py", b"def run(:", {}).doubt
     assert "no `run`" in count_used_tips("p.py", b"x = 1", {}).doubt
 
 
@@ -162,13 +162,13 @@ def test_a_protocol_in_yaml_is_counted_as_the_robot_would_run_it(commands: str, 
     [
         (
             "  - {source: 'dest:Primer', destination: 'dest:A1', volume: 3}\n",
-            "'Primer' stands in another file",
+            "'Primer' is in another file",
         ),
         ("  - {source: 'dest:A1', destination: payload.wells, volume: 3}\n", "'wells', which is not known"),
         ("  - {source: 'dest:A1', destination: 'dest:A2', volume: Much}\n", "cannot be followed"),
         ("  - {source: 'dest:A1', destination: 'dest:A2', volume: 9.0e+9}\n", "more than 100000"),
         ("  - {source: 'dest:A1', destination: 'dest:[1...900000000]', volume: 3}\n", "'A100'"),
-        ("  - {shake: 3}\n", "does not say"),
+        ("  - {shake: 3}\n", "has no destination, source, volume"),
     ],
 )
 def test_what_a_protocol_in_yaml_leaves_open_is_a_doubt(commands: str, why: str) -> None:
@@ -197,7 +197,7 @@ LOAD = {"commandType": "loadPipette", "params": {"pipetteName": "p20_single_gen2
         ({"commands": [PICK]}, 0, "'l', which it does not load"),
         ({**NAMED, "commands": [{"commandType": "configureNozzleLayout"}, PICK]}, 0, "at once"),
         ({"x": 1}, 0, "no commands"),
-        ([], 0, "no protocol in JSON"),
+        ([], 0, "not a protocol in JSON"),
     ],
 )
 def test_the_robots_own_protocols_are_counted(told: Any, tips: float, why: str) -> None:
@@ -241,7 +241,7 @@ def test_the_steps_of_a_solo_are_counted(written: list[Any], tips: float, why: s
         ("ot2_beta_test_first.yaml", 8, ""),
         ("ot2_beta_test_second.yaml", 1, ""),
         ("combined_protocol.yaml", 4, ""),
-        ("PCR_prep_second_half.yaml", 0, "'Forward Primer' stands in another file"),
+        ("PCR_prep_second_half.yaml", 0, "'Forward Primer' is in another file"),
         ("PCR_prep_full_plate.yaml", 0, "a list for drop_tip is not translated"),
     ],
 )

@@ -136,7 +136,9 @@ def test_a_unit_that_tells_nothing_is_refused_only_where_one_is_expected(tmp_pat
     see_unit(setup, None)
     assert not file.exists()
     see_unit(setup, 2010)
-    with pytest.raises(WrongDevice, match=r"2010 was expected, but what answers tells no serial number"):
+    with pytest.raises(
+        WrongDevice, match=r"2010 was expected, but the connected device reports no serial number"
+    ):
         see_unit(setup, "")
     file.write_text("half a rec")
     with pytest.raises(DeviceError, match=r"cannot be read .* remove the file"):

@@ -315,7 +315,7 @@ def test_who_does_not_greet_is_no_dashboard(monkeypatch: pytest.MonkeyPatch) -> 
         with pytest.raises(WrongDevice, match="mail"):
             await work
         monkeypatch.setattr(ur_driver, "ANSWER_S", 0.2)
-        with pytest.raises(NotConnected, match="does not say who it is"):
+        with pytest.raises(NotConnected, match="does not identify itself"):
             await at_port(UR, "ur5", silent.address, key="host").connect()
 
     run(body)

@@ -140,7 +140,7 @@ def test_a_sciclops_at_its_bulk_endpoints(world: World, monkeypatch: pytest.Monk
         bus.unplug()
         with pytest.raises(LinkLost, match="usb 7513:0002 is gone"):
             await driver.is_idle()
-        with pytest.raises(NotConnected, match="is not there") as told:
+        with pytest.raises(NotConnected, match="is not connected") as told:
             await driver.transfer("exchange", "tower1")
         assert told.value.effects == "none"
         await driver.close()
@@ -165,7 +165,7 @@ def test_a_bus_without_the_device() -> None:
     bus = UsbBus()
     bus.unplug()
     wire = UsbWire(USB_VENDOR, USB_PRODUCT, out_end=USB_OUT, in_end=USB_IN, backend=bus)
-    with pytest.raises(NotConnected, match="is not there"):
+    with pytest.raises(NotConnected, match="is not connected"):
         wire.open()
     with pytest.raises(DeviceError, match="is not open"):
         wire.read(0.01)

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.bench import Bench, Labware, Station
+from labos.core.bench import Bench, Labware, StationState
 from labos.core.campaigns import Campaign
 from labos.core.interventions import Intervention
 from labos.core.modules import Module
@@ -58,7 +58,7 @@ def lab_view(state: LabState) -> dict[str, Any]:
     return plain
 
 
-def _place(bench: Bench, station: Station) -> dict[str, Any]:
+def _place(bench: Bench, station: StationState) -> dict[str, Any]:
     return {
         "known": station.known,
         "labware": station.labware,
@@ -67,7 +67,7 @@ def _place(bench: Bench, station: Station) -> dict[str, Any]:
         "expected": station.expected,
         "taking": station.taking,
         "level": station.level,
-        "maybe": bench.haunted.get(station.spec.name, 0),
+        "maybe": bench.uncertain_at.get(station.spec.name, 0),
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.bench import Station
+from labos.core.bench import StationState
 from labos.testing.faults import QUIET, STORMY
 from labos.testing.lab import SimulatedLab
 from tests.simulation.corners import Corner, jobs
@@ -39,12 +39,12 @@ def test_nothing_is_thrown_into_a_full_chute(rates: object) -> None:
 
 
 def test_uncounted_it_overflows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Station, "count", property(_count_all))
+    monkeypatch.setattr(StationState, "count", property(_count_all))
     for seed in range(2):
         crashes = CORNER.crashes(RUNS, seed)
         assert any("throws a plate into a full chute" in crash for crash in crashes), f"seed {seed}"
 
 
-def _count_all(station: Station) -> int:
+def _count_all(station: StationState) -> int:
     kept = 0 if station.spec.kind == "waste" else len(station.labware) + len(station.stock)
     return kept + station.expected

@@ -30,9 +30,9 @@ from tests.support.corpus import corpus
 
 REFUSED = {
     "there is no module": 7,
-    "joint angles alone do not say what is there": 6,
+    "joint angles do not show which station it is": 6,
     "needs lid of biometra closed, but then lid of biometra open": 3,
-    "There is no labware of this run at peeler.default any more": 3,
+    "The labware of this run is no longer at peeler.default": 3,
     "needs lid of chemspeed closed, but then lid of chemspeed open": 2,
     "needs lid of hidex closed, but then lid of hidex open": 1,
 }

@@ -35,7 +35,7 @@ class Silent(SimulatedLab):
             )
             run_id = self.fold_log().runs.requests[key]
             await self._await(lambda state, run_id=run_id: state.runs.get(run_id) is None)  # type: ignore[misc]
-        lost = LoseExperiment(ExperimentId(name), "no sign of life")
+        lost = LoseExperiment(ExperimentId(name), "no heartbeat")
         await self._insist(lost, lambda state: is_asked_or_over(state, name))
         await self._await(lambda state: name not in state.experiments.open)
         self.done_jobs.add(job.name)

@@ -27,7 +27,7 @@ class _Endless(OvertakeCounts):
     def is_over(self, run: RunId) -> bool:
         return False
 
-    def find_who_keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+    def find_run_that_goes_first(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
         return None
 
 

@@ -155,7 +155,7 @@ BAD: dict[str, tuple[str, tuple[str, ...], str, str, str]] = {
         workflow(
             move("sealer", "wc.output", "a", ", after: [b]"), move("wc.output", "sealer", "b", ", after: [a]")
         ),
-        *((), "4:", "'a' waits for itself, by way of other steps", "Break the circle of `after:`"),
+        *((), "4:", "'a' waits for itself, through other steps", "Break the circle of `after:`"),
     ),
 }
 
@@ -272,7 +272,7 @@ def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
         "steps:", "parameters: {seal.time: {default: 3}}\nsteps:"
     )
     file, before = lab.file(text), lab.head()
-    told = ("payload.seal.tim: Nothing in the workflow takes 'seal.tim'", "Did you mean 'seal.time'?")
+    told = ("payload.seal.tim: The workflow does not use 'seal.tim'", "Did you mean 'seal.time'?")
     check_refused(labos("submit", file, "-p", "seal.tim=3", *lab.home), f"labos: {file}: ", *told)
     check_refused(
         labos("submit", file, "-p", "seal=3", *lab.home), "takes 'seal' from", "Did you mean 'seal.time'?"
@@ -352,7 +352,7 @@ def test_an_occupied_station_is_waited_for(working: Lab) -> None:
     lab = working
     assert labos("place", "sciclops.exchange", "plate96", *lab.home).returncode == 0
     run = lab.submit(get("tower1"), move("sciclops.exchange", "wc.trash"))
-    lab.expect_wait(run, "sciclops.exchange is occupied by P", "It goes on when a run moves that away")
+    lab.expect_wait(run, "sciclops.exchange is occupied by P", "It continues when a run moves that away")
     lab.expect_done(lab.submit(move("sciclops.exchange", "wc.trash")), run)
 
 
@@ -378,7 +378,7 @@ def test_a_full_hotel_is_waited_for(working: Lab) -> None:
     lab = working
     assert labos("place", "wc.output", "plate96", *lab.home).returncode == 0
     run = lab.submit(get("tower1"), move("sciclops.exchange", "wc.output", "store"))
-    why = "once started with 'get' it could not reach its end now: 'store' needs room at wc.output, where P"
+    why = "after 'get' the run could not reach its end at present: 'store' needs room at wc.output, where P"
     lab.expect_wait(run, why, "submit one that does")
     lab.expect_done(lab.submit(move("wc.output", "wc.trash")), run)
 

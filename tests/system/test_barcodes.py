@@ -77,7 +77,7 @@ def test_swapped_plates_are_noticed_and_put_right(tmp_path: Path) -> None:
         assert named.returncode == 0, named.stderr
         taken = labos("barcode", other, code, "--home", str(home))
         assert taken.returncode == 1
-        assert f"The barcode {code} is that of {here['id']}." in taken.stderr
+        assert f"{here['id']} already has the barcode {code}." in taken.stderr
 
         world.carry(first, "")
         world.carry(second, "camera.plate_station")

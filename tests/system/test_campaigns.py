@@ -61,7 +61,7 @@ def test_nothing_is_submitted_if_a_row_is_wrong(client: LabClient, tmp_path: Pat
     [
         ("until: steps.Sea.result.x > 1\n", "screen.yaml:5:8: until: The workflow has no step 'Sea'."),
         ("deadline: 2020-01-01T00:00Z\n", "deadline: The deadline has passed."),
-        ("deadline: soon\n", "'soon' is no time."),
+        ("deadline: soon\n", "'soon' is not a time."),
     ],
 )
 def test_what_only_the_lab_can_know(client: LabClient, tmp_path: Path, more: str, said: str) -> None:

@@ -140,7 +140,7 @@ def test_out_of_service_and_back(lab: Up) -> None:
         assert labos("in-service", "sciclops", *home).stdout == "sciclops is in service.\n"
         assert client.wait(waiting, timeout_s=30).status == "completed"
         past = labos("out-of-service", "sciclops", "--why", "x", "--until", "2020-01-01", *home)
-        assert (past.returncode, "over already" in past.stderr) == (1, True)
+        assert (past.returncode, "in the past" in past.stderr) == (1, True)
     (taken,) = payloads(lab, "module.taken_out")
     assert taken["until"] > 0
     assert len(payloads(lab, "module.put_back")) == 1

@@ -129,11 +129,11 @@ def only_after_a_round(lab: Up, run: str) -> None:
         assert told["evidence"]
         (asked,) = [q for q in client.state()["interventions"] if q["kind"] == "log_shorter"]
         # The answer alone is none.
-        with pytest.raises(Refused, match="Nobody has said what stands at"):
+        with pytest.raises(Refused, match="Nobody has reported what stands at"):
             client.resolve(asked["id"], "checked", by="ada")
-        assert "nothing starts before the bench was compared" in run_command(lab, "explain", run)
+        assert "nothing starts until the whole bench has been checked" in run_command(lab, "explain", run)
         assert "labos bench round" in run_command(lab, "explain", run)
-        assert "nothing starts before the bench was compared" in run_command(lab, "runs")
+        assert "nothing starts until the whole bench has been checked" in run_command(lab, "runs")
         waiting = client.submit("pcr", user="bo")
         assert "waits" in run_command(lab, "runs", waiting).lower()
         requested = [r for r in lab.records()[length:] if r.head.type == "action.requested"]

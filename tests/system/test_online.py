@@ -59,7 +59,7 @@ def test_the_node_itself_is_asked(lab: Up, tmp_path: Path) -> None:
             # The kernel has not missed it yet: its last word was IDLE.
             told = labos(*asked)
             assert told.returncode == 1
-            assert f"frozen: its process {frozen} is there and does not answer" in told.stdout
+            assert f"frozen: its process {frozen} is running but does not answer" in told.stdout
             assert "Not ready: peeler." in told.stdout
         finally:
             os.kill(frozen, signal.SIGCONT)

@@ -23,7 +23,7 @@ flowdef:
     module: operator
     action: carry_plate
     args: {source: sciclops.exchange, target: camera_module.plate_station, within: 5}
-  - {name: look, module: operator, action: do, args: {instruction: look at it}}
+  - {name: look, module: operator, action: do, args: {instruction: check it}}
   - name: away
     module: pf400
     action: transfer
@@ -86,7 +86,7 @@ def test_planned_work_outlives_its_node_and_its_kernel(lab: Up, tmp_path: Path) 
         assert confirm(lab, entry, "--why", "there you are") == 0
         assert confirm(lab, entry) == 1  # once is enough
         second = until(lambda: inbox(lab), "somebody is asked again")[0]
-        assert "look at it" in str(second["text"])
+        assert "check it" in str(second["text"])
         assert confirm(lab, second, "--result", '{"fine": true}') == 0
         assert statuses(client, [run]) == ["completed"]
     twh = json.loads(labos("twh", "--json", "--home", str(lab.home)).stdout)["scopes"]

@@ -58,7 +58,7 @@ def test_what_is_refused_leaves_nothing_on_the_bench(lab: Up, tmp_path: Path) ->
         with pytest.raises(NotFound, match="no labware type 'plate69'"):
             client.submit(good, user="ada", place=[("hidex.default", "plate69")])
         stack = [("sciclops.tower5", "plate96"), ("sciclops.tower5", "pcr96")]
-        with pytest.raises(BadInput, match="plate96 and pcr96 are to be put at once"):
+        with pytest.raises(BadInput, match="plate96 and pcr96 cannot both be put on"):
             client.submit(good, user="ada", place=stack)
     assert (lab.bench(), changes(lab)) == (before, told), "nothing is half-done"
 

@@ -51,7 +51,7 @@ def test_a_lab_that_is_closed_and_started_again_and_again(tmp_path: Path) -> Non
             until(partial(is_idle, client), "the arm is there")
             assert not client.state(waits=False)["modules"][0]["out_of_service"]
     told = labos("log", "--type", "node.left", "--home", str(settings.home)).stdout
-    assert told.count("node gone: LabOS has told it to end") == 4
+    assert told.count("node gone: LabOS has requested its end") == 4
 
 
 def test_a_node_that_dies_again_and_again(tmp_path: Path) -> None:

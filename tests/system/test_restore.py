@@ -84,7 +84,7 @@ def only_after_a_round(lab: Up, database: str, restored: int, ahead: set[str]) -
             store.close()
         assert [r for r in records[restored:] if r.head.type == "action.requested"] == []
         (asked,) = [q for q in client.state()["interventions"] if q["kind"] == "log_shorter"]
-        with pytest.raises(Refused, match="Nobody has said what stands at"):
+        with pytest.raises(Refused, match="Nobody has reported what stands at"):
             client.resolve(asked["id"], "checked", by="ada")
         assert "is answered" in run_command(
             "bench", "round", "--as-simulated", "--user", "ada", "--home", str(lab.home)

@@ -71,7 +71,7 @@ def test_a_faulty_sheet_leaves_no_trace(client: LabClient, home: Path, tmp_path:
     with pytest.raises(BadInput) as found:
         client.load_samples(path, "ada")
     for told in (
-        f"{path}:3:4: well: The well A1 of P1 stands here twice",
+        f"{path}:3:4: well: The well A1 of P1 is listed twice",
         f"{path}:4:4: well: There is no well I9 on a plate96.",
         f"{path}:5:1: plate: No labware 'P8' stands on the bench.",
     ):
@@ -84,7 +84,7 @@ def test_a_faulty_sheet_leaves_no_trace(client: LabClient, home: Path, tmp_path:
 
 def test_samples_meet_their_values(client: LabClient, home: Path, tmp_path: Path) -> None:
     nothing = sheet(tmp_path, "well,sample\nA1,x\n")
-    with pytest.raises(BadInput, match="It is not said which plate this is"):
+    with pytest.raises(BadInput, match="The plate is missing"):
         client.load_samples(nothing, "ada")
     with pytest.raises(Refused, match="No labware with a name stands at camera"):
         client.load_samples(nothing, "ada", station="camera.plate_station")
@@ -97,7 +97,7 @@ def test_samples_meet_their_values(client: LabClient, home: Path, tmp_path: Path
     )
     assert (done.returncode, done.stdout) == (0, "P1 holds 2 samples.\n"), done.stderr
     other = sheet(tmp_path, "well,sample\nA1,x\n")
-    with pytest.raises(LabosError, match="known from another sheet"):
+    with pytest.raises(LabosError, match="registered from another sheet"):
         client.load_samples(other, "ada", labware="P1")
 
     shown = labos("samples", "show", "P1", "--csv", "--home", str(home))

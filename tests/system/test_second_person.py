@@ -72,7 +72,7 @@ def test_nothing_dangerous_moves_before_a_second_person_has_said_so(tmp_path: Pa
             assert name != "cut" or "(laser)" in labos("bo", "interventions").output
             with pytest.raises(Forbidden):
                 bo.resolve(question, "approve", "")
-            with pytest.raises(Refused, match="is no person"):
+            with pytest.raises(Refused, match="is not a person"):
                 people["robot"].resolve(question, "approve", "")
             assert not list_moved(run)
             assert labos("olga", "resolve", question, "approve").exit_code == 0

@@ -121,7 +121,7 @@ def test_a_secure_lab(lab: Up, cell: str, stranger: Stranger, tmp_path: Path) ->
     issued = issuing.credentials(PartyIdentity("node", SCICLOPS, found.lab))
     stranger("open", "silent", found.bus, str(issued.folder))
     with lab.client() as client:
-        until(lambda: "has not shown itself" in problem(client, SCICLOPS), "the operator is told")
+        until(lambda: "has not announced itself" in problem(client, SCICLOPS), "the operator is told")
     assert lab.interrupt() == 0
     assert lab.disagreements() == []
 
@@ -158,7 +158,7 @@ def test_a_bus_by_itself_and_nodes_of_other_computers(lab: Up, cell: str, tmp_pa
             works(lab, client)
         elsewhere = ("--home", str(tmp_path / "elsewhere"))
         wrong = labos(*words, "--connect", endpoint, "--cert", str(bus), *elsewhere)
-        assert "is that of the bus, not of the node rpl/pf400" in wrong.stderr
+        assert "belongs to the bus, not to the node rpl/pf400" in wrong.stderr
         assert lab.interrupt() == 0
 
 

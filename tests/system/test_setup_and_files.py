@@ -22,8 +22,8 @@ CELL = """
 labos: 1
 name: corner
 modules:
-  - {name: pf400, model: pf400, config: {clumsy: 0.25, secret_of: pf400}}
-  - {name: eye, model: camera, config: {reads: true, secret_of: eye}}
+  - {name: pf400, model: pf400, config: {clumsy: 0.25, read_secret: pf400}}
+  - {name: eye, model: camera, config: {reads: true, read_secret: eye}}
 stations: {wc.a: {kind: nest}, wc.b: {kind: nest}}
 stock: {wc.a: {plate96: 1}}
 """
@@ -52,7 +52,7 @@ def test_a_node_is_told_of_its_own_module_only(tmp_path: Path) -> None:
         for mine, other in (("pf400", "eye"), ("eye", "pf400")):
             answer = await bus.query(key, msgspec.json.encode(SetupRequest(f"corner/{mine}")), 5.0)
             told = msgspec.json.decode(answer, type=SetupReply)
-            assert told.config["secret_of"] == mine
+            assert told.config["read_secret"] == mine
             assert other.encode() not in answer
         for name in ("", "corner", "corner/*", "**", "other/eye", "x" * 100_000):
             answer = await bus.query(key, msgspec.json.encode(SetupRequest(name)), 5.0)

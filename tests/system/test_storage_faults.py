@@ -239,7 +239,7 @@ def test_a_truncated_write_ahead_log_is_found_by_its_last_position_and_the_nodes
     wal = lab.home / "labos.db-wal"
     with wal.open("r+b") as file:
         file.truncate(wal.stat().st_size * 2 // 3)
-    assert "its tail is lost" in run_command("verify", "--home", str(lab.home), code=1)
+    assert "its end is lost" in run_command("verify", "--home", str(lab.home), code=1)
     (lab.home / "labos.head").unlink()  # the disk lost that too
     assert "is intact" in run_command("verify", "--home", str(lab.home))
     told = json.loads(run_command("verify", "--journals", "--json", "--home", str(lab.home), code=1))

@@ -84,7 +84,7 @@ class CameraDriver(Wired):
             raise DeviceError(
                 f"{self.name}: the picture is black.",
                 effects="all",
-                remedy="Switch the light on, and see that nothing covers the lens.",
+                remedy="Switch the light on, and check that nothing covers the lens.",
             )
         if before and vision.is_same(before[-1], picture):
             raise DeviceError(
@@ -109,7 +109,8 @@ def read_views(setup: Setup) -> dict[str, View]:
     }
     if missing := [place for place in places if place not in views]:
         raise DeviceError(
-            f"{setup.name}: `views:` does not say where in the picture {missing[0]} is.", effects="none"
+            f"{setup.name}: `views:` has no entry for {missing[0]}: where is it in the picture?",
+            effects="none",
         )
     return views
 
@@ -121,7 +122,7 @@ def _read_view(name: str, place: str, configured: Any) -> View:
         left, top, right, bottom = 1.0, 1.0, 0.0, 0.0
     if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
         raise DeviceError(
-            f"{name}: the view of {place} is no part of a picture.",
+            f"{name}: the view of {place} is not a part of a picture.",
             effects="none",
             remedy="Write it as [left, top, right, bottom], each 0 to 1.",
         )

@@ -17,7 +17,7 @@ from labos.errors import DeviceError, Garbled, LinkLost, NoReply, NotConnected
 from labos.link import HttpLink, HttpReply
 from labos.link.life import Life
 from labos.node import under_way
-from labos.node.secrets import secret_of
+from labos.node.secrets import read_secret
 from labos_drivers.camera.vision import Picture, cv, decode
 
 T = TypeVar("T")
@@ -134,7 +134,7 @@ class VideoDevice(Life):
             raise failed[0]
         if not done:
             raise LinkLost(
-                f"{self.name}: no picture has come from the camera {self._where} within {limit_s:g} s.",
+                f"{self.name}: the camera {self._where} has sent no picture within {limit_s:g} s.",
                 effects="none",
                 remedy="Unplug it and plug it in again, then restart the node of this module.",
             )
@@ -176,13 +176,13 @@ class NetworkCamera:
         reply = self._http.get(self._path, timeout_s=self._limit_s("frame", FRAME_S))
         if not reply.ok:
             raise NoReply(
-                f"{self._name}: the camera answers {reply.status} in the place of a picture.",
-                remedy="Look at the camera, then reset the module.",
+                f"{self._name}: the camera answers {reply.status} instead of a picture.",
+                remedy="Check the camera, then reset the module.",
             )
         picture = decode(reply.body)
         if picture is None:
             raise Garbled(
-                f"{self._name}: what came ({len(reply.body)} bytes) is no whole picture.",
+                f"{self._name}: the answer ({len(reply.body)} bytes) is not a complete picture.",
                 remedy="Check the address, the network, and the camera.",
             )
         return picture
@@ -226,7 +226,7 @@ class StoredPictures(Life):
             self._next += 1
             picture = decode(file.read_bytes())
             if picture is None:
-                raise Garbled(f"{self.name}: {file} is no whole picture.", effects="none")
+                raise Garbled(f"{self.name}: {file} is not a complete picture.", effects="none")
             return [picture]
 
     def _connect(self) -> None:
@@ -261,10 +261,10 @@ def _make_authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
     user = config.get("user")
     if not user:
         return {}
-    password = secret_of(config, "password")
+    password = read_secret(config, "password")
     if not password:
         raise DeviceError(
-            f"{name}: `config:` names the user {user!r}, and no password.",
+            f"{name}: `config:` has the user {user!r}, but no password.",
             effects="none",
             remedy="Write `password_env` (a variable of this node) or `password_file`.",
         )

@@ -46,7 +46,7 @@ def format_of(name: str) -> str:
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in FORMATS:
         raise DeviceError(
-            f"{name!r} names no kind of picture that can be written.",
+            f"{name!r} has no known file type for pictures.",
             effects="none",
             remedy=f"End it with one of {', '.join(FORMATS)}.",
         )

@@ -27,7 +27,7 @@ class Refused(DeviceError):
         super().__init__(
             f"{name}: Inheco error {code} to {command}: {why}.",
             effects="none",
-            remedy="Look at the incubator, then reset the module; a reset closes its drawer.",
+            remedy="Check the incubator, then reset the module; a reset closes its drawer.",
         )
         self.code = code
 
@@ -74,7 +74,7 @@ class InhecoDriver(Wired):
             self._await(
                 lambda: self._read_drawer() == goal,
                 self.limit_s("drawer", DRAWER_S),
-                "the drawer has not come to its end",
+                "the drawer has not reached its end",
             )
 
     def _read_drawer(self) -> str:
@@ -101,8 +101,8 @@ class InhecoDriver(Wired):
             target, heater = int(self._ask("RTT", r"\d{1,3}")), self._ask("RHE", "[012]")
             if target != round(celsius * 10) or heater == "0":
                 raise DeviceError(
-                    f"{self.name}: it was set to {celsius:g} °C, and says {target / 10:g} °C, heater "
-                    f"{'off' if heater == '0' else 'on'}."
+                    f"{self.name}: it was set to {celsius:g} °C, but reports {target / 10:g} °C, "
+                    f"heater {('off' if heater == '0' else 'on')}."
                 )
 
     @off_loop
@@ -155,7 +155,7 @@ class InhecoDriver(Wired):
             self._await(
                 lambda: self._ask("RSE", "[012]") == "0",
                 self.limit_s("shaker", SHAKER_S),
-                "the shaker does not rest",
+                "the shaker does not stop",
             )
 
     # -- the device itself -------------------------------------------------------------------
@@ -182,7 +182,7 @@ class InhecoDriver(Wired):
         self._order("ASE0")
         if self._read_drawer() == "":
             raise DeviceError(
-                f"{self.name}: the drawer cannot be stopped over the wire; it ends what it has begun.",
+                f"{self.name}: the drawer cannot be stopped over the wire; it completes its motion.",
                 remedy="Use the switch on the device.",
             )
 
@@ -216,8 +216,8 @@ class InhecoDriver(Wired):
         return seen
 
     def _detect_plate(self) -> bool | None:
-        said = self._ask("RLW", "[0178]")
-        return said == protocol.PLATE if said in (protocol.PLATE, protocol.NO_PLATE) else None
+        answer = self._ask("RLW", "[0178]")
+        return answer == protocol.PLATE if answer in (protocol.PLATE, protocol.NO_PLATE) else None
 
     # -- one question ------------------------------------------------------------------------
 
@@ -231,7 +231,7 @@ class InhecoDriver(Wired):
         if code:
             raise Refused(self.name, command, code)
         if not re.fullmatch(form, text):
-            raise Garbled(f"{self.name}: {text!r} is no answer to {command}.")
+            raise Garbled(f"{self.name}: {text!r} is not an answer to {command}.")
         return text
 
     def _order(self, command: str, limit_s: float = 0.0, *, again: bool = False) -> None:
@@ -250,7 +250,7 @@ class InhecoDriver(Wired):
             if time.monotonic() > deadline:
                 raise DeviceError(
                     f"{self.name}: {what} within {limit_s:g} s.",
-                    remedy="Look at the incubator, then reset the module; a reset closes its drawer.",
+                    remedy="Check the incubator, then reset the module; a reset closes its drawer.",
                 )
             time.sleep(POLL_S)
 

@@ -23,9 +23,9 @@ NOT_EXECUTABLE, BETWEEN, LABWARE = 8, 9, 10
 MEANINGS = {
     RESET: "it was reset, or had no power for a moment",
     BAD_COMMAND: "it does not know the command",
-    BAD_OPERAND: "it does not take the value",
-    4: "it did not understand",
-    6: "its device does not answer it",
+    BAD_OPERAND: "it does not accept the value",
+    4: "it did not understand the command",
+    6: "its device does not answer",
     NOT_INITIALISED: "it is not initialised",
     NOT_EXECUTABLE: "it cannot do that now",
     BETWEEN: "its drawer is neither open nor closed",
@@ -79,7 +79,7 @@ class Answers:
         if buffer and buffer[0] != self._head:
             bad = bytes(buffer)
             buffer.clear()
-            raise BadFrame(f"it does not begin as answers do: {bad[:60]!r}")
+            raise BadFrame(f"it does not have the start of an answer: {bad[:60]!r}")
         for at in range(len(buffer) - 2):
             head, error, end = buffer[at : at + 3]
             if head == self._head and error & 0xF0 == 0x20 and end == END:
@@ -88,5 +88,5 @@ class Answers:
                 return bytes((error & 0x0F,)) + text
         if len(buffer) > LIMIT:
             buffer.clear()
-            raise BadFrame(f"{LIMIT} bytes have no end")
+            raise BadFrame(f"{LIMIT} bytes without a terminator")
         return None

@@ -12,7 +12,7 @@ from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeU
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos.node.node import handle_keeper
-from labos.node.secrets import secret_of
+from labos.node.secrets import read_secret
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.mir import protocol
 
@@ -37,7 +37,7 @@ class MiRDriver(Wired):
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         user = str(setup.config.get("user", ""))
-        password = secret_of(setup.config, "password")
+        password = read_secret(setup.config, "password")
         self._entry = 0
         self.link = HttpLink(
             address.rstrip("/") + protocol.BASE,
@@ -130,7 +130,7 @@ class MiRDriver(Wired):
                 if position is None:
                     raise DeviceError(
                         f"{self.name}: there is no position {target!r} on its map.",
-                        remedy="Name a position as the robot's own map has it.",
+                        remedy="Use the name of a position on the robot's own map.",
                     )
                 mission = self._find_mission(kind, str(position["guid"]))
                 self.check_not_stopped()
@@ -149,7 +149,7 @@ class MiRDriver(Wired):
         ):
             raise DeviceError(
                 f"{self.name}: the mission is done, but the robot is not at {position.get('name')}.",
-                remedy="Look where it is, and whether it knows.",
+                remedy="Check where it is, and whether its own position is right.",
             )
 
     def _queue(self, mission: str, name: str) -> int:
@@ -186,19 +186,19 @@ class MiRDriver(Wired):
                 if state == protocol.ABORTED:
                     raise DeviceError(
                         f"{self.name}: the mission was aborted. {answer.get('message') or ''}".strip(),
-                        remedy="Look where it is, then reset the module.",
+                        remedy="Check where it is, then reset the module.",
                     )
                 status = self._retry(self._read_status)
                 if status["state_id"] in ENDED:
                     raise DeviceError(
                         f"{self.name}: {ENDED[status['state_id']]}{_describe_errors(status)}.",
-                        remedy="Look at the robot, then reset the module.",
+                        remedy="Check the robot, then reset the module.",
                     )
                 if time.monotonic() > deadline:
                     raise DeviceError(
                         f"{self.name}: it has not arrived within {limit_s:g} s "
                         f"({status.get('state_text')}: {status.get('mission_text')}).",
-                        remedy="Look what it waits for; it may ask a person something.",
+                        remedy="Check what it waits for; it may have a question for a person.",
                     )
                 time.sleep(POLL_S)
         self._entry = 0
@@ -256,7 +256,7 @@ class MiRDriver(Wired):
     def _read_status(self) -> dict[str, Any]:
         status = self._parse_data(self.link.get("/status", timeout_s=self._answer_s))
         if not isinstance(status, dict) or not isinstance(status.get("state_id"), int):
-            raise Garbled(f"{self.name}: the answer does not tell the robot's state.")
+            raise Garbled(f"{self.name}: the answer does not contain the robot's state.")
         return status
 
     def _set_state(self, state: int) -> None:
@@ -279,7 +279,7 @@ class MiRDriver(Wired):
 
     def _measure_distance(self, status: dict[str, Any], position: dict[str, Any]) -> float:
         here = status.get("position") or {}
-        unclear = Garbled(f"{self.name}: the answer does not tell where the robot is.")
+        unclear = Garbled(f"{self.name}: the answer does not contain the robot's position.")
         try:
             away = hypot(here["x"] - position["pos_x"], here["y"] - position["pos_y"])
         except (KeyError, TypeError) as error:
@@ -290,11 +290,11 @@ class MiRDriver(Wired):
 
     def _refuse_unless_ready(self, status: dict[str, Any]) -> None:
         if not isinstance(status.get("errors"), list):
-            raise Garbled(f"{self.name}: the answer does not tell whether the robot has errors.")
+            raise Garbled(f"{self.name}: the answer does not contain the robot's errors.")
         if status["state_id"] != protocol.READY or status["errors"]:
             raise DeviceError(
                 f"{self.name}: it is not ready, but {status.get('state_text')}{_describe_errors(status)}.",
-                remedy="Look at the robot, then reset the module.",
+                remedy="Check the robot, then reset the module.",
             )
 
     def _parse_data(self, reply: HttpReply) -> Any:
@@ -309,14 +309,14 @@ class MiRDriver(Wired):
         except (ValueError, KeyError, TypeError):
             why = f"status {reply.status}"
         raise DeviceError(
-            f"{self.name}: the robot refuses: {why}.", effects="none", remedy="Look at the robot."
+            f"{self.name}: the robot refuses: {why}.", effects="none", remedy="Check the robot."
         )
 
     def _parse_list(self, reply: HttpReply) -> list[Any]:
         """Of an answer that is a list: only an empty list says that there is nothing. Raises DeviceError."""
         data = self._parse_data(reply)
         if not isinstance(data, list):
-            raise Garbled(f"{self.name}: {reply.body[:80]!r} is no list.")
+            raise Garbled(f"{self.name}: {reply.body[:80]!r} is not a list.")
         return data
 
     def _recognise(self) -> str:

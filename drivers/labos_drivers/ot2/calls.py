@@ -113,7 +113,7 @@ class Calls(ABC):
         """Count one more statement. Raises Doubt if there are too many."""
         self._steps += 1
         if self._steps > MOST_STEPS:
-            raise Doubt(f"it does more than {MOST_STEPS} things")
+            raise Doubt(f"it has more than {MOST_STEPS} steps")
 
     def find_tip_uses(self, node: ast.AST) -> list[ast.Attribute]:
         """The places in a syntax tree at which tips are taken; looked for once."""
@@ -262,13 +262,13 @@ class Calls(ABC):
             found = call_builtin(name, args)
             if found is not UNKNOWN or name in UNHARMFUL:
                 return found
-        return self._call_unknown(name or "what it calls", [*args, *named.values()])
+        return self._call_unknown(name or "the called function", [*args, *named.values()])
 
     def _call_unknown(self, name: str, given: list[Any]) -> Any:
         """A call that cannot be followed: it must not get a pipette."""
         for part in parts_of(given):
             if isinstance(part, Pipette | Protocol):
-                raise Doubt(f"line {self.where}: what `{name}` does with a pipette cannot be told")
+                raise Doubt(f"line {self.where}: what `{name}` does with a pipette cannot be determined")
             self.spoil(part)
             self.check_takes_no_tips(part)
         return UNKNOWN
@@ -280,7 +280,7 @@ class Calls(ABC):
         if isinstance(held, Pipette):
             return self._call_pipette(method, held, named, spread)
         if name in TAKES:
-            raise Doubt(f"line {method.lineno}: with which pipette `{name}` is done cannot be told")
+            raise Doubt(f"line {method.lineno}: the pipette of `{name}` cannot be determined")
         if isinstance(held, Protocol):
             if name == "load_instrument":
                 return Pipette(args[0] if args else named.get("instrument_name", UNKNOWN))
@@ -306,15 +306,16 @@ class Calls(ABC):
         self.counted.add(method)
         how = named.get("new_tip", "once")
         if name == "configure_nozzle_layout" or spread:
-            raise Doubt(f"line {method.lineno}: how many tips `{name}` takes cannot be told")
+            raise Doubt(f"line {method.lineno}: the number of tips of `{name}` cannot be determined")
         if name != "pick_up_tip" and how == "never":
             return pipette
         if name != "pick_up_tip" and how != "once":
             raise Doubt(
-                f"line {method.lineno}: how many tips `{name}` takes with new_tip={how!r} cannot be told"
+                f"line {method.lineno}: the number of tips of `{name}` with new_tip={how!r} cannot be "
+                "determined"
             )
         if not isinstance(pipette.name, str):
-            raise Doubt(f"line {method.lineno}: which pipette `{name}` is done with cannot be told")
+            raise Doubt(f"line {method.lineno}: the pipette of `{name}` cannot be determined")
         self.tips += count_channels(pipette.name)
         pipette.has_tip = UNKNOWN if self.unsure else name == "pick_up_tip"
         return pipette
@@ -349,7 +350,7 @@ class Calls(ABC):
         """Pass over what is done nobody knows how often: names that it sets are unknown, and it may not
         take tips."""
         for first in self.find_tip_uses(node):
-            raise Doubt(f"line {first.lineno}: how often `{first.attr}` is done only the robot knows")
+            raise Doubt(f"line {first.lineno}: only the robot knows how often `{first.attr}` is done")
         for inner in self.walk(node):
             if isinstance(inner, ast.Name) and isinstance(inner.ctx, ast.Store):
                 scope.put(inner.id, UNKNOWN)
@@ -369,7 +370,7 @@ class Calls(ABC):
             for inner in self.walk(arg):
                 found = scope.find(inner.id) if isinstance(inner, ast.Name) else None
                 if any(isinstance(part, Pipette | Protocol) for part in parts_of(found)):
-                    raise Doubt(f"line {call.lineno}: what is done with a pipette there cannot be told")
+                    raise Doubt(f"line {call.lineno}: what is done with a pipette there cannot be determined")
 
     def spoil(self, value: Any) -> None:
         """From now on nobody knows what a list or table holds, or whether a pipette has a tip."""
@@ -388,7 +389,9 @@ class Calls(ABC):
             self._looked_at += len(function.names)
             seen.add(function.node)
             if self.find_tip_uses(function.node):
-                raise Doubt(f"line {self.where}: how often `{function.node.name}` is done cannot be told")
+                raise Doubt(
+                    f"line {self.where}: how often `{function.node.name}` is done cannot be determined"
+                )
             open_ += [part for name in function.names for part in parts_of(function.scope.find(name))]
 
     @contextmanager

@@ -26,7 +26,7 @@ def read_offsets(name: str, config: Mapping[str, Any]) -> list[dict[str, Any]]:
     """``labware_offsets:`` of the configuration, as ``POST /runs`` takes them. Raises BadInput."""
     configured = config.get("labware_offsets") or []
     if not isinstance(configured, list):
-        raise BadInput(f"{name}: `labware_offsets` is no list.", remedy=_EXAMPLE)
+        raise BadInput(f"{name}: `labware_offsets` is not a list.", remedy=_EXAMPLE)
     return [
         _parse_offset(f"{name}: `labware_offsets[{number}]`", entry)
         for number, entry in enumerate(configured)
@@ -39,7 +39,7 @@ def read_definitions(name: str, config: Mapping[str, Any]) -> list[tuple[str, by
     configured = config.get("labware_definitions") or []
     paths = [configured] if isinstance(configured, str) else configured
     if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
-        raise BadInput(f"{name}: `labware_definitions` is no list of paths.")
+        raise BadInput(f"{name}: `labware_definitions` is not a list of paths.")
     files: dict[str, bytes] = {}
     for path in map(Path, paths):
         for file in sorted(path.glob("*.json")) if path.is_dir() else [path]:
@@ -55,14 +55,14 @@ _EXAMPLE = (
 
 def _parse_offset(where: str, entry: Any) -> dict[str, Any]:
     if not isinstance(entry, Mapping) or set(entry) - OFFSET_KEYS or not {"labware", "slot"} <= set(entry):
-        raise BadInput(f"{where} is no offset.", remedy=_EXAMPLE)
+        raise BadInput(f"{where} is not an offset.", remedy=_EXAMPLE)
     uri, slot = str(entry["labware"]), str(entry["slot"])
     if not URI.fullmatch(uri) or slot not in SLOTS:
-        raise BadInput(f"{where}: {uri!r} in slot {slot!r} is no labware in a slot.", remedy=_EXAMPLE)
+        raise BadInput(f"{where}: {uri!r} in slot {slot!r} is not labware in a slot.", remedy=_EXAMPLE)
     vector = {axis: entry.get(axis, 0.0) for axis in "xyz"}
     for axis, value in vector.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise BadInput(f"{where}: {axis} is no number.", remedy=_EXAMPLE)
+            raise BadInput(f"{where}: {axis} is not a number.", remedy=_EXAMPLE)
         if abs(value) > LARGEST_OFFSET_MM:
             raise BadInput(f"{where}: {axis} is {value:g} mm; {LARGEST_OFFSET_MM:g} are allowed.")
     return {"definitionUri": uri, "location": {"slotName": slot}, "vector": vector}
@@ -76,7 +76,7 @@ def _read_definition(name: str, file: Path) -> bytes:
         raise BadInput(f"{name}: the labware definition {file} cannot be read: {error}.") from error
     if not isinstance(definition, dict) or "wells" not in definition or "parameters" not in definition:
         raise BadInput(
-            f"{name}: {file} is no labware definition.",
+            f"{name}: {file} is not a labware definition.",
             remedy="Use the JSON file of Opentrons' Labware Creator (schema version 2).",
         )
     return content

@@ -200,7 +200,7 @@ class OT2Driver(Wired):
             case ".yaml" | ".yml":
                 return f"{file.stem}.py", protocol.with_values(translate(file.name, content), values)
         raise DeviceError(
-            f"{self.name}: {file.name} is no protocol that an OT-2 takes.",
+            f"{self.name}: {file.name} is not a protocol for an OT-2.",
             effects="none",
             remedy="Write it in Python, as a JSON protocol or as YAML.",
         )
@@ -241,7 +241,7 @@ class OT2Driver(Wired):
             f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=self._answer_s
         )
         if reply.status >= 500:
-            raise Garbled(f"{self.name}: {self._make_refusal(reply, '').message} It may have begun.")
+            raise Garbled(f"{self.name}: {self._make_refusal(reply, '').message} It may have started.")
         if not reply.ok:
             self._release(run)
             raise self._make_refusal(reply, "none")
@@ -281,8 +281,8 @@ class OT2Driver(Wired):
                     break
                 if status == protocol.IDLE and time.monotonic() - began > self.limit_s("begin", BEGIN_S):
                     raise DeviceError(
-                        f"{self.name}: the robot took the start of run {run}, but does not begin.",
-                        remedy="Look at the robot, then reset the module.",
+                        f"{self.name}: the robot accepted the start of run {run}, but does not start.",
+                        remedy="Check the robot, then reset the module.",
                     )
                 time.sleep(POLL_S)
             self._run = ""
@@ -294,7 +294,7 @@ class OT2Driver(Wired):
                 why = "the robot has lost its record of it" if state.get("ok") is False else why
                 raise _Ended(
                     f"{self.name}: run {run} {status}: {why}.".replace("..", "."),
-                    remedy="Look at the deck: what was pipetted is not known.",
+                    remedy="Check the deck: it is not known what was pipetted.",
                 )
         return {"run": run, "status": status}
 
@@ -304,7 +304,7 @@ class OT2Driver(Wired):
         if self._offsets and (not isinstance(kept, list) or len(kept) < len(self._offsets)):
             self._release(run)
             raise DeviceError(
-                f"{self.name}: the robot has not taken the labware offsets of the configuration.",
+                f"{self.name}: the robot has not accepted the labware offsets of the configuration.",
                 remedy="Check `labware_offsets:` of the module, and the version of the robot's software.",
             )
 
@@ -326,12 +326,12 @@ class OT2Driver(Wired):
         reply = self.link.get(f"/runs/{run}", timeout_s=self._answer_s)
         if reply.status == 404:
             raise _Forgotten(
-                f"{self.name}: the robot does not know the run {run} any more.",
-                remedy="Look at the deck: what was pipetted is not known.",
+                f"{self.name}: the robot no longer knows the run {run}.",
+                remedy="Check the deck: it is not known what was pipetted.",
             )
         state = self._parse_data(reply)
         if not isinstance(state, dict) or not isinstance(state.get("status"), str):
-            raise Garbled(f"{self.name}: the answer does not tell the state of run {run}.")
+            raise Garbled(f"{self.name}: the answer does not contain the state of run {run}.")
         return state
 
     def _find_current_run(self) -> str:
@@ -344,7 +344,7 @@ class OT2Driver(Wired):
             return ""
         name = str(current.get("href", "")).rpartition("/")[2] if isinstance(current, dict) else ""
         if not name:
-            raise Garbled(f"{self.name}: {reply.body[:80]!r} does not tell which run the robot has in hand.")
+            raise Garbled(f"{self.name}: {reply.body[:80]!r} does not contain the present run of the robot.")
         return name
 
     def _release(self, run: str) -> None:
@@ -368,7 +368,7 @@ class OT2Driver(Wired):
             raise self._make_refusal(reply, "none")
         body = reply.json()
         if not isinstance(body, dict) or "data" not in body:
-            raise Garbled(f"{self.name}: {reply.body[:80]!r} is no answer of a robot server.")
+            raise Garbled(f"{self.name}: {reply.body[:80]!r} is not an answer of a robot server.")
         return body["data"]
 
     def _parse_id(self, data: Any) -> str:
@@ -384,7 +384,7 @@ class OT2Driver(Wired):
         return DeviceError(
             f"{self.name}: the robot refuses: {protocol.find_reason(body, reply.status)}",
             effects=effects,
-            remedy="Look at the robot, or at what else uses it: its App, its button.",
+            remedy="Check the robot, and its other users: its App, its button.",
         )
 
     def _recognise(self) -> str:

@@ -73,7 +73,7 @@ def _transfer(command: dict[str, Any], labware: dict[str, Any], pipettes: list[A
     count = max(len(sources), len(targets), len(volumes))
     for many in (sources, targets, volumes):
         if len(many) not in (1, count):
-            raise ValueError(f"{command['name']}: {len(many)} and {count} do not go together")
+            raise ValueError(f"{command['name']}: {len(many)} and {count} do not match")
     for number in range(count):
         source, target, volume = (
             many[number if len(many) > 1 else 0] for many in (sources, targets, volumes)
@@ -123,9 +123,9 @@ def _value(written: Any) -> Any:
 
 def _wells(written: Any, labware: dict[str, Any]) -> list[Any]:
     """``dest:A1``, ``dest:[A1, A2]``, ``dest:[1...12]`` (columns), or a list of wells of ``dest``."""
-    told = _value(written)
+    value = _value(written)
     found: list[Any] = []
-    for place in told if isinstance(told, list) else [told]:
+    for place in value if isinstance(value, list) else [value]:
         name, colon, wells = str(place).rpartition(":")
         rack = labware[name if colon else "dest"]
         for well in wells.strip("[]").split(","):

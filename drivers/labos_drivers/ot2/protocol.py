@@ -20,13 +20,16 @@ TERMINAL = (SUCCEEDED, FAILED, STOPPED)
 """All other states, also those of later versions, are on the way to one of these."""
 
 WAITS_FOR = {
-    "paused": "the run is paused: look why, then resume it",
+    "paused": "the run is paused: find the reason, then resume it",
     "blocked-by-open-door": "its door or top window is open: close it, then resume the run",
-    "awaiting-recovery": "it met an error that a person can mend: look at the robot, mend it, then "
-    "resume the run",
+    "awaiting-recovery": (
+        "an error occurred that a person can correct: check the robot, correct the error, then resume the run"
+    ),
     "awaiting-recovery-paused": "its recovery is paused: resume the run",
-    "awaiting-recovery-blocked-by-open-door": "it met an error, and its door or top window is open: mend it, "
-    "close the door, then resume the run",
+    "awaiting-recovery-blocked-by-open-door": (
+        "an error occurred, and its door or top window is open: correct the error, close the door, "
+        "then resume the run"
+    ),
 }
 """States in which a run goes on only when a person has done something, and what."""
 
@@ -63,7 +66,7 @@ def find_innermost(errors: Any) -> str:
     while isinstance(error, dict) and error.get("wrappedErrors"):
         error = error["wrappedErrors"][0]
     if not isinstance(error, dict) or not error:
-        return "it does not say why"
+        return "without a reason"
     return (
         f"{error.get('errorType', 'error')} {error.get('errorCode', '')}: {error.get('detail', '')}".strip()
     )

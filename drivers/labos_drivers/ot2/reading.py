@@ -45,8 +45,8 @@ def count_tips(content: bytes, values: Mapping[str, Any]) -> Count:
         tree = ast.parse(content)
         top = Scope()
         reader.read_all(tree.body, top)
-        said = top.get("resources")
-        tips = said.get("tips") if isinstance(said, dict) else None
+        required = top.get("resources")
+        tips = required.get("tips") if isinstance(required, dict) else None
         if isinstance(tips, int | float) and not isinstance(tips, bool) and 0 <= tips < math.inf:
             return Count(float(tips))
         top["LABOS"] = dict(values)
@@ -54,7 +54,7 @@ def count_tips(content: bytes, values: Mapping[str, Any]) -> Count:
     except Doubt as doubt:
         return Count(reader.tips, str(doubt))
     except (SyntaxError, ValueError) as error:
-        return Count(reader.tips, f"it is no Python ({error})")
+        return Count(reader.tips, f"it is not Python ({error})")
     except (RecursionError, MemoryError):
         return Count(reader.tips, "it is too deeply nested")
     return Count(reader.tips)
@@ -76,7 +76,7 @@ class _Reader(Calls):
             self.enter(run, [PROTOCOL], {})
         left = [node for node in find_tip_uses(tree) if node not in self.counted]
         if left:
-            raise Doubt(f"line {left[0].lineno}: whether `{left[0].attr}` is done cannot be told")
+            raise Doubt(f"line {left[0].lineno}: whether `{left[0].attr}` is done cannot be determined")
 
     def read_all(self, body: Sequence[ast.stmt], scope: Scope) -> None:
         for statement in body:
@@ -176,7 +176,7 @@ class _Reader(Calls):
             self._skip(node.orelse if decided else node.body)
             self.read_all(node.body if decided else node.orelse, scope)
             return
-        why = f"line {node.lineno}: it depends on what only the robot knows"
+        why = f"line {node.lineno}: it depends on information that only the robot has"
         before, counts = self.tips, []
         with self.suppose(why):
             for body in (node.body, node.orelse):
@@ -231,7 +231,7 @@ class _Reader(Calls):
         try:
             self.read_all([*node.body, *node.orelse], scope)
         except _Raised:
-            raise Doubt(f"line {node.lineno}: what follows an error cannot be told") from None
+            raise Doubt(f"line {node.lineno}: the steps after an error cannot be determined") from None
         for handler in node.handlers:
             self.forget(handler, scope)
         self.read_all(node.finalbody, scope)

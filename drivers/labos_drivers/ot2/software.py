@@ -76,36 +76,36 @@ class RunningProtocol:
         protocol.write_bytes(content)
         # The settings of the process that started us are none of the robot's.
         environment = {**os.environ, "OT_API_CONFIG_DIR": str(self._folder / "robot")}
-        with self._output_path.open("wb") as said, self._error_path.open("wb") as wrong:
+        with self._output_path.open("wb") as output, self._error_path.open("wb") as errors:
             self._process = subprocess.Popen(
                 [program, str(protocol)],
                 cwd=self._folder,
                 env=environment,
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=wrong,
+                stdout=output,
+                stderr=errors,
             )
 
     @property
     def _output_path(self) -> Path:
-        return self._folder / "said.txt"
+        return self._folder / "output.txt"
 
     @property
     def _error_path(self) -> Path:
-        return self._folder / "wrong.txt"
+        return self._folder / "errors.txt"
 
     def poll(self) -> ProtocolOutput | None:
         """The output; None while it runs. Not to be called again afterwards."""
         if (code := self._process.poll()) is None:
             return None
-        said, wrong = (
+        output, errors = (
             self._output_path.read_text("utf-8", "replace"),
             self._error_path.read_text("utf-8", "replace"),
         )
         shutil.rmtree(self._folder, ignore_errors=True)
         if code == 0:
-            return ProtocolOutput(log=tuple(said.splitlines()))
-        return ProtocolOutput(errors=(parse_error(wrong, code),))
+            return ProtocolOutput(log=tuple(output.splitlines()))
+        return ProtocolOutput(errors=(parse_error(errors, code),))
 
     def kill(self) -> None:
         """End the process."""
@@ -121,9 +121,9 @@ class Software:
         found = shutil.which(program)
         if found is None:
             raise DeviceError(
-                f"There is no program {program} that could run protocols of an OT-2.",
+                f"There is no program {program} to run protocols of an OT-2.",
                 effects="none",
-                remedy=f"Say in {VARIABLE} where opentrons_simulate (opentrons 8.8) is, or unset it.",
+                remedy=f"Set {VARIABLE} to the path of opentrons_simulate (opentrons 8.8), or unset it.",
             )
         self._program = found
 

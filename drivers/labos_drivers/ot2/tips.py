@@ -23,7 +23,7 @@ from labos_drivers.ot2.translate import INTERPRETER, make_plan
 
 MOST_STROKES = 100_000
 """A protocol in YAML that does more than this is not counted to its end."""
-IN_PYTHON = 'Say it there, beside `metadata`: `resources = {"tips": N}`.'
+IN_PYTHON = 'Write it there, beside `metadata`: `resources = {"tips": N}`.'
 
 
 def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
@@ -37,7 +37,7 @@ def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count
         case "py":
             found = count_tips(content, values)
             return Count(found.amount, found.doubt, IN_PYTHON if found.doubt else "")
-    return Count(0.0, "it is no protocol that an OT-2 takes")
+    return Count(0.0, "it is not a protocol for an OT-2")
 
 
 def values_of(args: Mapping[str, Any]) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class _Deck:
     def stroke(self) -> None:
         self._strokes += 1
         if self._strokes > MOST_STROKES:
-            raise Doubt(f"it does more than {MOST_STROKES} things")
+            raise Doubt(f"it has more than {MOST_STROKES} strokes")
 
     def comment(self, text: str) -> None:
         self.stroke()
@@ -137,7 +137,7 @@ class _Rack:
     def __getitem__(self, well: str) -> _Well:
         self._deck.stroke()
         if not re.fullmatch(r"[A-P]\d{1,2}", well):
-            raise Doubt(f"its well {well!r} stands in another file")
+            raise Doubt(f"its well {well!r} is in another file")
         return _Well(self.max_volume)
 
 
@@ -177,7 +177,7 @@ def _parse_volume_ul(name: str) -> float:
     """``p300_multi_gen2`` and ``opentrons_96_tiprack_300ul`` take 300 µL."""
     found = re.match(r"p(\d+)", name) or re.search(r"(\d+)ul", name)
     if found is None:
-        raise Doubt(f"{name!r} does not tell how much it takes")
+        raise Doubt(f"{name!r} has no known volume")
     return float(found[1])
 
 
@@ -197,7 +197,7 @@ def _count_in_json(content: bytes) -> Count:
                     return Count(tips, f"it picks up tips with {used!r}, which it does not load")
                 tips += count_channels(names[used])
     except (ValueError, AttributeError, TypeError, KeyError) as error:
-        return Count(0.0, f"it is no protocol in JSON ({error})")
+        return Count(0.0, f"it is not a protocol in JSON ({error})")
     except Doubt as doubt:
         return Count(tips, str(doubt))
     return Count(tips)

@@ -64,9 +64,9 @@ def _read(name: str, content: bytes) -> dict[str, Any]:
     try:
         written = yaml.safe_load(content)
     except yaml.YAMLError as error:
-        raise _make_error(name, f"it is no YAML: {error}") from error
+        raise _make_error(name, f"it is not YAML: {error}") from error
     if not isinstance(written, dict):
-        raise _make_error(name, "it is no protocol")
+        raise _make_error(name, "it is not a protocol")
     return written
 
 
@@ -78,7 +78,7 @@ def _read_command(name: str, number: int, item: dict[str, Any]) -> dict[str, Any
         raise _make_error(name, f"command {number}: {kind!r} is not known")
     needed, allowed = COMMANDS[kind]
     if missing := sorted(needed - settings.keys()):
-        raise _make_error(name, f"command {number} ({kind}) does not say {', '.join(missing)}")
+        raise _make_error(name, f"command {number} ({kind}) has no {', '.join(missing)}")
     _check_keys(name, settings, allowed, f"command {number} ({kind})")
     lists = sorted(key for key in settings.keys() - MAY_BE_LISTS if isinstance(settings[key], list))
     if lists:
@@ -89,7 +89,7 @@ def _read_command(name: str, number: int, item: dict[str, Any]) -> dict[str, Any
 def _read_entries(name: str, written: dict[str, Any], key: str) -> list[dict[str, Any]]:
     found = written.get(key)
     if not isinstance(found, list) or not found or not all(isinstance(item, dict) for item in found):
-        raise _make_error(name, f"its {key} are no list of entries")
+        raise _make_error(name, f"its {key} are not a list of entries")
     return found
 
 

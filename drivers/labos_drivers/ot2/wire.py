@@ -264,7 +264,7 @@ class OT2OnWire(OnHttp):
         if recovering != (action == "resume-from-recovery") and action != "stop":
             return _make_error(409, "RunActionNotAllowed", f"Cannot {action} a run that is {status}.")
         if action not in ("play", "pause", "stop", "resume-from-recovery"):
-            return _make_error(422, "InvalidRequest", f"{action} is no action.")
+            return _make_error(422, "InvalidRequest", f"{action} is not an action.")
         entry = {"id": self._make_name("action"), "createdAt": self._format_time(), "actionType": action}
         run["actions"].append(entry)
         if action == "stop":

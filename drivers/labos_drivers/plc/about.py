@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.core.model import Description
 from labos.errors import DeviceError
-from labos.node.mapping import About, BadEffect, DriverTable, Flaw, description_of, near
+from labos.node.mapping import About, BadEffect, DriverTable, Flaw, make_description, suggest_name
 from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Point, Write
 from labos_drivers.plc.values import encode
 
@@ -38,10 +38,10 @@ def describe(mapping: PlcMapping) -> Description:
             "levels": mapping.levels,
             "units": mapping.units,
             "actions": {name: _describe_action(mapping, action) for name, action in mapping.actions.items()}
-            | {"reset": {"description": "Bring the PLC out of an error.", "recovers": True}},
+            | {"reset": {"description": "Recover the PLC from an error.", "recovers": True}},
         }
     )
-    found = description_of(about, KEY)
+    found = make_description(about, KEY)
     return Description(
         driver=KEY,
         version="1",
@@ -112,7 +112,9 @@ def find_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
     yield from _check_points(mapping, ("state", "why"), [state.why] if state.why else [])
     for code in state.codes:
         if not re.fullmatch(r"-?\d+", code):
-            yield Flaw(("state", "codes", code), f"{code!r} is no number of a fault.", "Write the number.")
+            yield Flaw(
+                ("state", "codes", code), f"{code!r} is not the number of a fault.", "Write the number."
+            )
     yield from _check_writes(mapping, ("reset",), mapping.reset, ())
     yield from _check_writes(mapping, ("stop",), mapping.stop, ())
     yield from _check_points(mapping, ("boot",), [mapping.boot] if mapping.boot else [])
@@ -120,13 +122,17 @@ def find_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
         yield from _check_points(mapping, ("resources", resource), [point])
         if resource not in {**mapping.levels, **mapping.units}:
             known = {**mapping.levels, **mapping.units}
-            yield Flaw(("resources", resource), f"There is no level of {resource!r}.", near(resource, known))
+            yield Flaw(
+                ("resources", resource), f"There is no level of {resource!r}.", suggest_name(resource, known)
+            )
     yield from _find_variable_flaws(mapping)
     for station, conditions in mapping.labware.items():
         yield from _check_conditions(mapping, ("labware", station), conditions)
         if station not in mapping.stations:
             at = ("labware", station)
-            yield Flaw(at, f"There is no station {station!r}.", near(station, mapping.stations, "station"))
+            yield Flaw(
+                at, f"There is no station {station!r}.", suggest_name(station, mapping.stations, "station")
+            )
     yield from _find_handshake_flaws(mapping)
     yield from _find_effect_flaws(mapping)
 
@@ -134,7 +140,7 @@ def find_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
 def _find_action_flaws(mapping: PlcMapping, name: str, action: MappedAction) -> Iterator[Flaw]:
     at: Path = ("actions", name)
     if name == "reset":
-        yield Flaw(at, "`reset` is no action of its own.", "Write it beside `actions:`.")
+        yield Flaw(at, "`reset` cannot be one of the `actions:`.", "Write it beside `actions:`.")
     args = tuple(_describe_args(mapping, action))
     yield from _check_conditions(mapping, (*at, "needs"), action.needs)
     yield from _check_writes(mapping, (*at, "set"), action.set, args)
@@ -144,11 +150,11 @@ def _find_action_flaws(mapping: PlcMapping, name: str, action: MappedAction) -> 
     yield from _check_conditions(mapping, (*at, "failed"), action.failed)
     yield from _check_points(mapping, (*at, "result"), action.result_points)
     if action.start is None and mapping.handshake is None and not action.only_reads:
-        yield Flaw(at, f"Nothing says how {name!r} is started.", "Write `start:`, or a `handshake:`.")
+        yield Flaw(at, f"The start of {name!r} is not defined.", "Write `start:`, or a `handshake:`.")
     if action.start is not None and mapping.handshake is not None:
         yield Flaw(
             (*at, "start"),
-            "With a handshake, what starts is its number.",
+            "With a handshake, the number starts the action.",
             "Write the order below `set:`; it must move nothing before the number changes.",
         )
     yield from _find_value_flaws(mapping, (*at, "sets"), action.sets)
@@ -168,7 +174,7 @@ def _find_variable_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
 def _find_value_flaws(mapping: PlcMapping, at: Path, values: Mapping[str, Any]) -> Iterator[Flaw]:
     for name, value in values.items():
         if name not in mapping.variables:
-            known = near(name, mapping.variables, "variable")
+            known = suggest_name(name, mapping.variables, "variable")
             yield Flaw((*at, name), f"There is no variable {name!r}.", known)
         elif not find_argument(value):
             yield from _check_value(mapping, name, value, (*at, name))
@@ -196,10 +202,12 @@ def _find_handshake_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
             continue
         if point.kind not in ("uint16", "uint32") or point.value_type != "int":
             yield Flaw(
-                ("handshake", role), f"{name} holds no number of an attempt.", "Make it uint16 or uint32."
+                ("handshake", role),
+                f"{name} cannot hold the number of an attempt.",
+                "Make it uint16 or uint32.",
             )
         if role == "number" and point.table != "holding":
-            yield Flaw(("handshake", role), f"{name} cannot be written.", "It stands in `holding:`.")
+            yield Flaw(("handshake", role), f"{name} cannot be written.", "It has to be in `holding:`.")
 
 
 def _find_effect_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
@@ -207,13 +215,13 @@ def _find_effect_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
         describe(mapping)
     except BadEffect as error:
         at = ("actions", error.action, "effects", error.index)
-        yield Flaw(at, f"In {error.action!r} {error}.", "Effects are told in the reference of events.")
+        yield Flaw(at, f"In {error.action!r} {error}.", "The reference of events describes the effects.")
 
 
 def _check_points(mapping: PlcMapping, at: Path, names: Iterable[str]) -> Iterator[Flaw]:
     for name in names:
         if name not in mapping.points:
-            yield Flaw(at, f"There is no point {name!r}.", near(name, mapping.points, "point"))
+            yield Flaw(at, f"There is no point {name!r}.", suggest_name(name, mapping.points, "point"))
 
 
 def _check_conditions(
@@ -228,9 +236,13 @@ def _check_conditions(
                 yield from _check_argument((*at, index), value, args)
         if point is not None and condition.has_no_comparison and point.kind != "bool":
             remedy = "Write `is`, `near`, `minimum` or `maximum`."
-            yield Flaw(here, f"{condition.point} is a number, which is compared with nothing.", remedy)
+            yield Flaw(
+                here,
+                f"{condition.point} is a number, but the condition has nothing to compare it with.",
+                remedy,
+            )
         if point is not None and point.kind == "bool" and condition.near is not None:
-            yield Flaw(here, f"{condition.point} is a bit, which is near nothing.", "Write `is`.")
+            yield Flaw(here, f"{condition.point} is a bit, so `near` and limits do not apply.", "Write `is`.")
 
 
 def _check_writes(
@@ -249,7 +261,7 @@ def _check_write(mapping: PlcMapping, at: Path, write: Write, args: tuple[str, .
         yield Flaw((*at, "point"), f"{write.point} cannot be written.", "Use a coil or a holding register.")
     elif point.bit is not None:
         remedy = "Use a coil, or let the PLC take the whole register."
-        yield Flaw((*at, "point"), f"{write.point} is a bit of a register that holds others.", remedy)
+        yield Flaw((*at, "point"), f"{write.point} is a bit of a register with other bits.", remedy)
     elif isinstance(write.value, str):
         yield from _check_argument((*at, "value"), write.value, args)
     elif flaw := _explain_misfit(write.point, point, write.value):
@@ -259,7 +271,7 @@ def _check_write(mapping: PlcMapping, at: Path, write: Write, args: tuple[str, .
 def _check_argument(at: Path, value: str, args: tuple[str, ...]) -> Iterator[Flaw]:
     name = find_argument(value)
     if name not in args:
-        yield Flaw(at, f"{value!r} is neither a value nor an argument.", near(name, args, "argument"))
+        yield Flaw(at, f"{value!r} is neither a value nor an argument.", suggest_name(name, args, "argument"))
 
 
 def _explain_misfit(name: str, point: Point, value: bool | float) -> str:

@@ -40,9 +40,9 @@ RESET_S = 10.0
 LONGER = 5.0
 """An action without a ``timeout`` may last so many times as long as its nominal duration."""
 
-NOT_KEPT = "the line was lost meanwhile, and nothing in the PLC tells this attempt from another"
-RESTARTED = "the PLC was started anew meanwhile, and keeps no record of what was done"
-NOT_TAKEN = "the PLC does not show that it has taken this attempt"
+NOT_KEPT = "the connection was lost meanwhile, and the PLC does not distinguish this attempt from others"
+RESTARTED = "the PLC was restarted meanwhile, and keeps no record of its actions"
+NOT_TAKEN = "the PLC does not show that it has accepted this attempt"
 
 
 class StartedAction(msgspec.Struct):
@@ -178,7 +178,7 @@ class PlcDriver(Wired):
         for condition in action.needs:
             value = seen[condition.point]
             if not is_met(condition, value):
-                remedy = condition.remedy or "Put it right, then try again."
+                remedy = condition.remedy or "Correct this, then try again."
                 raise DeviceError(f"{self.name}: {describe_condition(condition, value)}.", remedy=remedy)
 
     def _choose_number(self, action_id: str, seen: dict[str, PointValue]) -> int:
@@ -228,8 +228,8 @@ class PlcDriver(Wired):
                     ", ".join(describe_condition(c, seen[c.point]) for c in action.done) or "it has not ended"
                 )
                 raise DeviceError(
-                    f"{self.name}: {name} was started, and is not done in time ({waited}).",
-                    remedy="Look at it, then reset the module.",
+                    f"{self.name}: {name} was started, but has not ended in time ({waited}).",
+                    remedy="Check it, then reset the module.",
                 )
             time.sleep(POLL_S)
 
@@ -256,9 +256,9 @@ class PlcDriver(Wired):
         time.sleep(CYCLE_S)  # in the cycle that runs, the PLC may still see the number
         if self.points.read([handshake.taken])[handshake.taken] != begun.number:
             raise _Withdrawn(
-                f"{self.name} has not taken {name}, which was withdrawn.",
+                f"{self.name} has not accepted {name}, which was withdrawn.",
                 effects="none",
-                remedy="Look whether it obeys its Modbus master, or is switched to local.",
+                remedy="Check whether it is in remote control (Modbus) or switched to local.",
             )
 
     def _has_ended(
@@ -279,7 +279,7 @@ class PlcDriver(Wired):
         for condition in action.failed:
             value = seen[condition.point]
             if is_met(condition, value):
-                remedy = condition.remedy or "Look at it, then reset the module."
+                remedy = condition.remedy or "Check it, then reset the module."
                 raise DeviceError(
                     f"{self.name}: {name} failed: {describe_condition(condition, value)}.", remedy=remedy
                 )
@@ -288,7 +288,7 @@ class PlcDriver(Wired):
         if self._halted.is_set():
             raise DeviceError(
                 f"{self.name} was stopped in mid-motion ({name}).",
-                remedy="Look at it, then reset the module.",
+                remedy="Check it, then reset the module.",
             )
 
     def _read_result(self, action: MappedAction) -> Any:
@@ -359,7 +359,7 @@ class PlcDriver(Wired):
                 why, remedy = f"{code.why} (fault {seen[state.why]:.0f})", code.remedy
             elif state.why and not condition.why:
                 why = f"fault {seen[state.why]:.0f}"
-            return DeviceError(f"{self.name}: {why}.", remedy=remedy or "Look at it, then reset the module.")
+            return DeviceError(f"{self.name}: {why}.", remedy=remedy or "Check it, then reset the module.")
         return None
 
 

@@ -50,16 +50,16 @@ class Point(Part):
     def _check_address(self) -> Point:
         places = [table for table in TABLES if getattr(self, table) is not None]
         if len(places) != 1:
-            raise ValueError(f"a point stands in one of {', '.join(TABLES)}")
+            raise ValueError(f"a point is in one of {', '.join(TABLES)}")
         if places[0] in ("coil", "discrete"):
             if self.type not in (None, "bool") or self.bit is not None:
-                raise ValueError(f"a {places[0]} is a bit, and has no other type")
+                raise ValueError(f"a {places[0]} is a bit and cannot have another type")
         elif self.type == "bool" and self.bit is None:
             raise ValueError("a bit of a register needs `bit`")
         elif self.type not in (None, "bool") and self.bit is not None:
-            raise ValueError("a bit has no other type")
+            raise ValueError("a bit cannot have another type")
         if self.scale == 0:
-            raise ValueError("a scale is not 0")
+            raise ValueError("a scale cannot be 0")
         if self.address + self.width > 65536:
             raise ValueError("the last register is 65535")
         return self
@@ -205,7 +205,7 @@ class Variable(Part):
     @model_validator(mode="after")
     def _check_source(self) -> Variable:
         if bool(self.point) == bool(self.values):
-            raise ValueError("a variable needs `point` or `values`, and not both")
+            raise ValueError("a variable needs either `point` or `values`")
         return self
 
 

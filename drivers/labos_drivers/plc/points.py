@@ -80,7 +80,7 @@ class Points:
             raise
         except DeviceError as error:
             names = ", ".join(name for name, point in self._points.items() if _is_within(span, point))
-            words = f"{error.message} It was asked for {names}."
+            words = f"{error.message} The request was for {names}."
             raise DeviceError(words, effects=error.effects, remedy=error.remedy) from error
 
 

@@ -30,7 +30,9 @@ def decode(point: Point, words: Sequence[int]) -> PointValue:
     order = words if point.word_order == "big" else list(reversed(words))
     raw = struct.unpack(FORMATS[point.kind], b"".join(word.to_bytes(2, "big") for word in order))[0]
     if not math.isfinite(raw):
-        raise DeviceError(f"{point.table} {point.address} holds {raw}, which is no number.", effects="none")
+        raise DeviceError(
+            f"{point.table} {point.address} holds {raw}, which is not a number.", effects="none"
+        )
     value = raw * point.scale + point.offset
     return round(value) if point.value_type == "int" else float(value)
 

@@ -63,7 +63,7 @@ class Hatch(Timed):
     def start(self) -> None:
         super().start()
         if not self._is_ready.wait(READY_S):
-            raise NotConnected(f"The simulated PLC {self.name} does not start.", remedy="Look at its log.")
+            raise NotConnected(f"The simulated PLC {self.name} does not start.", remedy="Check its log.")
 
     def power_on(self) -> None:
         self._server = self._do(self._serve(self._memory()))

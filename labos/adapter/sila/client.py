@@ -152,7 +152,7 @@ class Client:
             ]
         except (NoResponse, SilaError, StopAsyncIteration, ValueError) as error:
             raise DeviceError(
-                f"{self.address} does not tell {property_.feature}.{property_.name} ({error or 'it ended'}).",
+                f"{self.address} does not send {property_.feature}.{property_.name} ({error or 'it ended'}).",
                 effects="none",
                 remedy="Is it running?",
             ) from error

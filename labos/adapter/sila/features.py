@@ -151,7 +151,7 @@ def read_feature(text: str) -> Feature:
         )
     except RecursionError:
         raise DeviceError(
-            "A feature definition of the server is nested too deep to be read.", effects="none"
+            "A feature definition of the server is nested too deeply.", effects="none"
         ) from None
     except (ET.ParseError, KeyError, ValueError, StopIteration, RuntimeError) as error:
         # A data type that is missing ends an iteration: within a generator that is a RuntimeError.

@@ -142,7 +142,7 @@ class Messages:
         try:
             return self._read_values(package, message, elements)
         except RecursionError:
-            raise ValueError(f"{name} is nested too deep to be read") from None
+            raise ValueError(f"{name} is nested too deeply") from None
 
     def _read_values(self, package: str, message: Any, elements: tuple[Element, ...]) -> dict[str, Any]:
         return {element.name: self._get(package, message, element.name, element.type) for element in elements}
@@ -188,7 +188,7 @@ class Messages:
         try:
             return kind.FromString(data)
         except Exception as error:  # DecodeError, of whatever implementation of protobuf
-            raise ValueError(f"what came is no {kind.DESCRIPTOR.name}") from error
+            raise ValueError(f"the message is not a {kind.DESCRIPTOR.name}") from error
 
     # -- values ------------------------------------------------------------------------------
 
@@ -197,7 +197,7 @@ class Messages:
             data_type = data_type.of
         if isinstance(data_type, ListOf):
             if not isinstance(value, list | tuple):
-                raise ValueError("it is no list")
+                raise ValueError("it is not a list")
             for item in value:
                 self._fill(package, getattr(message, name).add(), data_type.of, item)
             return
@@ -303,7 +303,7 @@ _FILL: dict[str, Callable[[Any, Any], None]] = {
 
 def _read_binary(field: Any) -> bytes:
     if field.binaryTransferUUID:
-        raise ValueError("a binary value does not come within the message, and is not fetched")
+        raise ValueError("a binary value is not part of the message, and is not fetched")
     data: bytes = field.value
     return data
 

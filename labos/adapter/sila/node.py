@@ -41,7 +41,7 @@ CANCEL = "CancelController.CancelAll"
 MADSCI_PORT = 50052
 """The port at which MADSci's client expects a server."""
 
-NO_UUID = "the UUID of its execution never came, and nothing else can be asked for"
+NO_UUID = "the UUID of its execution was never received, and there is no other way to ask"
 NO_RECORD = "an unobservable command leaves no record"
 FORGOTTEN = "the server does not know the execution: it was restarted, or its lifetime is over"
 REFUSED = ("validation", "not accepted", "metadata")
@@ -81,7 +81,7 @@ class SilaNode(ForeignNode):
         address = str(config.get("sila_address") or config.get("node_url") or "")
         address = self.complete(address.removeprefix("sila://").rstrip("/"))
         if not address:
-            raise DeviceError("`config:` does not say `sila_address`.", effects="none")
+            raise DeviceError("`config:` has no `sila_address`.", effects="none")
         certificate = read_certificate(str(config.get("sila_certificate") or ""))
         await self.close()
         self._client = Client(
@@ -211,7 +211,7 @@ class SilaNode(ForeignNode):
         """The command in the mapping, else SiLA's own command to cancel all commands."""
         await self._learn()
         if not self.mapping.stop and find_command(self.client.features, CANCEL) is None:
-            raise DeviceError("`sila:` does not say how the device is stopped.", effects="none")
+            raise DeviceError("`sila:` does not define how the device is stopped.", effects="none")
         await self._carry_out_command(self.mapping.stop or CANCEL)
 
     async def _carry_out_command(self, name: str) -> None:
@@ -265,7 +265,7 @@ class SilaNode(ForeignNode):
         command = find_command(self.client.features, name)
         if command is None:
             raise DeviceError(
-                f"The server has no command {name!r}, or several.",
+                f"The server has no command {name!r}, or several with this name.",
                 effects="none",
                 remedy="Write `Feature.Command` below `actions:` in `config:`.",
             )

@@ -40,7 +40,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Run a workflow with several values.")
     parser.add_argument("--home", help="the lab's folder")
     parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
-    parser.add_argument("--user", default="ada", help="whose experiment it is")
+    parser.add_argument("--user", default="ada", help="the user of the experiment")
     parser.add_argument("--resume", default="", help="the experiment to go on with, such as E1")
     given = parser.parse_args()
     try:

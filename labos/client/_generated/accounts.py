@@ -70,9 +70,10 @@ class GeneratedAccounts(Calls):
         self, label: str = "", *, scope: str = "submitter", days: float = 90.0, user: str = ""
     ) -> dict[str, Any]:
         """Make a token for a program. The secret is shown only in this answer. A token that was made with
-        another token is never valid longer and never allows more than that one. ``label``: what it is for.
-        ``scope``: the highest role that it allows. ``days``: how long it is good. ``user``: the owner; only
-        admins may name another user. Returns ``token``, ``secret``. Raises NotFound, Refused."""
+        another token is never valid longer and never allows more than that one. ``label``: its purpose.
+        ``scope``: the highest role that it allows. ``days``: the number of days for which it is valid.
+        ``user``: the owner; only admins may name another user. Returns ``token``, ``secret``. Raises
+        NotFound, Refused."""
         return self._post("/tokens", locals())
 
     def revoke_token(self, token: str) -> None:

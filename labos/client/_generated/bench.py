@@ -12,9 +12,8 @@ class GeneratedBench(Calls):
     """One method for each operation."""
 
     def resolve(self, intervention: str, choice: str, by: str, note: str = "", result: Any = None) -> None:
-        """Answer a question. ``choice``: the name of one of its answers. ``note``: a word about it.
-        ``result``: the measured result of the completed step; required if later steps read it. Raises
-        Refused."""
+        """Answer a question. ``choice``: the name of one of its answers. ``note``: a comment. ``result``: the
+        measured result of the completed step; required if later steps read it. Raises Refused."""
         self._post("/interventions/{intervention}", locals())
 
     def place(self, station: str, labware: str, by: str) -> str:

@@ -14,7 +14,7 @@ class GeneratedModules(Calls):
     def take_out(self, module: str, why: str, by: str, until_ns: int = 0) -> None:
         """Take a module out of service. Actions under way continue to their end; nothing more starts there.
         ``why``: the reason. ``until_ns``: the time at which it is in service again (UTC nanoseconds); 0: when
-        somebody puts it back. Raises Refused."""
+        a person puts it back. Raises Refused."""
         self._post(
             "/modules/{module}/out-of-service", {"module": module, "why": why, "by": by, "until": until_ns}
         )
@@ -64,7 +64,7 @@ class GeneratedModules(Calls):
         labware_type: str = "",
     ) -> int:
         """Teach a manipulator the pose for a station. The node restarts with the new pose. ``station``: the
-        station. ``pose``: the numbers of the pose, as many as in the present pose. ``why``: a word for the
+        station. ``pose``: the numbers of the pose, as many as in the present pose. ``why``: a comment for the
         log. ``labware_type``: the pose is only for labware of this type; the station needs a pose for all
         types first. Returns the version. Raises Refused."""
         return self._post("/modules/{module}/locations", locals(), repeat=True)["version"]
@@ -84,8 +84,8 @@ class GeneratedModules(Calls):
         waits for a calibration, and none stops because a calibration has expired. ``/files/{sha256}`` returns
         the report. ``what``: the calibrated part or quantity, such as ``volume``; empty for the whole module.
         ``certificate``: the certificate's number. ``report``: the report, in base64; kept with the lab's
-        files. ``until``: the last day on which it is valid, such as ``2027-01-01`` (UTC). ``why``: a word for
-        the log. Returns ``module``, ``what``, ``certificate``, ``file``, ``until``. Raises Refused."""
+        files. ``until``: the last day on which it is valid, such as ``2027-01-01`` (UTC). ``why``: a comment
+        for the log. Returns ``module``, ``what``, ``certificate``, ``file``, ``until``. Raises Refused."""
         return self._post("/modules/{module}/calibrations", locals(), once=True)
 
     def _change_workcell(
@@ -113,7 +113,7 @@ class GeneratedModules(Calls):
         return self._post("/workcells", locals(), repeat=True)
 
     def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
-        """Ask for access to a workcell. Nothing more starts there. ``lab.access`` in the state shows when
+        """Request access to a workcell. Nothing more starts there. ``lab.access`` in the state shows when
         access is ``granted``, and which modules may still be moving because the outcome of their action is
         unknown (``perhaps_moving``). ``why``: what for. ``park``: false: arms stay where they are. Returns
         the parking. Raises Refused."""
@@ -123,6 +123,6 @@ class GeneratedModules(Calls):
         self, workcell: str, by: str, *, note: str = "", changed: Sequence[Mapping[str, Any]] = ()
     ) -> None:
         """End the access to a workcell. No person works in the workcell any more, and it continues. ``note``:
-        a word for the log. ``changed``: the stations that were changed, and what stands there now. Raises
+        a comment for the log. ``changed``: the stations that were changed, and what stands there now. Raises
         Refused."""
         self._post("/workcells/{workcell}/access/end", locals())

@@ -69,12 +69,13 @@ class GeneratedRuns(Calls):
         ``user``: the user who asks; ignored in a lab that has users, where it is the user who has signed in.
         ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the
         experiment to which they belong; it must be the user's. ``place``: labware that was put on the bench
-        for them; recorded once with the runs, or not at all. ``propose``: they wait for an approval, whatever
-        the policy says. ``due``: when they should be over: a time, or how long from now (``12h``); empty:
-        never. ``keys``: a key for each run: the same twice is one run; left out: the request's key with
-        ``-0``, ``-1`` …. ``files``: for each run, the names of the workflow's files that it has; left out:
-        all of them. ``first``: so many payloads were sent before these: errors count them, too. Returns
-        ``runs``, ``warnings``, ``approvals``. Raises NotFound, Refused, BadInput."""
+        for them; recorded once with the runs, or not at all. ``propose``: wait for an approval, also if the
+        policy does not require one. ``due``: the time by which they should end: a time, or a duration from
+        now (``12h``); empty: none. ``keys``: a key for each run; a repeated key is the same run; left out:
+        the request's key with ``-0``, ``-1`` …. ``files``: for each run, the names of the workflow's files
+        that it has; left out: all of them. ``first``: the number of payloads sent before these; error
+        messages count them too. Returns ``runs``, ``warnings``, ``approvals``. Raises NotFound, Refused,
+        BadInput."""
         return self._post("/runs/batch", locals(), once=True)
 
     def _get_run(self, run: str, *, wait: float = 0.0) -> dict[str, Any]:
@@ -116,7 +117,7 @@ class GeneratedRuns(Calls):
         labware anywhere except at the ``parking`` stations, in storage or in a waste station. ``name``: its
         name. ``user``: the user who asks; ignored in a lab that has users, where it is the user who has
         signed in. ``closing``: the workflow that clears away the labware which the experiment leaves parked.
-        ``parking``: stations where the experiment may leave labware between its runs; left out: anywhere.
+        ``parking``: stations where the experiment may leave labware between its runs; left out: everywhere.
         ``payload``: values for the closing workflow. ``workcell``: needed if the lab has several.
         ``priority``: of its runs; 0. ``propose``: wait for an approval, also if the policy does not require
         one. Returns ``experiment``, ``approval``. Raises NotFound, Refused, BadInput."""
@@ -131,7 +132,7 @@ class GeneratedRuns(Calls):
 
     def end_experiment(self, experiment: str, why: str = "ended", user: str = "") -> None:
         """End an experiment. The application has ended. A repeated request has no further effect. ``why``: a
-        word about it. Raises Refused."""
+        comment. Raises Refused."""
         self._post("/experiments/{experiment}/end", locals(), as_user=True, repeat=True)
 
     def note(

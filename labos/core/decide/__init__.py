@@ -46,7 +46,7 @@ def carry_out(
             for follows in react(state, event):
                 events.append(write(follows))
                 if len(events) > most:
-                    raise RuntimeError(f"What follows from {type(command).__name__} does not come to an end.")
+                    raise RuntimeError(f"The reactions to {type(command).__name__} do not end.")
     return events
 
 

@@ -97,7 +97,7 @@ def request_access(state: LabState, command: RequestAccess) -> Decision:
             return record_repeat(cell, "access", command.why)
         return Rejection(
             "occupied",
-            f"{inside.by} reaches into {cell} already{f' ({inside.why})' if inside.why else ''}.",
+            f"{inside.by} already reaches into {cell}{(f' ({inside.why})' if inside.why else '')}.",
             f"Wait until that has ended: labos access {cell} --done",
         )
     parking = [run for run in command.parking if not isinstance(submit_run(state, run), Rejection)]
@@ -160,11 +160,11 @@ def _apply_change(
     shelved = refuse_hotel(state, change.station)
     if shelved:
         return shelved
-    if change.station in state.bench.haunted or station.expected:
+    if change.station in state.bench.uncertain_at or station.expected:
         return Rejection(
             "uncertain",
-            f"It is being found out what stands at {local(change.station)}.",
-            "Answer what is asked (labos resolve) first; the workcell stays held meanwhile.",
+            f"It is not yet known what stands at {local(change.station)}.",
+            "Answer the open question first (labos resolve); until then the workcell stays closed to runs.",
         )
     here = left.setdefault(change.station, list(station.labware))
     if change.what == "empty":
@@ -176,7 +176,7 @@ def _apply_change(
         return Rejection(
             "station_occupied",
             f"{local(change.station)} is full ({', '.join(here) or 'stock'}).",
-            f"Say also that it was cleared: --changed {local(change.station)}=empty",
+            f"If it was cleared, report that too: --changed {local(change.station)}=empty",
         )
     labware = state.bench.labware.get(LabwareId(change.what))
     if labware is None:
@@ -184,8 +184,8 @@ def _apply_change(
     if labware.maybe or labware.moving:
         return Rejection(
             "uncertain",
-            f"It is being found out where {labware.id} is.",
-            "Answer what is asked: labos resolve",
+            f"It is not yet known where {labware.id} is.",
+            "Answer the open question: labos resolve",
         )
     before = left.setdefault(labware.station, list(state.bench.stations[labware.station].labware))
     if labware.id in before:  # otherwise the station was cleared
@@ -202,14 +202,14 @@ def _place_new(
     if spec.kind in ("stack", "waste"):
         return Rejection(
             "stack",
-            f"What lies in {local(change.station)} is counted, not named.",
-            f"Count it: labos bench declare {local(change.station)}=NUMBERxTYPE",
+            f"The pieces in {local(change.station)} are counted and have no ids.",
+            f"Report how many there are: labos bench declare {local(change.station)}=NUMBERxTYPE",
         )
     if not spec.admits(change.what):
         return Rejection(
             "not_accepted",
             f"{local(change.station)} {spec.explain_refusal(change.what)}.",
-            "Labware that the log knows is named by its id: labos labware",
+            "Use the ids of known labware (labos labware)",
         )
     name = LabwareId(f"P{state.bench.named + number + 1}")
     here.append(name)

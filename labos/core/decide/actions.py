@@ -141,7 +141,9 @@ def request_action(
     chooses = bool(run.choices) and not run.has_started
     if chooses:
         if command.plan not in run.choices:
-            return Rejection("unbound", f"{run.id} has several plans, and nobody says which one it follows.")
+            return Rejection(
+                "unbound", f"{run.id} has several plans, and the request does not say which one it follows."
+            )
         run = msgspec.structs.replace(run, plan=command.plan)
     found = examine(state, run, command.step, command.now, others)
     if isinstance(found, Wait):
@@ -331,12 +333,13 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     if not 0 < command.attempt <= action.attempt:
         return Rejection(
             "no_attempt",
-            f"Attempt {command.attempt} of {action.id} was never sent; there were {action.attempt}.",
+            f"Attempt {command.attempt} of {action.id} was never sent; the last one is {action.attempt}.",
         )
     if command.journal and command.journal != action.journal:
         return Rejection(
             "other_journal",
-            f"Journal {action.journal} was asked to do {action.id}, and {command.journal} says how it ended.",
+            f"{action.id} was sent to journal {action.journal}, but its outcome comes from journal "
+            f"{command.journal}.",
         )
     if action.looks:
         return []  # the result is known, and is being confirmed by an observer, or a person is asked
@@ -397,8 +400,8 @@ def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
         events.append(
             state.interventions.ask(
                 LateResult(action=command.action, module=settled.module),
-                f"{name} now says that an action settled as {settled.effects!r} took place as {effects!r}. "
-                "Labware may stand elsewhere than recorded.",
+                f"{name} now reports the effects of an action as {effects!r}; they were recorded as "
+                f"{settled.effects!r}. Labware may stand elsewhere than recorded.",
             )
         )
     return events
@@ -440,5 +443,5 @@ def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
     choice = find_shown_outcome(state, action, item.station) if item is not None else ""
     if question is None or not choice:
         return []
-    seen = InterventionResolved(question.id, "withdrawn", "labos", "seen meanwhile, where it stands")
+    seen = InterventionResolved(question.id, "withdrawn", "labos", "observed at its place meanwhile")
     return chain([seen], settle(state, action, choice, "labos"))

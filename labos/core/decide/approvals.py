@@ -29,11 +29,11 @@ def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) 
     if find_person(by) == run.user:
         return Rejection(
             "second_person",
-            f"{run.id} is {run.user}'s own, and takes the approval of a second person.",
+            f"{run.id} is a run of {run.user} and needs the approval of a second person.",
             "Ask another operator.",
         )
     if ON_BEHALF in by or (user is not None and user.kind == "service"):
-        return Rejection("second_person", f"{by} is no person.", "Ask an operator to look at it.")
+        return Rejection("second_person", f"{by} is not a person.", "Ask an operator to check it.")
     return [RunApproved(run.id, by)]
 
 
@@ -52,7 +52,7 @@ def ask_second_person(state: LabState, event: RunSubmitted | ApprovalGiven) -> I
     named = [f"{step.key!r} on {local(step.module)} ({step.dangerous})" for step in steps[:MOST_NAMED]]
     more = f" and {len(steps) - MOST_NAMED} more" if len(steps) > MOST_NAMED else ""
     text = (
-        f"Run {run.id} ({run.workflow}) of {run.user} does what is dangerous: {', '.join(named)}{more}. "
-        "It takes the approval of a second person."
+        f"Run {run.id} ({run.workflow}) of {run.user} has dangerous steps: {', '.join(named)}{more}. "
+        "It needs the approval of a second person."
     )
     yield state.interventions.ask(SecondPerson(run=run.id, module=steps[0].module), text)

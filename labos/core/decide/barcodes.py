@@ -73,7 +73,7 @@ def _report_contradiction(
             why = f"its barcode was read at {place}"
             both = (other.station, labware.station)
             events.append(LabwareUncertain(other.id, action.run, both, why, action.id))
-    why = f"the barcode {code} was read in its place"
+    why = f"another barcode ({code}) was read at its place"
     return [
         LabwareUncertain(labware.id, action.run, places, why, action.id),
         *events,

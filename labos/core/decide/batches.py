@@ -38,7 +38,7 @@ def submit_runs(state: LabState, command: SubmitRuns) -> Decision:
         return []
     if len(command.runs) > MOST_RUNS:
         return Rejection(
-            "too_many", f"{len(command.runs)} runs are more than the {MOST_RUNS} of one request."
+            "too_many", f"{len(command.runs)} runs in one request are too many; {MOST_RUNS} are allowed."
         )
     loads = load_stations(state, command.loads)
     if isinstance(loads, Rejection):
@@ -48,7 +48,7 @@ def submit_runs(state: LabState, command: SubmitRuns) -> Decision:
     for number, run in new.items():
         if run.request and keys.setdefault(run.request, number) != number:
             other = name_payload(command, keys[run.request])
-            why = f"Its key {run.request!r} is also that of {other}."
+            why = f"Its key {run.request!r} is also the key of {other}."
             return name_run(command, number, Rejection("twice", why, "Give each run its own key."))
         decision = submit_run(state, run)
         fit = decision if isinstance(decision, Rejection) else check_recordable(decision)

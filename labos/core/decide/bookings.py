@@ -185,9 +185,7 @@ def end_booking(state: LabState, command: EndBooking) -> Decision:
 
 
 def refuse_unknown_booking(name: str) -> Rejection:
-    return Rejection(
-        "no_booking", f"There is no booking {name} that is not over.", "List them: labos bookings"
-    )
+    return Rejection("no_booking", f"There is no open booking {name}.", "List them: labos bookings")
 
 
 def list_modules(state: LabState, target: str) -> list[ModuleName]:
@@ -237,7 +235,7 @@ def _check_terms(state: LabState, target: str, terms: NewTerms, now: int) -> Rej
     if terms.ends <= terms.begins:
         return Rejection("bad_time", "A booking ends after it begins.", "Exchange --from and --to.")
     if terms.ends <= now and not terms.rule:
-        return Rejection("past", "The time that would be booked is over already.", "Choose a later one.")
+        return Rejection("past", "The time to book is in the past.", "Choose a later one.")
     if terms.ends - terms.begins > LONGEST_DAYS * DAY_NS or terms.ends > LATEST:
         return Rejection("bad_time", f"A booking lasts {LONGEST_DAYS} days at most, and ends before 2100.")
     return _check_rule(terms, now) or _check_for_whom(state, terms)
@@ -250,24 +248,26 @@ def _check_rule(terms: NewTerms, now: int) -> Rejection | None:
         return Rejection("bad_zone", f"{error}.", "Write one like Europe/Zurich, or UTC.")
     if not terms.rule:
         if terms.last:
-            return Rejection("bad_rule", "Only a booking that is repeated has a last time.", "Say --every.")
+            return Rejection("bad_rule", "Only a repeated booking can have a last time.", "Add --every.")
         return None
     fault = find_rule_fault(terms.rule, terms.zone, terms.begins)
     if fault:
-        return Rejection("bad_rule", fault, "Say how often: --every day, week, weekday, '2 weeks' or month.")
+        return Rejection("bad_rule", fault, "Add how often: --every day, week, weekday, '2 weeks' or month.")
     booking = _as_booking("", "", terms)
     times = booking.list_spans(terms.begins, terms.begins + CONFLICT_DAYS * DAY_NS)
     if any(later.begins < earlier.ends for earlier, later in pairwise(times)):
-        return Rejection("bad_rule", "It lasts longer than until it comes again.", "Book it less often.")
+        return Rejection(
+            "bad_rule", "It would last longer than the time until its next repetition.", "Book it less often."
+        )
     if booking.find_next_span(now) is None:
-        return Rejection("past", "The time that would be booked is over already.", "Choose a later one.")
+        return Rejection("past", "The time to book is in the past.", "Choose a later one.")
     return None
 
 
 def _check_for_whom(state: LabState, terms: NewTerms) -> Rejection | None:
     if (bool(terms.user), bool(terms.group), terms.maintenance).count(True) != 1:
         return Rejection(
-            "for_whom", "A booking is for one group, for one user, or for maintenance.", "Say --for NAME."
+            "for_whom", "A booking is for one group, for one user, or for maintenance.", "Add --for NAME."
         )
     if terms.group and terms.group not in state.shares.groups:
         return Rejection("no_group", f"There is no group {terms.group!r}.", "List them: labos group list")
@@ -290,8 +290,8 @@ def _check_quota(
         return Rejection("too_far", f"{who} may book {limits.days_ahead} days ahead at most.", remedy)
     long = (terms.ends - terms.begins) / HOUR_NS
     if limits.hours is not None and long > limits.hours:
-        what = f"This booking lasts {long:.1f} h, and one of {who} may last {limits.hours:g} h."
-        return Rejection("too_long", what, f"Book less at once. {remedy}")
+        what = f"This booking lasts {long:.1f} h; bookings of {who} may last at most {limits.hours:g} h."
+        return Rejection("too_long", what, f"Book a shorter time. {remedy}")
     mine = [
         b for b in state.bookings.open.values() if find_person(b.by) == who and b.id != name and not b.rule
     ]
@@ -299,7 +299,8 @@ def _check_quota(
     if hours > limits.total_hours:
         return Rejection(
             "quota",
-            f"{who} would have booked {hours:.1f} h that are to come, and may have {limits.total_hours:g}.",
+            f"{who} would have {hours:.1f} h booked in the future; at most {limits.total_hours:g} h "
+            "are allowed.",
             "Give one back (labos book cancel), or ask an operator to book it.",
         )
     return None
@@ -333,7 +334,10 @@ def _refuse(other: Booking, met: BookingSpan, *, force: bool) -> Rejection:
     what = f"{local(other.target)} is booked for {other.whom} from {begins} until {ends}"
     remedy = f"Choose another time, or ask {other.by}. An admin can book over it: --force"
     if force:
-        remedy = f"Nothing is booked over maintenance. Change that first: labos book change {other.id}"
+        remedy = (
+            "A booking cannot overlap maintenance. Change the maintenance first: labos book change "
+            f"{other.id}"
+        )
     return Rejection("booked", f"{what}: {other.id}.", remedy)
 
 
@@ -363,13 +367,13 @@ def _as_booking(name: str, target: str, terms: NewTerms) -> Booking:
 # -- reactions -------------------------------------------------------------------------------------
 
 
-def tell_who_stands_there(state: LabState, event: BookingNeared) -> Iterator[Event]:
+def ask_to_clear_booking(state: LabState, event: BookingNeared) -> Iterator[Event]:
     """Before a booking begins, a person is asked to remove the labware of other users from the booked
     place."""
     yield from _ask(state, state.bookings.open[event.booking], event.begins)
 
 
-def tell_who_overruns(state: LabState, event: BookingBegan) -> Iterator[Event]:
+def ask_about_overrun(state: LabState, event: BookingBegan) -> Iterator[Event]:
     """Actions that are under way when a booking begins continue to their end, and a person is notified."""
     booking = state.bookings.open[event.booking]
     for module in list_modules(state, booking.target):
@@ -410,9 +414,10 @@ def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:
         stands = name_some([f"{i.id} of {_owner(i)} at {local(i.station)}" for i in some])
         yield state.interventions.ask(
             BookedPlace(module=where, booking=booking.id, labware=tuple(item.id for item in some)),
-            f"{local(booking.target)} is booked for {booking.whom} from {in_zone(begins, booking.zone)} "
-            f"({booking.id}), and there stands: {stands}. What no run takes away before that stays "
-            "meanwhile: carry it away and say so (labos unload), or leave it.",
+            f"{local(booking.target)} is booked for {booking.whom} from "
+            f"{in_zone(begins, booking.zone)} ({booking.id}), and this labware stands there: "
+            f"{stands}. What no run moves away before that will stay there during the booking. Remove "
+            "it and report that (labos unload), or leave it.",
         )
 
 
@@ -451,7 +456,7 @@ def withdraw_booking_questions(
         yield InterventionResolved(question.id, "withdrawn", "labos", "the booking is over, or another one")
 
 
-def withdraw_what_was_cleared(state: LabState, event: Event) -> Iterator[Event]:
+def withdraw_cleared_booking_question(state: LabState, event: Event) -> Iterator[Event]:
     """The question about a booked place is withdrawn when the labware has left, or the action has ended."""
     if not state.bookings.open:
         return

@@ -20,7 +20,7 @@ def withdraw_answered(state: LabState, events: Sequence[Event], by: str) -> list
     by them, or had left the bench before."""
     settled = {labware for event in events if (labware := _find_settled(state, event))}
     return [
-        InterventionResolved(question.id, "withdrawn", "labos", f"taken away, or put elsewhere, by {by}")
+        InterventionResolved(question.id, "withdrawn", "labos", f"removed, or moved elsewhere, by {by}")
         for question in state.interventions.open.values()
         if (names := _find_asked_for(question)) & settled
         and all(n in settled or n not in state.bench.labware for n in names)

@@ -31,12 +31,12 @@ def calibrate_module(state: LabState, command: CalibrateModule) -> Decision:
     if module is None:
         return Rejection("no_module", f"There is no module {local(command.module)}.")
     if command.until and not is_day(command.until):
-        return Rejection("bad_date", f"{command.until!r} is no date.", "Write 2027-05-31, say.")
+        return Rejection("bad_date", f"{command.until!r} is not a date.", "Write it like 2027-05-31.")
     known = module.calibrations
     if command.what not in known and len(known) >= MOST_CALIBRATIONS:
         return Rejection(
             "too_many",
-            f"{local(command.module)} has calibrations of {len(known)} things, and can have no more.",
-            f"Name one of them again: {', '.join(sorted(name for name in known if name)[:5])} …",
+            f"{local(command.module)} has {len(known)} calibrations; more are not possible.",
+            f"Replace one of them: {', '.join(sorted(name for name in known if name)[:5])} …",
         )
     return [make_from(ModuleCalibrated, command)]

@@ -162,7 +162,7 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
         return [CampaignStopped(campaign.id, cut(lacks, LONGEST_REASON))]
     beyond = explain_over_budget(state, campaign, command.plan)
     if beyond and campaign.runs:
-        return Rejection(NO_ROOM, f"{campaign.id} may go on when its runs have used less than planned.")
+        return Rejection(NO_ROOM, f"{campaign.id} continues if its runs use less than planned.")
     if beyond:
         return [CampaignStopped(campaign.id, beyond)]
     run = make_from(
@@ -247,7 +247,7 @@ def check_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
         return None
     return Rejection(
         "until_reads_more",
-        f"The stop rule {until.text!r} reads results that the runs of {campaign.id} have not kept.",
+        f"The stop rule {until.text!r} needs results that the runs of {campaign.id} did not store.",
         "Name the steps that its stop rule named when it was submitted, or submit another campaign.",
     )
 
@@ -300,11 +300,11 @@ def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
     if budget.lab_time_s:
         spent = campaign.spent_ns / 1e9 * state.lab.pace
         if spent + sum(map(compute_module_time_s, plans)) > budget.lab_time_s:
-            return f"Another run would take it beyond its budget of {budget.lab_time_s / 3600:g} h lab time."
+            return f"Another run would exceed its budget of {budget.lab_time_s / 3600:g} h lab time."
     for kind, most in budget.consumables.items():
         used = campaign.used.get(kind, 0.0)
         if used + sum(sum_consumption(plan).get(kind, 0.0) for plan in plans) > most:
-            return f"Another run would take it beyond its budget of {most:g} {kind}."
+            return f"Another run would exceed its budget of {most:g} {kind}."
     return ""
 
 
@@ -338,7 +338,7 @@ def _expect_next(state: LabState, name: CampaignId, row: int) -> Campaign | Reje
     if row != campaign.next_row or not campaign.left:
         return Rejection(NOT_NEXT, f"Row {row} of {name} is not the next one: {campaign.next_row} is.")
     if not campaign.takes_rows:
-        return Rejection(NO_ROOM, f"Enough runs of {name} wait already.")
+        return Rejection(NO_ROOM, f"{name} already has enough waiting runs.")
     return campaign
 
 
@@ -361,7 +361,7 @@ def _refuse_rows(campaign: Campaign) -> Rejection:
     return Rejection(
         NOT_OPEN,
         f"The campaign {campaign.id} was {campaign.status} and takes no more rows.",
-        "Submit another campaign for the rows that are left.",
+        "Submit another campaign for the remaining rows.",
     )
 
 

@@ -25,10 +25,10 @@ class BindAnew(Command, frozen=True):
 
 
 @decides(BindAnew)
-def bind_anew(state: LabState, command: BindAnew) -> Decision:
+def bind_other_plan(state: LabState, command: BindAnew) -> Decision:
     run = state.runs.active.get(command.run)
     if run is None or command.plan == run.plan or not can_change_to(state, run, command.plan):
-        return Rejection("bound", f"{command.run} cannot go on by another of its plans.")
+        return Rejection("bound", f"{command.run} cannot continue with another of its plans.")
     return [bind(state, msgspec.structs.replace(run, plan=command.plan), command.why)]
 
 
@@ -55,7 +55,7 @@ def compare_plans(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
     if len(others) >= MOST_PLANS:
         return Rejection(
             "too_many_choices",
-            f"{first.workflow!r} has {len(others) + 1} plans to choose from; {MOST_PLANS} may be.",
+            f"{first.workflow!r} has {len(others) + 1} plans to choose from; {MOST_PLANS} are allowed.",
             "Name fewer modules, or let a step say `same as`.",
         )
     keys = [(step.key, step.part) for step in first.steps]

@@ -96,7 +96,7 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
     names = [declared.station for declared in command.stations]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        return Rejection("twice", f"{local(twice)} is declared twice.", "Say it once.")
+        return Rejection("twice", f"{local(twice)} is declared twice.", "Declare it once.")
     for declared in command.stations:
         decision = declare_station(state, declared)
         fit = decision if isinstance(decision, Rejection) else check_recordable(decision)
@@ -110,7 +110,7 @@ def carry_out_all(state: LabState, parts: Iterable[Command], decider: Decider) -
     for part in parts:
         decision = decider(state, part)
         if isinstance(decision, Rejection):
-            raise RuntimeError(f"A part of a request is in the way of another: {decision.message}")
+            raise RuntimeError(f"One part of the request makes another part impossible: {decision.message}")
         yield from decision
 
 
@@ -127,7 +127,7 @@ def _report_round(state: LabState, command: ReportRound) -> Iterator[Event]:
         yield from _list_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
     asked = state.interventions.open_about(ShorterLog)
     if command.finish and asked and not list_to_say(state):
-        answer = ResolveIntervention(asked[0].id, "checked", command.by, "the bench was gone round")
+        answer = ResolveIntervention(asked[0].id, "checked", command.by, "the whole bench was checked")
         yield from _list_possible(resolve_intervention(state, answer))
 
 

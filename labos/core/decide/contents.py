@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labos.core.bench import Station, split_item
+from labos.core.bench import StationState, split_item
 from labos.core.decide._base import Rejection
 from labos.core.ids import SHARED, LabwareId, StationName, local
 from labos.core.labware import (
@@ -36,7 +36,7 @@ def _name_with_lid(name: str, lid: str) -> str:
 
 
 def list_contents_events(
-    state: LabState, station: Station, contents: Sequence[str], by: str
+    state: LabState, station: StationState, contents: Sequence[str], by: str
 ) -> list[Event] | Rejection:
     """The events that change the record of a station to ``contents``, bottom to top. Each entry is the id of
     labware, or the type of labware that the log does not know, with its lid (``P7+P8``). Labware that was
@@ -44,7 +44,9 @@ def list_contents_events(
     name = station.spec.name
     if len(contents) > station.spec.capacity:
         return Rejection(
-            "too_many", f"{local(name)} holds {station.spec.capacity}, not {len(contents)}.", "Count again."
+            "too_many",
+            f"{local(name)} holds {station.spec.capacity}, not {len(contents)}.",
+            "Declare at most that many pieces.",
         )
     if station.spec.kind == "waste":
         return [StationDeclared(name, tuple(contents))] if len(contents) != station.level else []
@@ -63,7 +65,7 @@ def list_contents_events(
 
 
 def _refuse_misfit(
-    state: LabState, station: Station, pieces: Sequence[tuple[str, str]], named: Sequence[str]
+    state: LabState, station: StationState, pieces: Sequence[tuple[str, str]], named: Sequence[str]
 ) -> Rejection | None:
     """Why these pieces cannot stand at the station; None if they can."""
     twice = next((piece for piece in named if named.count(piece) > 1), "")
@@ -74,8 +76,8 @@ def _refuse_misfit(
         if place in state.shorter.said and place != station.spec.name:
             return Rejection(
                 "said_elsewhere",
-                f"{piece} was said to stand at {local(place)} on this round.",
-                f"If that was wrong, say first what stands at {local(place)}.",
+                f"{piece} was reported at {local(place)} on this round.",
+                f"If that was wrong, first report what stands at {local(place)}.",
             )
     for piece, _ in pieces:
         if piece in state.bench.labware:
@@ -84,14 +86,13 @@ def _refuse_misfit(
             return Rejection(
                 "not_accepted",
                 f"{local(station.spec.name)} {station.spec.explain_refusal(piece)}.",
-                "If it stands there all the same, take it away first; labware that the log knows is named by "
-                "its id: labos labware",
+                "If it really stands there, remove it first. Use the ids of known labware (labos labware).",
             )
     return None
 
 
 def _list_stack_events(
-    state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str
+    state: LabState, station: StationState, pieces: Sequence[tuple[str, str]], by: str
 ) -> list[Event] | Rejection:
     """A stack holds nameless pieces, and on top of them labware with names."""
     name, labware = station.spec.name, state.bench.labware
@@ -100,7 +101,7 @@ def _list_stack_events(
     if len(tall) != len(pieces) - top:
         return Rejection(
             "buried",
-            f"At {local(name)} labware with an id would lie under labware without.",
+            f"At {local(name)} labware with an id would lie under labware without an id.",
             "Take it out of the stack, or name it by its type.",
         )
     stock = tuple(f"{kind}+{lid}" if lid else kind for kind, lid in pieces[:top])
@@ -116,7 +117,7 @@ def _list_stack_events(
     ]
 
 
-def _remove_missing(station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
+def _remove_missing(station: StationState, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
     """The events for labware that was recorded there and is missing. They come first, so that there is room
     for the other labware."""
     present = {piece for pair in pieces for piece in pair}
@@ -125,7 +126,7 @@ def _remove_missing(station: Station, pieces: Sequence[tuple[str, str]], by: str
 
 
 def _place_or_observe(
-    state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str
+    state: LabState, station: StationState, pieces: Sequence[tuple[str, str]], by: str
 ) -> list[Event]:
     """The events for labware with ids, and for labware that gets its id now."""
     name, labware = station.spec.name, state.bench.labware
@@ -145,7 +146,7 @@ def _place_or_observe(
         bears = known.lid if known is not None else LabwareId("")
         sure = bears and not labware[bears].maybe
         if bears and lid and lid != bears:
-            events.append(LabwareRemoved(bears, "", GONE, f"{stands} bears another lid ({by})"))
+            events.append(LabwareRemoved(bears, "", GONE, f"{stands} has another lid ({by})"))
         elif bears and not lid and sure:
             events.append(LabwareUncertain(bears, "", (GONE,), f"{by} saw {stands} without a lid"))
         if lid and lid in labware and not (lid == bears and sure):

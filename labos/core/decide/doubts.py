@@ -37,8 +37,8 @@ def doubt_node(state: LabState, command: DoubtNode) -> Decision:
     return [
         state.interventions.ask(
             DoubtfulNode(module=command.module),
-            f"What was said on the bus in the name of {name} is not believed, and nothing was done about it: "
-            f"{command.why}. Either a second node uses this name, or somebody sends false messages.",
+            f"LabOS ignored a message on the bus in the name of {name}, because it may be false: "
+            f"{command.why}. Either a second node uses this name, or a program sends false messages.",
         )
     ]
 
@@ -50,7 +50,7 @@ def outrank_node(state: LabState, command: OutrankNode) -> Decision:
         return []
     name, epoch = local(command.module), state.lab.epoch
     if command.epoch > LARGEST_EPOCH:
-        what = "No kernel has such an epoch: the node was given a false one, and its journal has to be reset"
+        what = "No kernel has such an epoch: the node received a false one, and its journal has to be reset"
     else:
         what = (
             "If this database was put back from an older copy, compare the bench with the record, stop the "

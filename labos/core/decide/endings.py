@@ -77,7 +77,7 @@ def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | Step
         try:
             wanted = holds(step.when, sort_results_by_key(plan, find_results(plan, run)))
         except ExpressionError as error:
-            why = f"the condition of step {step.key!r} cannot be decided: {error.message}"
+            why = f"the condition of step {step.key!r} cannot be evaluated: {error.message}"
             yield from fail_run(state, run, why, "experiment")
             return
         if not wanted:

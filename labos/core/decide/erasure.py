@@ -58,11 +58,13 @@ def erase_words(state: LabState, command: EraseWords) -> Decision:
     if find_person(asked.by) == find_person(command.by):
         return Rejection(
             "same_person",
-            f"{command.by} asked for {command.erasure}, and the policy wants a second person.",
+            f"{command.by} requested {command.erasure}, and the policy requires a second person.",
             "Let another admin agree: labos erase --approve",
         )
     if (asked.because, asked.records, asked.user) != (command.because, command.records, command.user):
-        return Rejection("changed", f"{command.erasure} was asked for otherwise.", "Look: labos erase")
+        return Rejection(
+            "changed", f"{command.erasure} was requested with other values.", "See its request: labos erase"
+        )
     return list(_erase(command, asked.by, command.by))
 
 
@@ -90,26 +92,30 @@ def refuse_erasure(state: LabState, command: RefuseErasure) -> Decision:
 def _check_erasure(state: LabState, command: EraseWords) -> Rejection | None:
     if command.because not in REASONS:
         return Rejection(
-            "no_reason", f"{command.because!r} is no reason to erase words.", f"Known: {', '.join(REASONS)}."
+            "no_reason",
+            f"{command.because!r} is not a valid reason to erase words.",
+            f"Known: {', '.join(REASONS)}.",
         )
     if bool(command.records) == bool(command.user) or len(command.records) > MOST_RECORDS:
         return Rejection(
             "no_words",
-            f"Whose words are to be erased is said by 1 to {MOST_RECORDS} positions, or by a user.",
+            f"Name the words to erase by 1 to {MOST_RECORDS} positions, or by a user.",
             "Find them: labos log",
         )
     if not command.found:
         return Rejection(
             "no_words",
-            "No words stand beside the log there: none were written, or they were erased, or they were "
-            "written before words could be erased.",
+            "There are no erasable words at these positions: none were written, or they are already "
+            "erased, or they were written by a LabOS that could not erase words.",
             "Look: labos log",
         )
     if not all(_DIGEST.fullmatch(digest) for _, digest in command.found):
-        return Rejection("no_words", "A digest is no SHA-256.")
+        return Rejection("no_words", "A digest is not a SHA-256.")
     service = find_service(state, command.by)
     if service:
-        return Rejection("no_person", f"{service} is a program, and erases nothing.", "Ask an admin.")
+        return Rejection(
+            "no_person", f"{service} is a program, and programs may not erase words.", "Ask an admin."
+        )
     return None
 
 

@@ -122,7 +122,7 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
             return Rejection(
                 "no_anchor",
                 f"The closing workflow {command.closing.workflow!r} has a window of another run.",
-                "Anchor its windows at its own steps: nobody knows when it will be submitted.",
+                "Anchor its windows at its own steps, because the time of its submission is not known.",
             )
         closing = plan_digest(command.closing)
         events += record_plan(state, command.closing, closing, name)
@@ -142,17 +142,17 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
 def resume_experiment(state: LabState, command: ResumeExperiment) -> Decision:
     experiment = state.experiments.open.get(command.experiment)
     if experiment is None or experiment.status != ExperimentStatus.OPEN:
-        is_so = "has ended, or there never was one" if experiment is None else f"is {experiment.status}"
+        is_so = "has ended, or never existed" if experiment is None else f"is {experiment.status}"
         return Rejection(
             "no_experiment",
             f"The experiment {command.experiment} cannot be resumed: it {is_so}.",
-            "See what became of it: labos experiments --all",
+            "See its history: labos experiments --all",
         )
     if experiment.name != command.name:
         return Rejection(
             "other_experiment",
             f"The experiment {command.experiment} is {experiment.name!r}, not {command.name!r}.",
-            "Look for the one that is meant: labos experiments",
+            "Find the right one: labos experiments",
         )
     return [ExperimentResumed(command.experiment)]
 
@@ -164,7 +164,7 @@ def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
         return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
     if command.kind not in NOTE_KINDS:
         return Rejection(
-            "no_kind", f"{command.kind!r} cannot be noted.", f"Known kinds: {', '.join(NOTE_KINDS)}."
+            "no_kind", f"{command.kind!r} is not a kind of note.", f"Known kinds: {', '.join(NOTE_KINDS)}."
         )
     known = experiment.notes.get(command.key) if command.key else None
     if known is None:
@@ -175,8 +175,8 @@ def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
         return []
     return Rejection(
         "key_reused",
-        f"The experiment {command.experiment} has noted something else under the key {command.key!r}.",
-        "Give each note a key of its own, and the same one only to note the same again.",
+        f"The experiment {command.experiment} already has another note with the key {command.key!r}.",
+        "Give each note its own key; use a key again only to repeat the same note.",
     )
 
 
@@ -223,7 +223,7 @@ def ask_about_closing(state: LabState, command: AskAboutClosing) -> Decision:
     return [
         state.interventions.ask(
             ClosingWaits(run=run.id, user=run.user),
-            f"The closing workflow of {run.experiment} ({run.id}, {run.workflow}) has not begun in "
+            f"The closing workflow of {run.experiment} ({run.id}, {run.workflow}) has not started in "
             f"{CLOSING_S / 60:g} minutes. `labos explain {run.id}` says what it waits for.",
         )
     ]

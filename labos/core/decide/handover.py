@@ -49,7 +49,9 @@ def _refuse_heir(state: LabState, to: Owner) -> Rejection | None:
         return None
     if kind != "experiment":
         return Rejection(
-            "no_owner", f"Labware cannot be given to {to!r}.", "Say user NAME, experiment E3 or shared."
+            "no_owner",
+            f"Labware cannot be given to {to!r}.",
+            "Name a user (user NAME), an experiment (experiment E3) or `shared`.",
         )
     experiment = state.experiments.open.get(ExperimentId(name))
     if experiment is None or experiment.status != ExperimentStatus.OPEN:
@@ -67,7 +69,7 @@ def _refuse_in_use(state: LabState, labware: Labware) -> Rejection | None:
         return Rejection(
             "in_use",
             f"{labware.id} is in use by run {RunId(name)}.",
-            "At its end it goes to its experiment or user; wait for that.",
+            "Wait until the run ends; then its experiment or user owns it.",
         )
     experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
     if experiment is not None and experiment.status == ExperimentStatus.CLOSING:
@@ -89,10 +91,10 @@ def _refuse_not_theirs(state: LabState, labware: Labware, command: HandOver) -> 
         return Rejection(
             "not_yours",
             f"{labware.id} belongs to {labware.owner.replace(':', ' ')}, not to {command.by}.",
-            "Ask them to give it; an operator can with --force and --why.",
+            "Ask them to hand it over; an operator can do it with --force and --why.",
         )
     if not command.note.strip():
         return Rejection(
-            "no_note", f"Why {labware.id} is given away over its owner's head is not said.", "Add --why."
+            "no_note", f"Giving {labware.id} away without its owner needs a reason.", "Add --why."
         )
     return None

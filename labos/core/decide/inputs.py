@@ -43,7 +43,7 @@ def name_returned_files(
             (found,) = found.values()
         if not isinstance(found, dict) or not {"file", "sha256"} <= found.keys():
             key = plan.steps[written["$result"][0]].key
-            return f"{name}: what step {key!r} returned is no file"
+            return f"{name}: the result of step {key!r} is not a file"
         file, sha256 = str(found["file"]), str(found["sha256"])
         named[name] = file if files.get(file, sha256) == sha256 else f"{name}-{file}"
         files[named[name]] = sha256

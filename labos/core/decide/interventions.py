@@ -77,7 +77,7 @@ def resolve_intervention(state: LabState, command: ResolveIntervention) -> Decis
     if command.choice not in names:
         return Rejection(
             "no_choice",
-            f"{command.choice!r} is no answer to {command.intervention}.",
+            f"{command.choice!r} is not a possible answer to {command.intervention}.",
             f"Choose one of: {', '.join(names)}.",
         )
     follows = _decide_answer(state, question, command)
@@ -151,7 +151,7 @@ def _confirm(state: LabState, action: Action, command: ResolveIntervention) -> D
     """Planned work ends when a person reports it, whatever its node reports."""
     done = command.choice == "done"
     unfit = _refuse_result(state, action, command) if done else None
-    why = f"{command.by} says that it cannot be done{f': {command.note}' if command.note else ''}"
+    why = f"{command.by} reports that it cannot be done{(f': {command.note}' if command.note else '')}"
     end = FinishAction(action.id, action.attempt, True, "all", command.result)
     failed = FinishAction(action.id, action.attempt, False, "none", error=why)
     return unfit or finish(state, action, end if done else failed)
@@ -162,8 +162,10 @@ def _settle_unknown(state: LabState, action: Action, command: ResolveInterventio
         module = local(action.module)
         return Rejection(
             "node_gone",
-            f"The node of {module} is away. It may still be at it, and will tell when it is back.",
-            f"Start it again, or switch the device off, say so (labos out-of-service {module}), then answer.",
+            f"The node of {module} cannot be reached. It may still be working, and reports the "
+            "outcome when it is back.",
+            f"Start it again; or switch the device off, report that (labos out-of-service {module}), "
+            "and then answer.",
         )
     if command.choice != "done":
         taken = _refuse_taken_source(state, action) if command.choice == "not_done" else None
@@ -182,11 +184,11 @@ def _refuse_taken_source(state: LabState, action: Action) -> Rejection | None:
             continue
         other = find_user_meanwhile(state, effect.source, state.runs.active[action.run])
         if other:
-            seen = f"was seen at {local(item.station)}" if item.station else "was not seen there"
+            seen = f"was observed at {local(item.station)}" if item.station else "was not observed there"
             return Rejection(
                 "occupied",
-                f"{effect.labware} {seen}, and {other} was let in to {local(effect.source)} meanwhile.",
-                f"Put it at {local(effect.target)} and answer done, or take it away and answer gone.",
+                f"{effect.labware} {seen}, and {other} has moved to {local(effect.source)} meanwhile.",
+                f"Put it at {local(effect.target)} and answer `done`, or remove it and answer `gone`.",
             )
     return None
 
@@ -197,13 +199,13 @@ def _refuse_result(state: LabState, action: Action, command: ResolveIntervention
         return Rejection(
             "result_needed",
             f"Later steps of {action.run} read the result of {action.name!r} on {local(action.module)}.",
-            "Say what it measured (--result JSON), or answer not_done to have it done again.",
+            "Give the measured result (--result JSON), or answer `not_done` to have it done again.",
         )
     if limit_result(command.result) != command.result:
         return Rejection(
             "too_large",
             f"The result has more than {LARGEST_RESULT} bytes.",
-            "Give only what later steps read.",
+            "Give only the values that later steps read.",
         )
     return None
 
@@ -221,7 +223,7 @@ def _expect_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Deci
         if isinstance(event, LabwarePlaced) and event.stack == place:
             continue  # it only gets its id there
         if station.count - _is_awaited(state, item, place) >= station.spec.capacity:
-            held = ", ".join(station.labware) or "something is on its way there"
+            held = ", ".join(station.labware) or "other labware is on its way there"
             return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")
     return events()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
-from labos.core.bench import Station, add_arrival, count_taking, split_item
+from labos.core.bench import StationState, add_arrival, count_taking, split_item
 from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides, refuse_hotel
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
@@ -71,19 +71,19 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
     ended, leaps = state.position, state.lab.epoch and command.epoch - state.lab.epoch >= LEAP
     yield KernelStarted(command.epoch, command.version)
     if leaps:
-        knows = "says that it was put back, perhaps from an older copy"
+        knows = "may be an older copy"
         yield from record_shorter_log(state, "the restored database", knows, 0, ended)
     # Earlier versions asked a question for each module whose node knew more than the log. These questions
     # become one round.
     asked = state.interventions.open_about(DiscoveredAction)
     for name in dict.fromkeys(ModuleName(question.module) for question in asked):
         module = state.modules.by_name.get(name)
-        knows = "knows more, as was asked before"
+        knows = "knows more, as an earlier question says"
         yield from record_shorter_log(state, str(name), knows, 0, ended, workcell_of(name))
         if module is not None and module.out_of_service:
             yield ModulePutBack(name)
     for question in asked:
-        why = "the whole bench is compared with the log"
+        why = "the whole bench is being compared with the log"
         yield InterventionResolved(question.id, "withdrawn", "labos", why)
 
 
@@ -156,7 +156,7 @@ def _find_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
             )
     for place in sorted(stations):
         station = state.bench.stations[place]
-        if station.labware or station.stock or station.expected or place in state.bench.haunted:
+        if station.labware or station.stock or station.expected or place in state.bench.uncertain_at:
             yield _refuse_occupied(state, place, f"cannot be removed from {cell.name}")
     gone: set[str] = {*modules, *stations}
     if not gone:
@@ -171,18 +171,18 @@ def _find_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
         for name in sorted(gone & needed):
             yield Rejection(
                 "plan_in_use",
-                f"The workflow {plan.plan.workflow!r} is in use{_say_by_whom(by)} and needs {local(name)}.",
+                f"The workflow {plan.plan.workflow!r} is in use{_name_users(by)} and needs {local(name)}.",
                 "Wait until its runs and experiments have ended, or cancel them.",
             )
 
 
 def _refuse_occupied(state: LabState, place: StationName, so: str) -> Rejection:
     station = state.bench.stations[place]
-    if place in state.bench.haunted:
+    if place in state.bench.uncertain_at:
         return Rejection(
             "uncertain",
-            f"It is being found out what stands at {local(place)}, which {so}.",
-            "Answer what is asked first: labos resolve",
+            f"It is not yet known what stands at {local(place)}, which {so}.",
+            "Answer the open question first: labos resolve",
         )
     what = ", ".join(station.labware) or (
         f"a stock of {len(station.stock)}" if station.stock else "an arrival"
@@ -202,7 +202,7 @@ def _find_parking(state: LabState, cell: Workcell) -> Iterator[Rejection]:
             yield Rejection(
                 "parking_in_use",
                 f"The experiment {experiment.id} parks at {local(place)}.",
-                "Let it end first.",
+                "Wait for its end first.",
             )
 
 
@@ -214,17 +214,17 @@ def _find_too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
         if known is not None and full and known.spec.kind != spec.kind:
             yield _refuse_occupied(state, spec.name, f"cannot become a {spec.kind}")
         elif full and (spec.name in state.bench.shelves) != (spec.name in hotels):
-            yield _refuse_occupied(state, spec.name, "cannot be divided into shelves otherwise")
+            yield _refuse_occupied(state, spec.name, "cannot be divided into other shelves")
         elif known is not None and known.count > spec.capacity:
             yield Rejection(
                 "station_occupied",
-                f"The station {local(spec.name)} holds {known.count}, "
-                f"more than the {spec.capacity} that it is to hold.",
+                f"The station {local(spec.name)} holds {known.count}, more than the {spec.capacity} "
+                "of its new capacity.",
                 "Move the labware away first.",
             )
 
 
-def _say_by_whom(runs: list[RunId]) -> str:
+def _name_users(runs: list[RunId]) -> str:
     return f" by {', '.join(runs)}" if runs else ""
 
 
@@ -240,20 +240,20 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
     return wrong or _declare(state, station, command.contents)
 
 
-def _refuse_occupied_or_doubtful(state: LabState, station: Station) -> Rejection | None:
+def _refuse_occupied_or_doubtful(state: LabState, station: StationState) -> Rejection | None:
     name = station.spec.name
     if station.labware or station.expected:
         return Rejection(
             "station_occupied",
-            f"{local(name)} holds {', '.join(station.labware) or 'an arrival under way'}; "
-            "what is known is not overwritten.",
+            f"{local(name)} holds {', '.join(station.labware) or 'an arrival under way'}; a "
+            "declaration does not overwrite known labware.",
             "Move or remove that labware first.",
         )
-    if name in state.bench.haunted or count_taking(state.bench, name):
+    if name in state.bench.uncertain_at or count_taking(state.bench, name):
         return Rejection(
             "uncertain",
-            f"It is being found out what stands at {local(name)}.",
-            "Answer the open intervention, or wait for the action, first.",
+            f"It is not yet known what stands at {local(name)}.",
+            "First answer the open intervention, or wait for the action.",
         )
     return None
 
@@ -268,7 +268,7 @@ def _refuse_contents(spec: StationSpec, contents: tuple[str, ...]) -> Rejection 
     return None
 
 
-def _declare(state: LabState, station: Station, contents: tuple[str, ...]) -> Iterator[Event]:
+def _declare(state: LabState, station: StationState, contents: tuple[str, ...]) -> Iterator[Event]:
     name = station.spec.name
     if station.spec.kind in ("stack", "waste"):
         yield StationDeclared(name, contents)

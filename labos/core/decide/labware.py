@@ -42,8 +42,8 @@ def register_samples(state: LabState, command: RegisterSamples) -> Decision:
         if labware.samples and not command.replace:
             return Rejection(
                 "samples_known",
-                f"The samples of {plate.labware} are known from another sheet.",
-                f"Look at them with `labos samples show {plate.labware}`; replace them with --replace.",
+                f"The samples of {plate.labware} were registered from another sheet.",
+                f"Show them with `labos samples show {plate.labware}`; replace them with --replace.",
             )
         events.append(
             SamplesRegistered(plate.labware, "", command.sheet, plate.count, plate.wells, plate.blob)
@@ -69,18 +69,18 @@ def name_barcode(state: LabState, command: NameBarcode) -> Decision:
     if not code:
         return Rejection(
             "bad_barcode",
-            f"{command.barcode[:60]!r} is no barcode.",
-            f"It has 1 to {LONGEST_BARCODE} characters that can be printed.",
+            f"{command.barcode[:60]!r} is not a barcode.",
+            f"A barcode has 1 to {LONGEST_BARCODE} printable characters.",
         )
     holder = state.bench.barcodes.get(code)
     if holder == labware.id:
         return []
     if holder is not None:
-        return Rejection("barcode_taken", f"The barcode {code} is that of {holder}.", "Look at both of them.")
+        return Rejection("barcode_taken", f"{holder} already has the barcode {code}.", "Check both labels.")
     if labware.barcode and not command.replace:
         return Rejection(
             "barcode_known",
-            f"{labware.id} bears the barcode {labware.barcode}.",
-            "If its label was changed, say --replace.",
+            f"{labware.id} already has the barcode {labware.barcode}.",
+            "If its label was replaced, add --replace.",
         )
     return [BarcodeRead(labware.id, "", code, command.by)]

@@ -142,8 +142,8 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
     if module.spec.driver and module.spec.driver != command.driver:
         return Rejection(
             "wrong_driver",
-            f"The node that claims {local(command.module)} runs the driver {command.driver!r}; "
-            f"the workcell wants {module.spec.driver!r}.",
+            f"The node that claims {local(command.module)} runs the driver {command.driver!r}; the "
+            f"workcell file requires {module.spec.driver!r}.",
             "Start the right driver, or correct the workcell file.",
         )
     return [
@@ -177,7 +177,7 @@ def report_state(state: LabState, command: ReportState) -> Decision:
 
 
 @decides(HearJournal)
-def hear_journal(state: LabState, command: HearJournal) -> Decision:
+def check_journal(state: LabState, command: HearJournal) -> Decision:
     if command.module not in state.modules.by_name:
         return _refuse_unknown(command.module)
     return record_journal(state, command.module, command.found, command.beyond)
@@ -188,7 +188,7 @@ def take_out(state: LabState, command: TakeOut) -> Decision:
     if command.module not in state.modules.by_name:
         return _refuse_unknown(command.module)
     if command.until and command.until <= command.now:
-        return Rejection("past", "The time until which it is to be out of service is over already.")
+        return Rejection("past", "The end of the time out of service is in the past.")
     return _take_out(state, command)
 
 

@@ -7,7 +7,7 @@ from itertools import chain
 from typing import assert_never
 
 from labos.core.actions import Action, ActionStatus
-from labos.core.bench import Labware, Station
+from labos.core.bench import Labware, StationState
 from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
 from labos.core.effects import list_carried, list_moved, list_places, name_hand
@@ -77,10 +77,10 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
     return chain(events, _decide_count(state, sight, station, command))
 
 
-def _refuse_sight(state: LabState, station: Station, command: ObserveStation) -> Rejection | None:
+def _refuse_sight(state: LabState, station: StationState, command: ObserveStation) -> Rejection | None:
     name = local(command.station)
     if station.spec.kind == "waste":
-        return Rejection("waste", f"What was thrown into {name} is off the bench.")
+        return Rejection("waste", f"Labware in the waste {name} is off the bench and cannot be observed.")
     if command.count is not None and command.count < 0:
         return Rejection("bad_count", f"{command.count} pieces cannot stand at {name}.")
     labware = state.bench.labware.get(command.labware)
@@ -95,8 +95,9 @@ def _refuse_sight(state: LabState, station: Station, command: ObserveStation) ->
         if moving or command.station == hand or command.station in list_places(motions):
             return Rejection(
                 "in_motion",
-                f"{local(action.module)} is carrying something there: what is seen now is old soon.",
-                "Look again when it has ended.",
+                f"{local(action.module)} is moving labware there, so an observation now would soon be "
+                "out of date.",
+                "Observe again when it has ended.",
             )
     worked_on = [name for name in station.labware if state.bench.labware[name].moving]
     if command.count == 0 and any(not _has_unknown_end(state, name) for name in worked_on):
@@ -104,8 +105,8 @@ def _refuse_sight(state: LabState, station: Station, command: ObserveStation) ->
     if station.stock and command.count is not None and command.count < len(station.stock):
         return Rejection(
             "stock_differs",
-            f"{name} is recorded with {len(station.stock)} nameless pieces, not {command.count}.",
-            "Fill the stack and say so with `labos place`, or take the module out of service.",
+            f"{name} is recorded with {len(station.stock)} pieces without ids, not {command.count}.",
+            "Fill the stack and report that (`labos place`), or take the module out of service.",
         )
     return None
 
@@ -182,7 +183,7 @@ class Sight:
                 yield self._make_event(name, place)
         for name, left in self._left.items():
             if name not in self._found and tuple(left) != self._before[name]:
-                why = f"seen by {self._by} not to be elsewhere"
+                why = f"observed by {self._by}: it is not elsewhere"
                 yield LabwareUncertain(name, "", tuple(left), why)
 
     def _make_event(self, name: LabwareId, place: StationName) -> Event:
@@ -194,7 +195,7 @@ class Sight:
         """The events for a question about labware that was found. ``placed`` is labware that other events of
         this observation place."""
         withdrawn = InterventionResolved(
-            question.id, "withdrawn", "labos", f"seen by {self._by}, where it stands"
+            question.id, "withdrawn", "labos", f"observed by {self._by} at its place"
         )
         topic = question.topic
         if isinstance(topic, UnknownAction):
@@ -214,9 +215,9 @@ class Sight:
             return
         yield withdrawn
         if isinstance(topic, LostLabware):
-            yield from self._tell_left_behind(topic)
+            yield from self._ask_about_left_labware(topic)
 
-    def _tell_left_behind(self, topic: LostLabware) -> Iterator[Event]:
+    def _ask_about_left_labware(self, topic: LostLabware) -> Iterator[Event]:
         """A person is asked about labware that an ended run left in the way."""
         stations = self._state.bench.stations
         left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
@@ -224,7 +225,7 @@ class Sight:
         left = {name: place for name, place in left.items() if name in mine}
         if not left or self._state.runs.get(topic.run) is not None:
             return
-        whose = f"What run {topic.run} lost" if topic.run else "What was lost"
+        whose = f"Labware that run {topic.run} lost" if topic.run else "Lost labware"
         for some in split_into_batches(LeftLabware, list(left)):
             stands = name_some([f"{name} at {local(left[name])}" for name in some])
             found = LeftLabware(module=topic.module, labware=tuple(some), lost_by=topic.action)
@@ -245,7 +246,7 @@ class Sight:
 
 
 def _decide_count(
-    state: LabState, sight: Sight, station: Station, command: ObserveStation
+    state: LabState, sight: Sight, station: StationState, command: ObserveStation
 ) -> Iterable[Event]:
     name = command.station
     here = [state.bench.labware[item] for item in station.labware]
@@ -292,7 +293,7 @@ def _settle_take(state: LabState, action: Action, place: StationName, by: str) -
     there = len(motions) == 1 and motions[0].target == place
     if question is None or not there or is_read_later(state, action) or may_still_act(state, action):
         return []
-    withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"seen by {by}, where it stands")
+    withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"observed by {by} at its place")
     return chain([withdrawn], settle(state, action, "done", by))
 
 
@@ -301,7 +302,7 @@ def _withdraw_strange(state: LabState, place: StationName) -> list[Event]:
     question = _find_question(state, place)
     if question is None or question.labware:
         return []
-    return [InterventionResolved(question.id, "withdrawn", "labos", "seen not to be there any more")]
+    return [InterventionResolved(question.id, "withdrawn", "labos", "observed to be no longer there")]
 
 
 def _find_question(state: LabState, place: StationName) -> Intervention | None:
@@ -311,7 +312,7 @@ def _find_question(state: LabState, place: StationName) -> Intervention | None:
 
 
 def _doubt_missing(
-    state: LabState, here: list[Labware], station: Station, command: ObserveStation
+    state: LabState, here: list[Labware], station: StationState, command: ObserveStation
 ) -> Iterator[Event]:
     place = station.spec.name
     seen = "empty" if not command.count else f"with {command.count}"
@@ -326,7 +327,7 @@ def _doubt_missing(
 
 
 def _doubt_other_type(
-    state: LabState, here: list[Labware], station: Station, command: ObserveStation
+    state: LabState, here: list[Labware], station: StationState, command: ObserveStation
 ) -> Iterator[Event]:
     """If no labware with an id stands there, nothing follows: a person has declared the stock of a stack."""
     module, place, kind = station.spec.module, station.spec.name, command.kind
@@ -341,7 +342,7 @@ def _doubt_other_type(
         )
 
 
-def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> Iterator[Event]:
+def _report_elsewhere(state: LabState, labware: Labware, station: StationState, by: str) -> Iterator[Event]:
     """Labware was recognised at an unexpected station, or at one where other labware is recorded. One
     question is about this labware and the labware that it may have replaced. If that is too much for one
     question, further ones are about the rest."""
@@ -349,11 +350,11 @@ def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: s
     recorded = labware.station
     others = list(station.labware) if station.spec.capacity <= len(station.labware) else []
     may_be = tuple(dict.fromkeys((place, *((recorded,) if recorded else labware.maybe))))
-    known = f"recorded at {local(recorded)}" if recorded else "whose place is not known"
+    known = f"recorded at {local(recorded)}" if recorded else "with unknown place"
     holds = f", where {name_some(others)} should stand" if others else ""
     yield LabwareUncertain(labware.id, "", may_be, f"seen at {local(place)} by {by}")
     for item in others:
-        yield LabwareUncertain(item, "", (place, GONE), f"{labware.id} was seen in its place")
+        yield LabwareUncertain(item, "", (place, GONE), f"{labware.id} was observed at its place")
     first, *rest = list(split_into_batches(NotSeen, others)) or [()]
     topic = SeenElsewhere(
         module=station.spec.module,
@@ -370,7 +371,7 @@ def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: s
         )
 
 
-def _report_unexpected(state: LabState, station: Station, command: ObserveStation) -> list[Event]:
+def _report_unexpected(state: LabState, station: StationState, command: ObserveStation) -> list[Event]:
     """Labware stands at a place that is empty in the log. Until this is settled, no other labware is put
     there."""
     place = station.spec.name

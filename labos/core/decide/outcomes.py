@@ -250,8 +250,8 @@ def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, Station
     are not places of the motion. This observation is later than the device's report."""
     own = {StationName(""), name_hand(action.module), *list_places(action.effects)}
     items = [state.bench.labware[e.labware] for e in list_moved(action.effects)]
-    astray = state.shorter.astray  # a later action may have carried it further
-    return {item.id: item.station for item in items if item.station not in own or item.id in astray}
+    displaced = state.shorter.displaced  # a later action may have carried it further
+    return {item.id: item.station for item in items if item.station not in own or item.id in displaced}
 
 
 def _move(state: LabState, action: Action, effect: Move) -> list[Event]:
@@ -307,7 +307,7 @@ def put_back_in_place(state: LabState, action: Action) -> list[Event]:
 
 def _is_in_doubt(state: LabState, effect: Move) -> bool:
     """Whether labware is uncertain because of this motion."""
-    return bool(state.bench.labware[effect.labware].maybe) and effect.labware not in state.shorter.astray
+    return bool(state.bench.labware[effect.labware].maybe) and effect.labware not in state.shorter.displaced
 
 
 def find_topmost(state: LabState, effect: Take) -> tuple[str, str]:

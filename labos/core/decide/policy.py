@@ -128,14 +128,14 @@ def list_reasons(
         found = tuple(why for why in found if why.code not in COVERED)
     known = state.experiments.open.get(ExperimentId(experiment))
     if known is not None and known.held:
-        found = (*found, Why("experiment", f"its experiment {experiment} waits for one"))
+        found = (*found, Why("experiment", f"its experiment {experiment} waits for an approval"))
     return found
 
 
 def _iterate_reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:
     policy, person = state.approvals.policy, find_person(actor)
     if asked.propose:
-        yield Why("asked", f"{actor} asks for it")
+        yield Why("asked", f"{actor} requests it")
     if actor == LABOS or "/" in actor:
         return
     service = find_service(state, actor)
@@ -155,13 +155,13 @@ def _iterate_reasons(state: LabState, asked: Submission, actor: str) -> Iterator
         count = f"{given} of the first {policy.newcomers} submissions have been approved"
         yield Why("newcomer", f"{asked.user} is new here: {count}")
     if policy.dangerous and asked.demand.dangers:
-        yield Why("dangerous", f"it does what is dangerous: {', '.join(asked.demand.dangers)}")
+        yield Why("dangerous", f"it has dangerous steps: {', '.join(asked.demand.dangers)}")
     beyond = _describe_excess(policy.above, asked)
     if beyond:
         yield Why("budget", beyond)
     sooner = asked.terms is not None and _is_sooner(asked.terms, asked.before)
     if policy.deadlines and sooner and not operates:
-        yield Why("deadline", "it has a deadline, for which others wait")
+        yield Why("deadline", "it has a deadline, so other work may have to wait")
 
 
 def find_service(state: LabState, actor: str) -> str:
@@ -183,17 +183,17 @@ def _describe_excess(most: Budget, asked: Submission) -> str:
     was = asked.before.budget if asked.before is not None else None
     rows = min(need.rows, budget.runs or need.rows)
     if most.runs and rows > most.runs and (was is None or rows > (was.runs or need.rows)):
-        return f"it has {rows} runs, and more than {most.runs} take an approval"
+        return f"it has {rows} runs, and more than {most.runs} need an approval"
     time = _may_use(budget.lab_time_s or None, need.module_time_s, known=was is None)
     if most.lab_time_s and time > most.lab_time_s and (was is None or time > (was.lab_time_s or time)):
         return (
-            f"it may take {_hours(time)} lab time, and more than {_hours(most.lab_time_s)} take an approval"
+            f"it may take {_hours(time)} lab time, and more than {_hours(most.lab_time_s)} need an approval"
         )
     for kind, limit in most.consumables.items():
         planned = need.consumables.get(kind, 0.0)
         amount = _may_use(budget.consumables.get(kind), planned, known=was is None)
         if amount > limit and (was is None or amount > was.consumables.get(kind, amount)):
-            return f"it may use {_amount(amount)} {kind}, and more than {limit:g} take an approval"
+            return f"it may use {_amount(amount)} {kind}, and more than {limit:g} need an approval"
     return ""
 
 

@@ -156,7 +156,7 @@ def _open(state: LabState, subject: str) -> Proposal | Rejection:
     return found or Rejection(
         "no_proposal",
         f"{subject} does not wait for an approval.",
-        "List what does: labos approvals",
+        "List what waits: labos approvals",
     )
 
 
@@ -166,8 +166,9 @@ def _check_as_seen(proposal: Proposal, seen: str) -> Rejection | None:
         return None
     return Rejection(
         "changed",
-        f"{proposal.subject} is not what was looked at: its digest is {proposal.digest[:SHORTEST_DIGEST]}.",
-        f"Look at it again: labos approvals {proposal.subject}",
+        f"{proposal.subject} has changed since you checked it; its digest is now "
+        f"{proposal.digest[:SHORTEST_DIGEST]}.",
+        f"Check it again: labos approvals {proposal.subject}",
     )
 
 
@@ -183,8 +184,8 @@ def _check_changes(state: LabState, proposal: Proposal, command: ApproveProposal
         return Rejection(
             "no_such_change",
             f"{proposal.subject} cannot be approved with `{wrong}`.",
-            "Runs and experiments have a priority, campaigns have terms, and only a run of an experiment has "
-            "others alike.",
+            "For runs and experiments you can set the priority, for campaigns the terms; only for a "
+            "run of an experiment can you approve the following runs of the same kind.",
         )
     if command.terms is None:
         return None
@@ -194,12 +195,13 @@ def _check_changes(state: LabState, proposal: Proposal, command: ApproveProposal
 def _may_not_approve(state: LabState, proposal: Proposal, by: str) -> Rejection | None:
     user = state.users.known.get(by)
     if ON_BEHALF in by or (user is not None and user.kind == "service"):
-        return Rejection("no_person", f"{by} is no person.", "Ask an operator to look at it.")
+        return Rejection("no_person", f"{by} is not a person.", "Ask an operator to check it.")
     own = by in (proposal.user, find_person(proposal.by))
     if own and not state.approvals.policy.own:
         return Rejection(
             "own_approval",
-            f"{proposal.subject} is {by}'s own, and the lab's policy wants somebody else to approve it.",
+            f"{proposal.subject} belongs to {by}, and the lab's policy requires the approval of "
+            "another person.",
             "Ask another operator; or an admin allows it: `own: true` in the file of labos policy --apply",
         )
     return None
@@ -213,7 +215,7 @@ def _check_experiment(state: LabState, proposal: Proposal) -> Rejection | None:
         return None
     return Rejection(
         "experiment_first",
-        f"The experiment {known.id} of {proposal.subject} waits for an approval itself.",
+        f"The experiment {known.id} of {proposal.subject} also waits for an approval.",
         f"Approve that first: labos approve {known.id}",
     )
 
@@ -238,12 +240,14 @@ def _resolve_question(
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
     """An operator is asked, and an earlier question about the same subject is withdrawn."""
     for question in _list_questions(state, event.subject):
-        yield InterventionResolved(question.id, "withdrawn", "labos", "it was changed, and is asked anew")
+        yield InterventionResolved(
+            question.id, "withdrawn", "labos", "it was changed, and the question is asked again"
+        )
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
     why = "; ".join(why.text for why in event.why)
     text = (
         f"{what} {event.subject} ({event.name}) of {event.user} waits for approval, because {why}. "
-        f"Look at it (labos approvals {event.subject})."
+        f"Check it (labos approvals {event.subject})."
     )
     run = event.subject if event.kind == "run" else ""
     yield state.interventions.ask(

@@ -37,10 +37,10 @@ from labos.core.campaigns import (
 )
 from labos.core.decide.approvals import ask_second_person
 from labos.core.decide.bookings import (
-    tell_who_overruns,
-    tell_who_stands_there,
+    ask_about_overrun,
+    ask_to_clear_booking,
     withdraw_booking_questions,
-    withdraw_what_was_cleared,
+    withdraw_cleared_booking_question,
 )
 from labos.core.decide.campaigns import conclude_campaigns, pause_campaigns
 from labos.core.decide.endings import end_recovery, end_run, skip_steps
@@ -81,14 +81,14 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
         end_recovery,
         skip_steps,
         end_run,
-        withdraw_what_was_cleared,
+        withdraw_cleared_booking_question,
     ),
     ActionFailed: (
         withdraw_action_questions,
         withdraw_waiting,
         retry_step,
         handle_failure,
-        withdraw_what_was_cleared,
+        withdraw_cleared_booking_question,
     ),
     ActionUnknown: (withdraw_waiting,),
     ActionReconciled: (fail_spoilt, end_recovery, skip_steps, end_run),
@@ -112,12 +112,12 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
     CampaignStopped: (withdraw_approval_question, conclude_campaigns),
     CampaignCompleted: (withdraw_approval_question,),
     ExperimentCancelled: (withdraw_approval_question, end_experiments),
-    BookingNeared: (tell_who_stands_there,),
-    BookingBegan: (tell_who_overruns,),
+    BookingNeared: (ask_to_clear_booking,),
+    BookingBegan: (ask_about_overrun,),
     BookingChanged: (withdraw_booking_questions,),
     BookingCancelled: (withdraw_booking_questions,),
     BookingSkipped: (withdraw_booking_questions,),
     BookingEnded: (withdraw_booking_questions,),
-    LabwareMoved: (withdraw_what_was_cleared,),
-    LabwareRemoved: (withdraw_what_was_cleared,),
+    LabwareMoved: (withdraw_cleared_booking_question,),
+    LabwareRemoved: (withdraw_cleared_booking_question,),
 }

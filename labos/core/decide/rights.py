@@ -84,13 +84,13 @@ def check_rights(state: LabState, command: Command, actor: str) -> Denied | None
     if wrong:
         return wrong
     if right.role is None:
-        return Denied("inside", f"{type(command).__name__} is asked for by LabOS itself only.")
+        return Denied("inside", f"{type(command).__name__} is a command that only LabOS itself uses.")
     asker = getattr(command, right.asker) if right.asker else person
     if asker != person and not (right.asker == "by" and asker == actor):
         return Denied(
             "not_you",
-            f"{person} cannot ask in the name of {asker}.",
-            "Leave it out who asks. Only a service account acts on behalf of others.",
+            f"{person} cannot send requests in the name of {asker}.",
+            "Leave out `actor`. Only a service account can act on behalf of others.",
         )
     for target in right.touches(state, command):
         wrong = _refuse_target(state, target, person, service)
@@ -172,7 +172,7 @@ def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: 
         return Denied(
             "not_yours",
             f"{target.what} is {target.owner}'s; {who} is no {needs}{where}.",
-            f"Ask {target.owner}, or somebody who may: {may}.",
+            f"Ask {target.owner}, or a user who has this right: {may}.",
         )
     has = ROLES[rank_role_in(state, who, cell)]
     grant = f"labos role grant {who} {needs}" + (
@@ -180,8 +180,8 @@ def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: 
     )
     return Denied(
         "no_right",
-        f"This needs the role {needs}{where}; {who} is {has} there.",
-        f"Ask somebody who may: {may}. An admin grants roles: {grant}",
+        f"This needs the role {needs}{where}; {who} has the role {has} there.",
+        f"Ask a user who has this right: {may}. An admin grants roles: {grant}",
     )
 
 

@@ -54,7 +54,7 @@ STEPS_PER_EVENT = 16
 QUOTA = "quota"
 """The code of a rejection of a run for which its user's quota leaves no room."""
 
-QUOTA_REMEDY = "Wait until some have begun, or cancel some."
+QUOTA_REMEDY = "Wait until some have started, or cancel some."
 
 
 NOBODYS = CampaignId("")
@@ -188,7 +188,7 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
             )
     for step in plan.steps:
         if any(not window.of and window.anchor not in done for window in step.windows):
-            return Rejection("no_anchor", f"A window of step {step.key!r} has no step for its anchor.")
+            return Rejection("no_anchor", f"A window of step {step.key!r} has no step as its anchor.")
     return None
 
 
@@ -203,8 +203,8 @@ def _check_capacity(state: LabState, step: PlanStep) -> Rejection | None:
             return Rejection(
                 "beyond_capacity",
                 f"Step {step.key!r} needs {amount:g} of {effect.resource}, but {local(step.module)} "
-                f"holds {level.capacity:g} at the most.",
-                "Split the step; between two steps somebody can refill it.",
+                f"holds at most {level.capacity:g}.",
+                "Split the step, so that a person can refill the module between the parts.",
             )
     return None
 

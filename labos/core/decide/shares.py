@@ -22,7 +22,7 @@ def apply_shares(state: LabState, command: ApplyShares) -> Decision:
         for user in group.members:
             if user in named:
                 both = f"the groups {named[user]} and {group.name}"
-                return Rejection("two_groups", f"{user} is in {both}.", "Name everybody in one group.")
+                return Rejection("two_groups", f"{user} is in {both}.", "Name each user in only one group.")
             named[user] = group.name
     known = state.shares
     kept = [known.groups[name] for name in known.kept if name not in {group.name for group in command.groups}]
@@ -35,13 +35,15 @@ def apply_shares(state: LabState, command: ApplyShares) -> Decision:
             )
     for user in command.users:
         if user in named:
-            message = f"{user} is in the group {named[user]} and stands under `users` too."
-            return Rejection("two_groups", message, "Name everybody once.")
+            message = f"{user} is in the group {named[user]} and is also listed under `users`."
+            return Rejection("two_groups", message, "Name each user once.")
     weights = [group.weight for group in command.groups]
     weights += [m.weight for g in command.groups for m in g.members.values()]
     weights += [member.weight for member in command.users.values()]
     if any(weight <= 0 for weight in weights):
-        return Rejection("bad_weight", "A weight is not above 0.", "Give a quota to whoever may do little.")
+        return Rejection(
+            "bad_weight", "A weight has to be greater than 0.", "To allow a user only little, set a quota."
+        )
     groups = {group.name: group for group in (*kept, *command.groups)}
     if (known.digest, known.groups) == (command.digest, groups):
         return []

@@ -101,9 +101,9 @@ def record_shorter_log(
 def _ask_for_round(state: LabState, evidence: str, knows: str, ended: int) -> Event:
     return state.interventions.ask(
         ShorterLog(),
-        f"This log has lost its end: it ends at position {ended}, and {local(evidence)} {knows}. Labware may "
-        "stand elsewhere than recorded. Nothing starts before somebody has been round the bench: "
-        "labos bench round",
+        f"This log has lost its end: it ends at position {ended}, and {local(evidence)} {knows}. "
+        "Labware may stand elsewhere than recorded. Nothing starts until a person has checked the "
+        "whole bench: labos bench round",
     )
 
 
@@ -145,11 +145,11 @@ def record_journal(
     knows = []
     if fresh:
         more = f" and {len(fresh) - 1} more" if len(fresh) > 1 else ""
-        knows.append(f"carried out {fresh[0].name!r} ({fresh[0].status}){more} of which it holds nothing")
+        knows.append(f"carried out {fresh[0].name!r} ({fresh[0].status}){more} that it does not contain")
     if again:
-        knows.append(f"was asked once more for {again[0]!r}, which it does not hold")
+        knows.append(f"received a request for {again[0]!r} once more, which it does not contain")
     if beyond:
-        knows.append(f"was told that it holds everything up to position {beyond}")
+        knows.append(f"was informed that the log contains everything up to position {beyond}")
     if not knows:
         return []
     highest = max(beyond, *(entry.position for entry in found), 0)
@@ -199,7 +199,7 @@ def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[FoundAct
     for name, known in maybe.items():
         possible = (*dict.fromkeys(place for place in known if place), GONE)
         on = state.bench.labware[name].on
-        why = f"{local(module)} has worked on it, and the log does not know how"
+        why = f"{local(module)} has worked on it, and the log does not show the outcome"
         events.append(LabwareUncertain(name, "", possible, why, on=on))
     return events
 
@@ -220,7 +220,7 @@ def must_describe(state: LabState, name: StationName) -> bool:
         state.bench.labware[item].lid and state.bench.is_lid_in_doubt(state.bench.labware[item])
         for item in station.labware
     )
-    return state.shorter.is_touched(name) or name in state.bench.haunted or doubtful
+    return state.shorter.is_touched(name) or name in state.bench.uncertain_at or doubtful
 
 
 @decides(SayContents)
@@ -260,7 +260,7 @@ def _withdraw_answered(state: LabState, command: SayContents) -> list[Event]:
 
 
 def _withdraw(question: InterventionId, by: str) -> Event:
-    return InterventionResolved(question, "withdrawn", "labos", f"{by} has said what stands where")
+    return InterventionResolved(question, "withdrawn", "labos", f"{by} has reported what stands where")
 
 
 @decides(ConfirmStations)
@@ -272,9 +272,9 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
         elif must_describe(state, name):
             wrong = wrong or Rejection(
                 "touched",
-                f"At {local(name)} something may have been at work that this log does not know: it is not "
-                "enough to confirm it.",
-                f"Say what stands there: labos bench round --say {local(name)}=WHAT",
+                f"At {local(name)} actions may have run that this log does not contain, so a "
+                "confirmation is not enough.",
+                f"Report what stands there: labos bench round --say {local(name)}=WHAT",
             )
         wrong = (
             wrong
@@ -293,16 +293,16 @@ def _refuse_without_round(state: LabState) -> Rejection | None:
         return None
     return Rejection(
         "no_round",
-        "This log is not known to have lost its end: nobody is asked to go round the bench.",
-        "What you see at one station you can say at any time: labos observe STATION WHAT",
+        "There is no sign that this log has lost its end, so no check of the whole bench is needed.",
+        "You can report one station at any time: labos observe STATION WHAT",
     )
 
 
 def _refuse_in_motion(module: str) -> Rejection:
     return Rejection(
         "in_motion",
-        f"{module} is at work with something that this log does not know.",
-        f"Wait until it stands still, or stop it: labos estop {module}",
+        f"{module} is carrying out an action that this log does not contain.",
+        f"Wait until it is idle, or stop it: labos estop {module}",
     )
 
 
@@ -328,7 +328,7 @@ def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
             return Rejection(
                 "in_motion",
                 f"{local(action.module)} is at work there ({action.name}).",
-                "Say it when it has ended.",
+                "Report it when the action has ended.",
             )
     return None
 
@@ -338,8 +338,9 @@ def _refuse_asked_first(state: LabState, action: Action) -> Rejection:
     which = question.id if question is not None else "the question about it"
     return Rejection(
         "asked_first",
-        f"It is asked how {action.name!r} on {local(action.module)} ended, which was under way there.",
-        f"Answer that first (labos resolve {which}); what you say on the round afterwards counts.",
+        f"There is an open question how {action.name!r} on {local(action.module)} ended, which was in "
+        "progress there.",
+        f"Answer that first (labos resolve {which}); then report the station.",
     )
 
 
@@ -361,8 +362,8 @@ def finish_round(state: LabState, by: str, note: str) -> Decision:
         )
         return Rejection(
             "unsaid",
-            f"Nobody has said what stands at {named}.",
-            "Go round the bench and say it: labos bench round",
+            f"Nobody has reported what stands at {named}.",
+            "Check the whole bench and report it: labos bench round",
         )
     busy = find_strange_motion(state, "")
     if busy:
@@ -375,16 +376,16 @@ def finish_round(state: LabState, by: str, note: str) -> Decision:
             return _refuse_asked_first(state, action)
         return Rejection(
             "in_motion",
-            f"{local(action.module)} is at work on {held.id} ({action.name}), "
-            "and nobody has said where that is.",
-            "Wait until it has ended, or say where it is.",
+            f"{local(action.module)} is at work on {held.id} ({action.name}), and nobody has reported "
+            "where that is.",
+            "Wait until it has ended, or report where it is.",
         )
     return _end_round(state, by, note)
 
 
 def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
     for run in list(state.runs.active.values()):
-        what = "was ended: what its steps did behind the end of a log that lost its tail is not known"
+        what = "was ended: the log lost its end, so it is not known what the last steps did"
         if not has_open_action(run):
             yield from record_end(state, run, RunCancelled(run.id), what)
         elif run.status != RunStatus.CANCELLING or not run.stay:
@@ -395,5 +396,7 @@ def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
     for question in state.interventions.open_about(*get_args(WhereItStands)):
         yield _withdraw(question.id, by)
     for item in [item for item in state.bench.labware.values() if item.maybe]:
-        yield from remove_labware(state.bench, item.id, "", GONE, f"not found on the round ({by})")
+        yield from remove_labware(
+            state.bench, item.id, "", GONE, f"not found when the bench was checked ({by})"
+        )
     yield BenchCompared(by, note)

@@ -61,12 +61,12 @@ def _check_signer(state: LabState, by: str) -> Rejection | None:
     if state.users.is_open:
         return Rejection(
             "no_users",
-            "This lab has no users, and does not know who signs.",
+            "This lab has no users, so nobody can sign.",
             "Add the first, on the lab's computer: labos user add NAME",
         )
     user = state.users.known.get(by)
     if ON_BEHALF in by or user is None or user.kind == "service":
-        return Rejection("no_person", f"{by} is no person, and cannot sign.", "Sign yourself.")
+        return Rejection("no_person", f"{by} is not a person and cannot sign.", "Sign as a person.")
     return None
 
 

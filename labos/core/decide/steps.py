@@ -87,7 +87,7 @@ def check_result(state: LabState, event: ActionSucceeded) -> Iterator[Event]:
             return
         why = f"expected {expected.text}, the result is {_shorten(event.result)}"
     except ExpressionError as error:
-        why = f"expected {expected.text}, which cannot be decided: {error.message.rstrip('.')}"
+        why = f"expected {expected.text}, which cannot be evaluated: {error.message.rstrip('.')}"
     yield StepUnexpected(run.id, event.step, f"step {plan.steps[event.step].key!r}: {why}")
 
 
@@ -181,7 +181,8 @@ def _ask_about_step(
         may_skip=policy is not None and policy.may_skip,
     )
     return state.interventions.ask(
-        topic, f"Run {run.id} ({run.workflow}), step {step.key!r}: {why.rstrip('.')}. What follows it waits."
+        topic,
+        f"Run {run.id} ({run.workflow}), step {step.key!r}: {why.rstrip('.')}. The following steps wait.",
     )
 
 
@@ -195,9 +196,9 @@ def answer_failed(state: LabState, topic: FailedStep, choice: str, by: str) -> I
     if choice == "retry":
         number = run.steps[index].retries + 1
         times = max(number, step.retry.times if step.retry is not None else 0)
-        yield StepRetried(run.id, index, number, times, 0.0, f"{by} said so")
+        yield StepRetried(run.id, index, number, times, 0.0, f"{by} reported it")
     elif choice == "skip":
-        yield StepSkipped(run.id, index, f"{by} said so")
+        yield StepSkipped(run.id, index, f"{by} reported it")
     else:
         yield from give_up(state, run, f"step {step.key!r} failed and was given up by {by}", "software")
 

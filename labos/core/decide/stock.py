@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
 
-from labos.core.bench import Station, add_arrival, count_taking, split_item
+from labos.core.bench import StationState, add_arrival, count_taking, split_item
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
 from labos.core.effects import list_carried
@@ -46,7 +46,7 @@ MOST_AT_ONCE = 200
 
 FOLLOWS = {
     "lidded": "Put it there with its lid: plate96+lid96.",
-    "a1": "It is known from how it lies in its nest.",
+    "a1": "LabOS derives it from the nest.",
     "lot": "Name its lot: labos load STATION --type TYPE --lot LOT",
 }
 """Variables of labware that are computed from other data, and how people change them."""
@@ -102,24 +102,26 @@ def replenish(state: LabState, command: Replenish) -> Decision:
             f"It uses {', '.join(known)}." if known else "It uses nothing up.",
         )
     if command.expires and not DATE.fullmatch(command.expires):
-        return Rejection("bad_date", f"{command.expires!r} is no date.", "Write 2027-05-31, say.")
+        return Rejection("bad_date", f"{command.expires!r} is not a date.", "Write it like 2027-05-31.")
     flying = map(state.actions.open.__getitem__, state.modules.by_name[module].in_flight)
     if command.instead and any(sum_needed(action.effects, resource) for action in flying):
         return Rejection(
-            "in_use", f"{local(module)} is using up {resource} just now.", "Wait until its action has ended."
+            "in_use",
+            f"{local(module)} is using {resource} at the moment.",
+            "Wait until its action has ended.",
         )
     had = 0.0 if command.instead else level.level
     room = level.capacity - had
     amount = command.amount or room
     if command.amount < 0 or amount <= 0:
         full = f"{local(module)} is full of {resource}: it holds {level.capacity:g}."
-        return Rejection("bad_level", "Less than nothing cannot be put in." if command.amount else full)
+        return Rejection("bad_level", "A negative amount cannot be added." if command.amount else full)
     if amount > room:
         return Rejection(
             "too_many",
-            f"{local(module)} holds {level.capacity:g} of {resource} and has {had:g}: "
-            f"{amount:g} more do not fit.",
-            f"Put in {room:g} at the most.",
+            f"{local(module)} holds {level.capacity:g} of {resource} and now has {had:g}: {amount:g} "
+            "more do not fit.",
+            f"Put in {room:g} at most.",
         )
     short = functools.partial(_lacks, level=level, module=module, resource=resource, today=command.today)
     awaited = _find_waiting(state, short)
@@ -134,7 +136,7 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         return found
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
-        return Rejection("not_accepted", f"{name} is a {spec.kind}: nothing is loaded there.")
+        return Rejection("not_accepted", f"{name} is a {spec.kind}: labware cannot be loaded there.")
     kind = split_item(command.labware)[0]
     if not spec.admits(kind):
         return Rejection("not_accepted", f"{name} {spec.explain_refusal(kind)}.")
@@ -149,20 +151,20 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         return Rejection(
             "too_many",
             f"{name} has room for {room} more, not for {command.count}.",
-            f"Load {room} at the most." if room else "Unload it first.",
+            f"Load {room} at most." if room else "Unload it first.",
         )
     places = shelves[: command.count] if shelves is not None else [command.station] * command.count
     unknown = [place for place in dict.fromkeys(places) if not state.bench.stations[place].known]
     events: list[Event] = [StationDeclared(place, ()) for place in unknown]
     if variable := next((name for name in (*command.set, *command.unset) if name in FOLLOWS), ""):
         remedy = FOLLOWS[variable]
-        return Rejection("not_accepted", f"{variable!r} of labware is not said in this way.", remedy)
+        return Rejection("not_accepted", f"{variable!r} of labware cannot be set here.", remedy)
     if spec.kind == "stack":
         if command.set or command.unset:
             names = ", ".join((*command.set, *command.unset))
             return Rejection(
                 "not_accepted",
-                f"What lies on {name} has no name until it is taken: {names} cannot be said of it.",
+                f"Labware in {name} gets its id when it is taken, so {names} cannot be set for it.",
                 "Put it at another station.",
             )
         if found.labware:
@@ -178,7 +180,11 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         events.append(loaded)
         return events
     if command.count > MOST_AT_ONCE:
-        return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
+        return Rejection(
+            "too_many",
+            f"{command.count} pieces at once are too many.",
+            f"Load at most {MOST_AT_ONCE} at once.",
+        )
     return chain(events, _place(state, command, places))
 
 
@@ -207,7 +213,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
         named, count = [command.labware], 0
         if command.labware not in found.labware:
             here = ", ".join(found.labware) or "no labware with a name"
-            return Rejection("not_there", f"{command.labware} does not stand at {name}; there stands {here}.")
+            return Rejection("not_there", f"{command.labware} does not stand at {name}; {here} stands there.")
     else:
         there = nameless + len(found.labware)
         wanted = there if command.count is None else command.count
@@ -217,13 +223,13 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
         count = wanted - len(named)
     for item in named:
         if state.bench.labware[item].moving:
-            return Rejection("in_motion", f"{item} is in motion at {name}.", "Wait until it stands still.")
+            return Rejection("in_motion", f"{item} is in motion at {name}.", "Wait until it has stopped.")
         needed_by = _find_owner_alive(state, state.bench.labware[item].owner)
         if needed_by:
             return Rejection(
                 "in_use",
                 f"{item} at {name} belongs to {needed_by}, which has not ended.",
-                "Let it end, or cancel it, first.",
+                "Wait for its end, or cancel it first.",
             )
     why = f"unloaded ({command.by})"
     stands = state.bench.labware
@@ -263,19 +269,19 @@ def _throws_into(step: PlanStep, waste: StationName) -> bool:
     return any(what.filled == waste for what in list_carried(step.effects))
 
 
-def _expect_free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
+def _expect_free_of_doubt(state: LabState, name: StationName) -> StationState | Rejection:
     """A station at which no arm is at work and no uncertain labware may stand."""
     station = state.bench.stations.get(name)
     if station is None:
         return Rejection("no_station", f"There is no station {local(name)}.")
-    if name in state.bench.haunted:
+    if name in state.bench.uncertain_at:
         return Rejection(
             "uncertain",
-            f"It is being found out what stands at {local(name)}.",
+            f"It is not yet known what stands at {local(name)}.",
             "Answer the open intervention first.",
         )
     if station.expected or count_taking(state.bench, name):
-        return Rejection("in_motion", f"An arm is at work at {local(name)}.", "Wait until it has ended.")
+        return Rejection("in_motion", f"An arm is working at {local(name)}.", "Wait until it has ended.")
     return station
 
 

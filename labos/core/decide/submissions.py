@@ -184,7 +184,11 @@ def _check_policy_actor(state: LabState, actor: str) -> Rejection | None:
     service = find_service(state, actor)
     if not service:
         return None
-    return Rejection("no_person", f"{service} is a program, and changes no policy.", "Ask an admin to do it.")
+    return Rejection(
+        "no_person",
+        f"{service} is a program, and programs may not change the policy.",
+        "Ask an admin to do it.",
+    )
 
 
 def _request_for_run(

@@ -34,8 +34,8 @@ def suggest_order(state: LabState, command: SuggestOrder) -> Decision:
     if command.position > state.position:
         return Rejection(
             "ahead",
-            f"The suggestion is of position {command.position}, and the log ends at {state.position}.",
-            "Read the log of this lab.",
+            f"The suggestion was made for position {command.position}, but the log ends at {state.position}.",
+            "Make the suggestion from the log of this lab.",
         )
     kept: list[Suggested] = []
     for one in sorted(command.steps, key=lambda step: step.start):
@@ -47,7 +47,7 @@ def suggest_order(state: LabState, command: SuggestOrder) -> Decision:
             return Rejection(
                 "elsewhere",
                 f"The run {one.run} is in the workcell {plan.workcell}, not in {command.workcell}.",
-                "Suggest an order for each workcell by itself.",
+                "Make one suggestion for each workcell.",
             )
         if not 0 <= one.step < len(plan.steps):
             return Rejection(

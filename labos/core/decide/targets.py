@@ -30,6 +30,7 @@ from labos.core.ids import (
     RunId,
     StationName,
     experiment_owner,
+    split_owner,
     workcell_of,
 )
 from labos.core.lab import WHOLE_LAB
@@ -142,7 +143,7 @@ def cell_of(item: Labware) -> str:
 
 def owner_of(state: LabState, item: Labware) -> str:
     """The user who owns labware; empty if it is shared or has no owner."""
-    kind, _, name = item.owner.partition(":")
+    kind, name = split_owner(item.owner)
     if kind == "user":
         return name
     run = state.runs.get(name) if kind == "run" else None
@@ -163,7 +164,7 @@ def list_plate_targets(state: LabState, command: labware.RegisterSamples) -> Ite
 
 def list_handover_targets(state: LabState, command: handover.HandOver) -> Iterable[Target]:
     target = target_labware(state, command.labware)
-    kind, _, name = command.to.partition(":")
+    kind, name = split_owner(command.to)
     if kind == "experiment":
         yield target_experiment(state, name)
     yield msgspec.structs.replace(target, needs="operator") if command.force else target

@@ -44,14 +44,13 @@ def teach_location(state: LabState, command: TeachLocation) -> Decision:
     if kind and general is None:
         return Rejection(
             "no_pose",
-            f"{local(command.module)} was never taught {where}, so that it has no pose there that {kind} "
-            "could differ from.",
+            f"{local(command.module)} has no pose for {where} yet, so {kind} cannot have a different one.",
             "Teach the station first, without a labware type.",
         )
     last = module.find_pose(command.station, kind) if kind else general
     last = general if last is None else last
     if not command.pose or not all(map(math.isfinite, command.pose)):
-        return Rejection("bad_pose", "A pose is one finite number or more.")
+        return Rejection("bad_pose", "A pose consists of finite numbers, at least one.")
     if last is not None and len(last) != len(command.pose):
         return Rejection(
             "bad_pose",

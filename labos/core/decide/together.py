@@ -43,9 +43,7 @@ def start_together(state: LabState, command: StartTogether) -> Decision:
     requests = [event for event in events if isinstance(event, ActionRequested)]
     used = [labware for request in requests for labware in find_labware_used(request.effects)]
     if len(requests) < len(names) or len(set[LabwareId](used)) < len(used):
-        return Rejection(
-            "not_together", f"Not each of {', '.join(sorted(names))} has labware of its own there."
-        )
+        return Rejection("not_together", f"Each of {', '.join(sorted(names))} needs its own labware there.")
     return events
 
 
@@ -58,10 +56,12 @@ def _find_difference(state: LabState, command: StartTogether) -> str:
             return f"{start.run} has not started, or has no such step."
         step = state.runs.plan_of(run).steps[start.step]
         if find_together(state, step) is None:
-            return f"{step.module} carries out {step.action!r} for one run at a time."
+            return f"{step.module} does {step.action!r} for only one run at a time."
         wishes.add(find_wish(state, run, start.step))
     return (
-        "" if len(wishes) == 1 and None not in wishes else "Steps with other arguments are not the same work."
+        ""
+        if len(wishes) == 1 and None not in wishes
+        else "Steps with different arguments cannot be done together."
     )
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.ids import split_owner
 from labos.core.lab import WHOLE_LAB
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -108,7 +109,7 @@ def add_user(state: LabState, command: AddUser) -> Decision:
         return Rejection(
             "first_user",
             f"The first user of a lab is its admin, and {command.user} is a service account.",
-            "Add the person first who is to look after the lab.",
+            "First add the person who will administer the lab.",
         )
     return [UserAdded(command.user, command.kind), _grant(command.user, "admin", WHOLE_LAB)]
 
@@ -173,7 +174,7 @@ def add_member(state: LabState, command: AddMember) -> Decision:
     if present is not None:
         return Rejection(
             "two_groups",
-            f"{command.user} is in the group {present}, and nobody is in two.",
+            f"{command.user} is in the group {present}, and a user can be in only one group.",
             f"Take {command.user} out of it first: labos group member remove {present} {command.user}",
         )
     return [MemberAdded(command.group, command.user)]
@@ -195,7 +196,7 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
         return wrong
     if state.users.roles.get(command.subject, {}).get(command.scope) == command.role:
         return []
-    kind, _, name = command.subject.partition(":")
+    kind, name = split_owner(command.subject)
     if kind == "user" and command.scope == WHOLE_LAB:  # it replaces the role in the whole lab
         wrong = _check_last_admin(state, name)
     return wrong or [RoleGranted(command.subject, command.role, command.scope)]
@@ -205,13 +206,13 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
 def revoke_role(state: LabState, command: RevokeRole) -> Decision:
     if command.scope not in state.users.roles.get(command.subject, {}):
         return _check_subject(state, command.subject) or []
-    kind, _, name = command.subject.partition(":")
+    kind, name = split_owner(command.subject)
     last = _check_last_admin(state, name) if kind == "user" and command.scope == WHOLE_LAB else None
     return last or [RoleRevoked(command.subject, command.scope)]
 
 
 def refuse_unknown_user(name: str) -> Rejection:
-    return Rejection("no_user", f"There is no user {name!r} who may act.", "List them: labos user list")
+    return Rejection("no_user", f"There is no active user {name!r}.", "List them: labos user list")
 
 
 def _refuse_unknown_group(name: str) -> Rejection:
@@ -223,8 +224,8 @@ def _check_id(what: str, name: str, known: list[str]) -> Rejection | None:
         return Rejection(
             "bad_id",
             f"{name!r} cannot be the id of a {what}.",
-            "It has 1 to 64 letters, digits, dots and hyphens, begins with a letter or digit, and is none of "
-            f"{', '.join(sorted(TAKEN))}.",
+            "An id has 1 to 64 letters, digits, dots and hyphens, begins with a letter or digit, and "
+            f"is not one of {', '.join(sorted(TAKEN))}.",
         )
     alike = next((other for other in known if other.casefold() == name.casefold()), None)
     if alike is not None:
@@ -233,12 +234,12 @@ def _check_id(what: str, name: str, known: list[str]) -> Rejection | None:
 
 
 def _check_subject(state: LabState, subject: str) -> Rejection | None:
-    kind, _, name = subject.partition(":")
+    kind, name = split_owner(subject)
     if kind == "user":
         return None if name in state.users.known else refuse_unknown_user(name)
     if kind == "group":
         return None if name in state.shares.groups else _refuse_unknown_group(name)
-    return Rejection("no_subject", f"A role cannot be given to {subject!r}.", "Say user:ID or group:NAME.")
+    return Rejection("no_subject", f"A role cannot be given to {subject!r}.", "Write user:ID or group:NAME.")
 
 
 def _check_scope(state: LabState, scope: str) -> Rejection | None:
@@ -247,7 +248,7 @@ def _check_scope(state: LabState, scope: str) -> Rejection | None:
     return Rejection(
         "no_workcell",
         f"This lab has no workcell {scope!r}.",
-        f"Say one of {', '.join(state.lab.workcells) or 'none yet'}, or {WHOLE_LAB} for the whole lab.",
+        f"Name one of {', '.join(state.lab.workcells) or 'none yet'}, or {WHOLE_LAB} for the whole lab.",
     )
 
 

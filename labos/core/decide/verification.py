@@ -14,7 +14,7 @@ from typing import Literal
 import msgspec
 
 from labos.core.actions import Action, ActionFailed, ActionStatus, EffectsDone
-from labos.core.bench import Station
+from labos.core.bench import StationState
 from labos.core.decide._base import Decision, Report, decides
 from labos.core.decide.actions import FinishAction, finish
 from labos.core.decide.outcomes import list_effect_events, mark_uncertain
@@ -66,7 +66,7 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
         if {*list_end_stations((effect,))} & {*action.looks}
     ]
     what = _describe_sights(sights.values()) or command.unseen
-    why = f"{local(action.module)} says that {action.name!r} is done; {what}"
+    why = f"{local(action.module)} reports {action.name!r} as done; {what}"
     if "lost" in verdicts or {"done", "not_done"} <= {*verdicts}:
         return chain(events, _refute(state, action, "unknown", why, sights))
     if "not_done" in verdicts:
@@ -125,7 +125,9 @@ def _was_seen_at(
     return False if seen.count <= least else None
 
 
-def _count_others(state: LabState, action: Action, effect: Carrying, station: Station) -> tuple[int, int]:
+def _count_others(
+    state: LabState, action: Action, effect: Carrying, station: StationState
+) -> tuple[int, int]:
     """The number of other pieces at a station, at least and at most. Labware that may be there, and pieces
     that other modules report to have brought or taken, count only for the maximum or the minimum."""
     place, bench = station.spec.name, state.bench
@@ -134,7 +136,7 @@ def _count_others(state: LabState, action: Action, effect: Carrying, station: St
     known -= effect.stock == place
     least = most = known
     item = bench.labware.get(effect.labware)
-    most += bench.haunted.get(place, 0) - bool(item is not None and place in item.maybe)
+    most += bench.uncertain_at.get(place, 0) - bool(item is not None and place in item.maybe)
     for other in state.actions.list_in_cell(workcell_of(action.module)):
         for motion in list_carried(other.effects) if other.id != action.id else ():
             # The labware of a move with an unknown outcome is uncertain already; an item from a stack is not.

@@ -32,11 +32,11 @@ from labos.core.topics import DeviceWaits, PlannedWork, UnknownAction
 def ask_about_waiting_device(state: LabState, action: Action) -> InterventionRequested:
     """The question about the module that stands still during this action."""
     name = local(action.module)
-    error = state.modules.by_name[action.module].error.rstrip(".") or "it does not say why"
+    error = state.modules.by_name[action.module].error.rstrip(".") or "without a reason"
     return state.interventions.ask(
         DeviceWaits(run=action.run, module=action.module),
-        f"{name} stands still in the midst of {action.name!r} of {action.run}: {error}. "
-        "The step goes on by itself when that is put right.",
+        f"{name} has stopped during {action.name!r} of {action.run}: {error}. The step continues by "
+        "itself when this is corrected.",
     )
 
 
@@ -55,7 +55,7 @@ def withdraw_waiting(state: LabState, event: ActionEvent | NodeLeft | NodeStateC
 
 
 _GOES_ON: dict[type[Event], str] = {
-    ActionUnknown: "it is not known what became of its action",
+    ActionUnknown: "the outcome of its action is not known",
     NodeLeft: "its node is gone",
     NodeStateChanged: "it goes on",
 }
@@ -69,5 +69,5 @@ def withdraw_action_questions(state: LabState, event: ActionEvent) -> Iterator[E
             done = "done" if isinstance(event, ActionSucceeded) else "not_done"
             yield InterventionResolved(question.id, done, question.module)
         elif isinstance(question.topic, UnknownAction) or isinstance(event, ActionRejected | ActionReported):
-            why = "the node answered after all"
+            why = "the node has answered"
             yield InterventionResolved(question.id, "withdrawn", "labos", why)

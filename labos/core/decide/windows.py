@@ -40,7 +40,8 @@ def find_anchors(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple
         if name is None:
             return Rejection(
                 "no_anchor",
-                f"A window is anchored at {window.of!r}, of which no run has been completed in {experiment}.",
+                f"A window is anchored at {window.of!r}, but no run of it has been completed in "
+                f"{experiment}.",
                 "Submit this run when that one is completed.",
             )
         ended = past[name].ended_at.get(window.of_step)
@@ -48,7 +49,7 @@ def find_anchors(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple
             keys = ", ".join(repr(key) for key in past[name].ended_at)
             return Rejection(
                 "no_anchor",
-                f"A window is anchored at {window.of_step!r}, which is no step of {name} ({window.of}).",
+                f"A window is anchored at {window.of_step!r}, which is not a step of {name} ({window.of}).",
                 f"Its steps are: {keys}.",
             )
         found[named] = Anchor(window.of, window.of_step, name, ended)
@@ -86,7 +87,7 @@ def ask_about_breach(state: LabState, run: RunState, step: int, what: str) -> li
         *events,
         state.interventions.ask(
             LateStep(run=run.id, step=step),
-            f"Run {run.id} ({run.workflow}): {what.rstrip('.')}. The run stands still.",
+            f"Run {run.id} ({run.workflow}): {what.rstrip('.')}. The run has stopped.",
         ),
     ]
 

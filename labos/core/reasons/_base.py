@@ -12,14 +12,14 @@ from typing import Any, ClassVar, Literal
 
 import msgspec
 
-from labos.core.ids import local
+from labos.core.ids import local, split_owner
 
 
 class Urgency(StrEnum):
     """Whether a wait ends by itself, or a person or device has to act."""
 
     PASSES = "it passes by itself"
-    PERSON = "somebody has to do something"
+    PERSON = "a person has to act"
 
 
 PASSES, PERSON = Urgency.PASSES, Urgency.PERSON
@@ -70,5 +70,5 @@ class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
 
 def in_words(name: str) -> str:
     """A module, station or labware without its workcell; an owner as text."""
-    kind, colon, which = name.partition(":")
-    return f"{kind} {which}" if colon and kind in ("run", "experiment", "user") else local(name)
+    kind, which = split_owner(name)
+    return f"{kind} {which}" if which and kind in ("run", "experiment", "user") else local(name)

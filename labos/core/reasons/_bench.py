@@ -21,7 +21,7 @@ class Requires(Reason, frozen=True):
 
 class Unfit(Reason, frozen=True):
     SENTENCE = "{labware} is not as the step needs it: {variable} = {value}"
-    REMEDY = "Let a run of its owner change that, or take it away and say so: labos unload"
+    REMEDY = "Let a run of its owner change that, or remove it and report that: labos unload"
     WAKES = ("station",)
     URGENCY = PERSON
     labware: str
@@ -31,7 +31,7 @@ class Unfit(Reason, frozen=True):
 
 class UsedUp(Reason, frozen=True):
     SENTENCE = "{module} has too little {resource} left"
-    REMEDY = "Refill it and say so: labos replenish {module} {resource} --lot LOT"
+    REMEDY = "Refill it and report that: labos replenish {module} {resource} --lot LOT"
     WAKES = ("module",)
     URGENCY = PERSON
     module: str
@@ -39,8 +39,10 @@ class UsedUp(Reason, frozen=True):
 
 
 class Expired(Reason, frozen=True):
-    SENTENCE = "{resource} of {module} is past its date (lot {lot} was good until {until})"
-    REMEDY = "Take the old pack out and say so: labos replenish {module} {resource} --lot LOT --instead"
+    SENTENCE = "{resource} of {module} has expired (lot {lot}, on {until})"
+    REMEDY = (
+        "Remove the old pack and report the new one: labos replenish {module} {resource} --lot LOT --instead"
+    )
     WAKES = ("module",)
     URGENCY = PERSON
     module: str
@@ -51,7 +53,7 @@ class Expired(Reason, frozen=True):
 
 class StackEmpty(Reason, frozen=True):
     SENTENCE = "the stack {place} is empty"
-    REMEDY = "Fill it and say so: labos load {place} --type TYPE --count N --lot LOT"
+    REMEDY = "Fill it and report that: labos load {place} --type TYPE --count N --lot LOT"
     WAKES = ("station",)
     URGENCY = PERSON
     place: str
@@ -59,7 +61,7 @@ class StackEmpty(Reason, frozen=True):
 
 class Buried(Reason, frozen=True):
     SENTENCE = "{labware} stands on top of the stack {place}"
-    REMEDY = "It goes on when a run moves that away."
+    REMEDY = "It continues when a run moves that away."
     WAKES = ("station",)
     place: str
     labware: str
@@ -67,7 +69,7 @@ class Buried(Reason, frozen=True):
 
 class Uncertain(Reason, frozen=True):
     SENTENCE = "it is not known what stands at {place}"
-    REMEDY = "Look there and answer what is asked: labos resolve"
+    REMEDY = "Look there and answer the open question: labos resolve"
     WAKES = ("station",)
     URGENCY = PERSON
     place: str
@@ -75,7 +77,7 @@ class Uncertain(Reason, frozen=True):
 
 class Lost(Reason, frozen=True):
     SENTENCE = "it is not known where {labware} is"
-    REMEDY = "Look for it and answer what is asked: labos resolve"
+    REMEDY = "Look for it and answer the open question: labos resolve"
     WAKES = ("station",)
     URGENCY = PERSON
     labware: str
@@ -107,8 +109,8 @@ class NotYours(Reason, frozen=True):
 
 
 class Undeclared(Reason, frozen=True):
-    SENTENCE = "nobody has said what stands at {place}"
-    REMEDY = "Say what stands there: labos bench declare {place}=TYPE, or {place}= if nothing does"
+    SENTENCE = "it was never reported what stands at {place}"
+    REMEDY = "Report what stands there: labos bench declare {place}=TYPE, or {place}= if nothing does"
     WAKES = ("station",)
     URGENCY = PERSON
     place: str
@@ -116,7 +118,7 @@ class Undeclared(Reason, frozen=True):
 
 class NothingThere(Reason, frozen=True):
     SENTENCE = "nothing stands at {place}"
-    REMEDY = "Put some there and say so: labos place {place} TYPE"
+    REMEDY = "Put some there and report that: labos place {place} TYPE"
     WAKES = ("station",)
     URGENCY = PERSON
     place: str
@@ -147,7 +149,7 @@ class NotAccepted(Reason, frozen=True):
 
 class WrongWay(Reason, frozen=True):
     SENTENCE = "{labware} would lie turned by {turned} degrees at {place}, which takes it turned by {wanted}"
-    REMEDY = "Grip it otherwise in the workflow (narrow here, wide there), or turn it by hand."
+    REMEDY = "Use another grip in the workflow (narrow here, wide there), or turn it by hand."
     WAKES = ("station",)
     URGENCY = PERSON
     labware: str
@@ -158,7 +160,7 @@ class WrongWay(Reason, frozen=True):
 
 class NoGrip(Reason, frozen=True):
     SENTENCE = "{module} cannot hold {labware_type} {grip} at {place}, only {known}"
-    REMEDY = "Grip it otherwise in the workflow, or teach the arm and say so under `reach:`."
+    REMEDY = "Use another grip in the workflow, or teach the arm and add it under `reach:`."
     WAKES = ("station",)
     URGENCY = PERSON
     module: str
@@ -170,7 +172,7 @@ class NoGrip(Reason, frozen=True):
 
 class WasteFull(Reason, frozen=True):
     SENTENCE = "the waste {place} is full"
-    REMEDY = "Empty it and say so: labos unload {place} --all"
+    REMEDY = "Empty it and report that: labos unload {place} --all"
     WAKES = ("station",)
     URGENCY = PERSON
     place: str
@@ -179,7 +181,8 @@ class WasteFull(Reason, frozen=True):
 class Occupied(Reason, frozen=True):
     SENTENCE = "{place} is occupied by {what}"
     REMEDY = (
-        "It goes on when a run moves that away. If no run will, take it away and say so: labos unload {place}"
+        "It continues when a run moves that away. If no run does, remove it and report that: labos "
+        "unload {place}"
     )
     WAKES = ("station", "module")
     place: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.ids import local
+from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.reasons._base import PERSON, Reason
 
 
@@ -16,7 +16,7 @@ class NoModule(Reason, frozen=True):
 
 class Access(Reason, frozen=True):
     SENTENCE = "{by} reaches into the workcell {workcell}"
-    REMEDY = "It goes on when everybody is out: labos access {workcell} --done"
+    REMEDY = "It continues when everybody has ended the access: labos access {workcell} --done"
     WAKES = ("access",)
     URGENCY = PERSON
     workcell: str
@@ -25,7 +25,7 @@ class Access(Reason, frozen=True):
 
 class OutOfService(Reason, frozen=True):
     SENTENCE = "{module} is out of service ({why})"
-    REMEDY = "Look at it, then answer what is asked (labos resolve) or: labos in-service {module}"
+    REMEDY = "Check it, then answer the open question (labos resolve) or: labos in-service {module}"
     WAKES = ("module",)
     URGENCY = PERSON
     module: str
@@ -42,14 +42,14 @@ class ModuleDown(Reason, frozen=True):
 
     @property
     def remedy(self) -> str:
-        name, workcell = local(self.module), self.module.partition("/")[0]
+        name, workcell = local(self.module), workcell_of(ModuleName(self.module))
         if self.status == "GONE":
             return f"Start its node again: labos node start --name {name} --workcell {workcell}"
-        return f"Look at it, then: labos reset {name}"
+        return f"Check it, then: labos reset {name}"
 
 
 class Unwatched(Reason, frozen=True):
-    SENTENCE = "{observer}, which looks at {place} after every motion, is {how}"
+    SENTENCE = "{observer}, which observes {place} after every motion, is {how}"
     REMEDY = "Bring {observer} back, or write `verify: on_doubt` for {place} in the workcell file."
     WAKES = ("module",)
     URGENCY = PERSON
@@ -66,7 +66,7 @@ class ModuleBusy(Reason, frozen=True):
 
 class Unsettled(Reason, frozen=True):
     SENTENCE = "it is not known how the last action of {module} ended"
-    REMEDY = "Look there and answer what is asked: labos resolve {question}"
+    REMEDY = "Look there and answer the open question: labos resolve {question}"
     WAKES = ("module",)
     URGENCY = PERSON
     module: str
@@ -90,15 +90,15 @@ class Setpoint(Reason, frozen=True):
 
 
 class ZoneBusy(Reason, frozen=True):
-    SENTENCE = "{module} is at work in the zone {zone}"
+    SENTENCE = "{module} is working in the zone {zone}"
     WAKES = ("zone", "module")
     module: str
     zone: str
 
 
 class ZoneBarred(Reason, frozen=True):
-    SENTENCE = "{module} stands still in the zone {zone}"
-    REMEDY = "Look at it, then: labos reset {module}"
+    SENTENCE = "{module} has stopped in the zone {zone}"
+    REMEDY = "Check it, then: labos reset {module}"
     WAKES = ("zone", "module")
     URGENCY = PERSON
     module: str
@@ -107,7 +107,7 @@ class ZoneBarred(Reason, frozen=True):
 
 class Booked(Reason, frozen=True):
     SENTENCE = "{module} is booked for {whom} until {until} ({booking})"
-    REMEDY = "It goes on by itself then. To give the time back: labos book cancel {booking}"
+    REMEDY = "It continues by itself then. To cancel the booking: labos book cancel {booking}"
     WAKES = ("booking",)
     module: str
     whom: str
@@ -117,10 +117,10 @@ class Booked(Reason, frozen=True):
 
 class BookedSoon(Reason, frozen=True):
     SENTENCE = (
-        "{module} is booked for {whom} from {begins} until {until} ({booking}), "
-        "and {step!r} would not be over before that"
+        "{module} is booked for {whom} from {begins} until {until} ({booking}), and {step!r} would "
+        "not end before that"
     )
-    REMEDY = "It goes on by itself after that. To give the time back: labos book cancel {booking}"
+    REMEDY = "It continues by itself after that. To cancel the booking: labos book cancel {booking}"
     WAKES = ("booking",)
     module: str
     whom: str
@@ -131,7 +131,7 @@ class BookedSoon(Reason, frozen=True):
 
 
 class NoGap(Reason, frozen=True):
-    SENTENCE = "the bookings of {module} ({bookings}) leave no gap of {length} in the next {days} days"
+    SENTENCE = "the bookings of {module} ({bookings}) leave no free time of {length} in the next {days} days"
     REMEDY = "Change or cancel one of them: labos bookings {module}"
     WAKES = ("booking",)
     URGENCY = PERSON
@@ -142,10 +142,10 @@ class NoGap(Reason, frozen=True):
 
 
 class InsideToo(Reason, frozen=True):
-    SENTENCE = "{labware} of {owner} is at {place} too, and {action!r} is done to all that is in there"
+    SENTENCE = "{labware} of {owner} is also at {place}, and {action!r} acts on everything in it"
     REMEDY = (
-        "It goes on when that has left, or is ready for the same. If no run moves it away, take it out and "
-        "say so: labos unload {place}"
+        "It continues when that has left, or is ready for the same action. If no run moves it away, "
+        "remove it and report that: labos unload {place}"
     )
     WAKES = ("station", "module", "run")
     labware: str
@@ -156,7 +156,7 @@ class InsideToo(Reason, frozen=True):
 
 class HandFull(Reason, frozen=True):
     SENTENCE = "the hand of {module} holds {what}"
-    REMEDY = "It goes on when a run puts that down."
+    REMEDY = "It continues when a run puts that down."
     WAKES = ("station", "module")
     module: str
     what: str

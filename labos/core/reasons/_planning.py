@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.ids import local
+from labos.core.ids import local, split_owner
 from labos.core.reasons._base import PERSON, Reason, in_words
 
 
@@ -17,7 +17,7 @@ class Reserved(Reason, frozen=True):
 
 
 class NotInTime(Reason, frozen=True):
-    SENTENCE = "{what} would not be free in time for {step!r}"
+    SENTENCE = "{what} will not be free in time for {step!r}"
     WAKES = ("module", "station", "zone", "cell")
     what: str
     step: str
@@ -46,7 +46,10 @@ class AfterElder(Reason, frozen=True):
 
 
 class WouldBlock(Reason, frozen=True):
-    SENTENCE = "it waits outside until {onward} is free (at about {free_at}), so as not to block {place}"
+    SENTENCE = (
+        "its first step waits until {onward} is free (at about {free_at}), because the run would block "
+        "{place} before that"
+    )
     WAKES = ("cell",)
     place: str
     onward: str
@@ -54,9 +57,7 @@ class WouldBlock(Reason, frozen=True):
 
 
 class HoldsUp(Reason, frozen=True):
-    SENTENCE = (
-        "it waits outside, because run {run} would otherwise wait for it at {place} until about {until}"
-    )
+    SENTENCE = "its first step waits, because run {run} would otherwise wait for {place} until about {until}"
     WAKES = ("cell", "near", "module")
     run: str
     place: str
@@ -64,7 +65,7 @@ class HoldsUp(Reason, frozen=True):
 
 
 class SoonerLater(Reason, frozen=True):
-    SENTENCE = "it waits outside, because all work would end later if it started now"
+    SENTENCE = "its first step waits, because all work would end later if it started now"
     WAKES = ("cell", "near", "module")
 
 
@@ -110,7 +111,7 @@ class ClockLater(Reason, frozen=True):
 
 
 class BetterHere(Reason, frozen=True):
-    SENTENCE = "{first} is down, and after {step!r} this run would block others"
+    SENTENCE = "{first} is unavailable, and after {step!r} this run would block others"
     WAKES = ("cell", "near", "module")
     URGENCY = PERSON
     step: str
@@ -121,8 +122,11 @@ class BetterHere(Reason, frozen=True):
 
 
 class NoWayOut(Reason, frozen=True):
-    SENTENCE = "once started with {step!r} it could not reach its end now"
-    REMEDY = "It starts when its way is free. If no run moves what is in its way, submit one that does."
+    SENTENCE = "after {step!r} the run could not reach its end at present"
+    REMEDY = (
+        "It starts when its path is free. If no run moves the labware that is in the way, submit one "
+        "that does."
+    )
     WAKES = ("cell",)
     step: str
     run: str
@@ -139,8 +143,8 @@ class Unsafe(Reason, frozen=True):
 
 
 def _describe_owner(name: str) -> str:
-    kind, _, which = name.rpartition(":")
-    return f"experiment {which}" if kind == "experiment" else f"run {which}"
+    kind, which = split_owner(name)
+    return f"experiment {which}" if kind == "experiment" else f"run {which or name}"
 
 
 PlanningReason = (

@@ -7,15 +7,15 @@ from labos.core.reasons._base import PERSON, Reason
 
 class Paused(Reason, frozen=True):
     SENTENCE = "run {run} is paused"
-    REMEDY = "Let it go on: labos resume {run}"
+    REMEDY = "Continue it: labos resume {run}"
     WAKES = ("run",)
     URGENCY = PERSON
     run: str
 
 
 class Unapproved(Reason, frozen=True):
-    SENTENCE = "it has a dangerous step, and nobody but {user} has checked it yet"
-    REMEDY = "Ask another operator to check it and to answer: labos resolve"
+    SENTENCE = "it has a dangerous step, and nobody except {user} has checked it yet"
+    REMEDY = "Ask another operator to check it and to answer the question: labos resolve"
     WAKES = ("run",)
     URGENCY = PERSON
     user: str
@@ -23,7 +23,7 @@ class Unapproved(Reason, frozen=True):
 
 class NotApproved(Reason, frozen=True):
     SENTENCE = "run {run} waits for approval, because {why}"
-    REMEDY = "An operator looks at it (labos approvals {run}) and says: labos approve {run}"
+    REMEDY = "An operator checks it (labos approvals {run}) and approves it: labos approve {run}"
     WAKES = ("run",)
     URGENCY = PERSON
     run: str
@@ -32,7 +32,7 @@ class NotApproved(Reason, frozen=True):
 
 class Halted(Reason, frozen=True):
     SENTENCE = "{by} has paused {target}"
-    REMEDY = "Let it go on: labos resume {target}"
+    REMEDY = "Continue it: labos resume {target}"
     URGENCY = PERSON
     target: str
     by: str
@@ -40,9 +40,10 @@ class Halted(Reason, frozen=True):
 
 class LogShorter(Reason, frozen=True):
     SENTENCE = (
-        "this log ends at {ended} and {evidence} knows more: nothing starts before the bench was compared"
+        "this log ends at {ended} and {evidence} knows more: nothing starts until the whole bench "
+        "has been checked"
     )
-    REMEDY = "Go round the bench and say what stands where: labos bench round"
+    REMEDY = "Check the whole bench and report what stands where: labos bench round"
     URGENCY = PERSON
     evidence: str
     ended: str
@@ -59,7 +60,7 @@ class Gone(Reason, frozen=True):
 
 
 class NotPending(Reason, frozen=True):
-    SENTENCE = "step {step!r} is already under way"
+    SENTENCE = "step {step!r} is already in progress"
     WAKES = ("run",)
     step: str
 
@@ -71,13 +72,13 @@ class After(Reason, frozen=True):
 
 
 class RetryLater(Reason, frozen=True):
-    SENTENCE = "step {step!r} failed and is tried again in a while"
+    SENTENCE = "step {step!r} failed and will be tried again"
     step: str
 
 
 class Asked(Reason, frozen=True):
-    SENTENCE = "step {step!r} failed, and a person has to say what follows"
-    REMEDY = "Answer what is asked: labos resolve {question}"
+    SENTENCE = "step {step!r} failed, and a person has to decide how to continue"
+    REMEDY = "Answer the open question: labos resolve {question}"
     URGENCY = PERSON
     step: str
     question: str
@@ -90,7 +91,7 @@ class TooEarly(Reason, frozen=True):
 
 class Outcome(Reason, frozen=True):
     SENTENCE = "it is not known how step {step!r} ended"
-    REMEDY = "Look there and answer what is asked: labos resolve"
+    REMEDY = "Look there and answer the open question: labos resolve"
     WAKES = ("run",)
     URGENCY = PERSON
     step: str

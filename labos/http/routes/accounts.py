@@ -17,7 +17,7 @@ from labos.ports import Person
 
 class OfToken(msgspec.Struct, frozen=True):
     token: Annotated[
-        Name, msgspec.Meta(description="a token's id, which is no secret", examples=["3f9a01c4"])
+        Name, msgspec.Meta(description="a token's id, which is not a secret", examples=["3f9a01c4"])
     ]
 
 

@@ -265,7 +265,7 @@ def _find_proposal(call: Call, path: OfProposal) -> Proposal:
     found = call.kernel.state.approvals.open.get(path.subject)
     if found is None or path.subject in call.hidden:
         raise NotFound(
-            f"{path.subject} does not wait for an approval.", remedy="List what does: labos approvals"
+            f"{path.subject} does not wait for an approval.", remedy="List what waits: labos approvals"
         )
     return found
 

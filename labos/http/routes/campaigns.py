@@ -240,7 +240,7 @@ def _open_campaign(call: Call, path: OfCampaign) -> Campaign:
     if known is None or known.id in call.hidden:
         raise NotFound(
             f"There is no campaign {path.campaign!r} that has not ended.",
-            remedy="See what became of it: labos campaign show",
+            remedy="See its history: labos campaign show",
         )
     return known
 

@@ -59,7 +59,7 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
     answer=str,
     media=(STREAM_TYPE,),
     headers=("Last-Event-ID",),
-    summary="Committed events as they come",
+    summary="Committed events as a stream",
     needs="viewer",
 )
 async def follow_events(call: Call, query: EventFilter) -> Response:
@@ -97,7 +97,7 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
     answer=bytes,
     media=("application/octet-stream",),
     headers=("Range", "If-Range", "If-None-Match"),
-    other_statuses={206: "The part that was asked for", 304: "It is the file that you have"},
+    other_statuses={206: "The requested part", 304: "The file has not changed"},
     problems=("range_not_satisfiable", "log_damaged"),
     summary="The content of a file",
     needs="viewer",

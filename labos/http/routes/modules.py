@@ -50,7 +50,7 @@ _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\
 async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) -> ModuleReference:
     """Actions under way continue to their end; nothing more starts there."""
     if not body.why.strip():
-        raise BadInput("The field 'why' is empty.", remedy="Say why.")
+        raise BadInput("The field 'why' is empty.", remedy="Give the reason.")
     await call.service.take_out(path.module, body.why, body.until, body.by)
     return ModuleReference(path.module)
 
@@ -176,7 +176,7 @@ async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
 @Operation(
     route="POST /workcells/{workcell}/access",
     client=Method("enter", "workcell, by, why", take="parking", repeat=True),
-    summary="Ask for access to a workcell",
+    summary="Request access to a workcell",
     tag="workcells",
     needs="operator",
     status=201,

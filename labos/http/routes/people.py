@@ -76,8 +76,8 @@ async def add_user(call: Call, body: NewUser) -> UserView:
     lab. The owner of the lab's folder adds the first user, with the content of `home.key` as the token."""
     if call.kernel.state.users.is_open and call.who.how != "home":
         raise Forbidden(
-            f"{body.user!r} would be the first user of this lab, and its admin: the owner of its folder says "
-            "who that is.",
+            f"{body.user!r} would be the first user of this lab and its admin. Only the owner of the "
+            "lab's folder can add this user.",
             remedy=f"On the lab's computer: labos user add {body.user} --home FOLDER",
         )
     return await _change_user(call, AddUser(body.user, body.kind, body.role, body.scope), body.by)

@@ -99,7 +99,7 @@ class Accounts:
             return Credential(session.user, "session", "admin", key, session.expires_at)
         token = await self._ask(self._store.token, digest) if secret.startswith(TOKEN) else None
         if token is None:
-            raise NotSignedIn("The token is not one of this lab.", remedy=_explain_sign_in("token"))
+            raise NotSignedIn("The token does not belong to this lab.", remedy=_explain_sign_in("token"))
         if token.revoked_at:
             raise NotSignedIn(f"The token {token.id} was revoked.", remedy=_explain_sign_in("token"))
         return Credential(token.user, "token", _parse_scope(token.scope), key, token.expires_at, token.id)
@@ -119,17 +119,17 @@ class Accounts:
         # A user may type a password into the field for the name: it must not appear in a log.
         named = user if known else "unknown"
         if wait > 0:
-            self.tell_try("too_many")
+            self.count_try("too_many")
             _log.warning("sign_in_refused", user=named, address=address, why="too many tries")
             raise TooManyTries("There were too many tries to sign in.", wait_s=wait)
         hash_ = await self._ask(self._store.password, user) if known else ""
         if not await self._passwords.is_right(hash_, password):
-            self.tell_try("wrong")
+            self.count_try("wrong")
             _log.warning("sign_in_refused", user=named, address=address, why="wrong password or user")
             raise NotSignedIn("User or password is wrong.", remedy="Try again, or ask an admin of the lab.")
         if self._passwords.is_old(hash_):
             await self._keep_password(user, password)
-        self.tell_try("right")
+        self.count_try("right")
 
     async def begin_session(self, user: str, how: str, before: str = "") -> tuple[str, Session]:
         """The secret of a new session, and the session. The browser's earlier session, ``before``, ends."""
@@ -151,7 +151,7 @@ class Accounts:
         """A new token, whose secret cannot be shown again, and its record. Raises BadInput."""
         if not 0 < days <= MOST_DAYS:
             raise BadInput(
-                f"A token cannot be good for {days:g} days.", remedy=f"Say up to {MOST_DAYS} days."
+                f"A token cannot be valid for {days:g} days.", remedy=f"Give at most {MOST_DAYS} days."
             )
         now = self._clock.now_ns()
         good = [t for t in await self.tokens(user) if not t.revoked_at and t.expires_at > now]
@@ -238,7 +238,7 @@ class Accounts:
         for tell in self.on_end:
             tell(which)
 
-    def tell_try(self, outcome: str) -> None:
+    def count_try(self, outcome: str) -> None:
         """Report an attempt to sign in, at the lab or with an identity provider."""
         for tell in self.on_try:
             tell(outcome)

@@ -84,9 +84,9 @@ class CommandLineSignIn:
         settings = self.provider.settings
         if settings.command_line is None:
             raise NotFound(
-                "This lab lets nobody sign in from a command line with its identity provider.",
-                remedy="Sign in with a password (labos login --user NAME), or let oidc.yaml name a "
-                "`command_line` client.",
+                "In this lab, signing in from the command line with the identity provider is not enabled.",
+                remedy="Sign in with a password (labos login --user NAME), or add a `command_line` client "
+                "to oidc.yaml.",
             )
         return ProviderClient(
             settings.command_line.client_id,
@@ -111,7 +111,7 @@ class CommandLineSignIn:
             )
         self._devices = {state: device for state, device in self._devices.items() if device.until > now}
         if len(self._devices) >= MOST_DEVICES:
-            raise TooManyTries("Too many people are typing codes in.", wait_s=60.0)
+            raise TooManyTries("Too many sign-ins with a code are open.", wait_s=60.0)
         form = {"client_id": client.id, "scope": " ".join(self.provider.settings.scopes)}
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             shown = await ask_provider(
@@ -136,11 +136,11 @@ class CommandLineSignIn:
         if device is None:
             return await self.provider.finish(answer, browser, by_command_line=True)
         if not hmac.compare_digest(device.browser.encode(), browser.encode()):
-            raise make_refusal("another command line has begun")
+            raise make_refusal("another command line started this sign-in")
         now = self.provider.clock.monotonic()
         if now >= device.until:
             del self._devices[answer["state"]]
-            raise make_refusal("nobody has typed the code in")
+            raise make_refusal("the code was not entered")
         if now < device.next:
             return RetryAfter(device.next - now)
         device.next = now + device.interval
@@ -161,13 +161,13 @@ class CommandLineSignIn:
             return RetryAfter(device.interval)
         # From here on the code is used up: two command lines cannot get a token with the same code.
         if self._devices.pop(state, None) is None:
-            raise make_refusal("nobody went there from here, or too long ago")
+            raise make_refusal("the sign-in was not started here, or it has expired")
         if found.status_code != 200:
-            raise make_refusal(f"the provider says {_find_error(found.content)[:100]!r}")
+            raise make_refusal(f"the provider answers {_find_error(found.content)[:100]!r}")
         try:
             tokens = msgspec.json.decode(found.content, type=ProviderTokens)
         except (msgspec.MsgspecError, UnicodeDecodeError):
-            raise make_refusal("it gives no id token") from None
+            raise make_refusal("its answer has no ID token") from None
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             return await self.provider.claims_of(http, known, tokens, client)
 

@@ -42,7 +42,7 @@ ALGORITHMS = (
     "Ed25519",
 )
 """Signature algorithms with a private key that only the provider has."""
-AGAIN = "Begin again; if it fails again, ask who looks after the lab."
+AGAIN = "Try again; if it fails again, ask an admin of the lab."
 
 _log = structlog.get_logger(__name__)
 
@@ -158,17 +158,17 @@ class Provider:
         Raises NotSignedIn."""
         pending = self._pending.pop(answer.get("state", ""), None)
         if pending is None or self.clock.monotonic() - pending.since >= PENDING_S:
-            raise make_refusal("nobody went there from here, or too long ago")
+            raise make_refusal("the sign-in was not started here, or it has expired")
         if not hmac.compare_digest(pending.browser.encode(), browser.encode()):
-            raise make_refusal("another browser went there")
+            raise make_refusal("another browser started this sign-in")
         if by_command_line is (pending.client == self._browsers):
-            raise make_refusal("somebody else went there")
+            raise make_refusal("another user started this sign-in")
         known = await self.discover()
         issuer = answer.get("iss", "")
         if issuer != known.issuer and (issuer or known.authorization_response_iss_parameter_supported):
-            raise make_refusal(f"the answer is of {issuer[:100]!r}")
+            raise make_refusal(f"the answer is from {issuer[:100]!r}")
         if "error" in answer or not answer.get("code"):
-            raise make_refusal(f"the provider says {answer.get('error', 'nothing')[:100]!r}")
+            raise make_refusal(f"the provider answers {answer.get('error', 'nothing')[:100]!r}")
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             tokens = await self._exchange(http, known, answer["code"], pending)
             return await self.claims_of(http, known, tokens, pending.client, pending.nonce)
@@ -195,7 +195,9 @@ class Provider:
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
             found = await ask_provider(http, "GET", address, ProviderMetadata)
         if found.issuer != self.settings.issuer:
-            raise make_refusal(f"{address} is of {found.issuer[:100]!r}, not of {self.settings.issuer!r}")
+            raise make_refusal(
+                f"{address} belongs to {found.issuer[:100]!r}, not to {self.settings.issuer!r}"
+            )
         self._known, self._keys = (found, now + KNOWN_S), None
         return found
 
@@ -255,11 +257,11 @@ class Provider:
             except (JoseError, ValueError) as error:
                 reason, self._keys = error, None
         else:
-            raise make_refusal(f"its id token is not valid ({type(reason).__name__}: {reason})")
+            raise make_refusal(f"its ID token is not valid ({type(reason).__name__}: {reason})")
         claims = dict(found.claims)
         others = isinstance(claims["aud"], list) and len(claims["aud"]) > 1
         if others and claims.get("azp") != client:
-            raise make_refusal("its id token is for somebody else")
+            raise make_refusal("its ID token is for another client")
         return claims
 
     async def _with_user_info(
@@ -270,7 +272,7 @@ class Provider:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
             more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
             if more.get("sub") != claims["sub"]:
-                raise make_refusal("it tells of somebody else")
+                raise make_refusal("its user data is about another user")
             claims = {**more, **claims}
         groups = claims.get(self.settings.groups_claim, [])
         return ProviderClaims(
@@ -296,7 +298,7 @@ async def ask_provider(http: httpx.AsyncClient, method: str, url: str, kind: typ
     try:
         return msgspec.json.decode(answer.content, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError):
-        raise make_refusal(f"{url} answers something else") from None
+        raise make_refusal(f"{url} sends an unexpected answer") from None
 
 
 def make_auth(client: ProviderClient) -> httpx.BasicAuth | None:
@@ -307,7 +309,7 @@ def make_auth(client: ProviderClient) -> httpx.BasicAuth | None:
 def make_refusal(why: str) -> NotSignedIn:
     """The refusal; it is also written to the program's log."""
     _log.warning("sign_in_refused", by="identity provider", why=why)
-    return NotSignedIn(f"The identity provider has not signed anybody in: {why}.", remedy=AGAIN)
+    return NotSignedIn(f"Signing in with the identity provider failed: {why}.", remedy=AGAIN)
 
 
 def _encode_unpadded(data: bytes) -> str:

@@ -17,7 +17,7 @@ SHORTEST, LONGEST = 10, 200
 
 def check_password(password: str, user: str) -> None:
     """Raises BadInput for a password that is too easy to guess, or too long."""
-    remedy = f"Take {SHORTEST} characters at least: four words, for instance."
+    remedy = f"Use at least {SHORTEST} characters, for example four words."
     if not SHORTEST <= len(password) <= LONGEST:
         raise BadInput(f"The password has {len(password)} characters.", remedy=remedy)
     if password.casefold() == user.casefold() or len(set(password)) < 4:

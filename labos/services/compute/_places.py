@@ -45,7 +45,9 @@ def _open_parsl(configuration: Any) -> Executor:
     except ImportError:
         raise _report_missing("parsl", "parsl") from None
     if configuration is None:
-        raise BadInput("Parsl needs to be told where to compute.", remedy="Give a parsl.config.Config.")
+        raise BadInput(
+            "Parsl needs a configuration of the place to compute.", remedy="Give a parsl.config.Config."
+        )
     opened: Executor = ParslPoolExecutor(configuration)
     return opened
 
@@ -57,7 +59,7 @@ def _open_dask(configuration: Any) -> Executor:
     except ImportError:
         raise _report_missing("Dask", "dask") from None
     if not isinstance(configuration, Client):
-        raise BadInput("Dask needs to be told where to compute.", remedy="Give a distributed.Client.")
+        raise BadInput("Dask needs a client for the place to compute.", remedy="Give a distributed.Client.")
     # Not pure: two calls with the same arguments are two computations.
     client: Any = configuration
     opened: Executor = client.get_executor(pure=False)
@@ -70,7 +72,7 @@ def _open_globus(configuration: Any) -> Executor:
 
     if not isinstance(configuration, GlobusEndpoint):
         raise BadInput(
-            "Globus Compute needs to be told where to compute.",
+            "Globus Compute needs an endpoint.",
             remedy="Give a labos.services.globus.GlobusEndpoint.",
         )
     return configuration.open()
@@ -89,7 +91,7 @@ def open_place(where: str, configuration: Any = None) -> Executor:
     """Raises NotFound for an unknown place, BadInput for one that is not configured."""
     if where not in PLACES:
         raise NotFound(
-            f"There is no place {where!r} to compute at.", remedy=f"There are: {', '.join(PLACES)}."
+            f"There is no place {where!r} to compute at.", remedy=f"Known places: {', '.join(PLACES)}."
         )
     return PLACES[where](configuration)
 

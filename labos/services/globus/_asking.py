@@ -39,7 +39,7 @@ class GlobusAccess:
     ) -> None:
         if (app is None) == (authorizer is None):
             raise BadInput(
-                f"It is not said how the program is let in at {what}.",
+                f"The program has no credentials for {what}.",
                 remedy="Give either `app=globus_sdk.UserApp(…)` or an `authorizer`.",
             )
         self._access = {"app": app, "authorizer": authorizer}
@@ -90,18 +90,18 @@ def ask(what: str, call: Callable[[], T]) -> T:
         text = f"{error.http_status} {error.code or ''}: {error.message or error.text[:200]}"
         if error.http_status in NOT_LET_IN:
             raise GlobusRefused(
-                f"{what} does not let the program in ({text}).",
-                remedy="Sign in again, with the scopes that are needed; then start the program again: "
-                "it goes on where it was.",
+                f"{what} refuses the program's credentials ({text}).",
+                remedy="Sign in again, with the scopes that are needed; then start the program again: it "
+                "continues.",
             ) from error
         if error.http_status == TOO_MANY or error.http_status >= 500:
             raise GlobusUnreachable(f"{what} does not answer ({text}).", remedy=_LATER) from error
-        raise GlobusRefused(f"{what} takes no such request ({text}).") from error
+        raise GlobusRefused(f"{what} refuses the request ({text}).") from error
     except NetworkError as error:
         raise GlobusUnreachable(f"{what} does not answer ({error}).", remedy=_LATER) from error
 
 
-_LATER = "Start the program again later: it goes on where it was, and sends nothing twice."
+_LATER = "Start the program again later: it continues and sends nothing twice."
 
 
 def wait_for(what: str, patience: GlobusTimes, look: Callable[[], T | None]) -> T:

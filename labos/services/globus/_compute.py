@@ -99,7 +99,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         mark, returned = self._fetch_result(known["task"])
         if mark != sent.mark:
             raise GlobusFailed(
-                f"The task {known['task']} of {SERVICE} was taken for that of {sent.mark}, but it is {mark}."
+                f"The task {known['task']} of {SERVICE} was expected to be {sent.mark}, but it is {mark}."
             )
         return returned.value()
 
@@ -185,7 +185,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         if "result" in ended:
             mark, returned = self._forms.deserialize(ended["result"])
             return mark, returned
-        why = str(ended.get("exception") or ended.get("reason") or "no reason is given").strip()
+        why = str(ended.get("exception") or ended.get("reason") or "without a reason").strip()
         last = why.splitlines()[-1]
         if any(death in why for death in WORKER_DEATHS):
             raise WorkerLost(last)

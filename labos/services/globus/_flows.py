@@ -107,8 +107,8 @@ def _wait(flow: GlobusFlow, run: str) -> GlobusRun:
     details = ended.get("details") or {}
     if ended["status"] not in ENDS:
         raise GlobusRefused(
-            f"The run {run} of {flow.name} stands still ({ended['status']}): {_describe_failure(details)}.",
-            remedy="Look at it in Globus, and resume it there; then start the program again.",
+            f"The run {run} of {flow.name} has stopped ({ended['status']}): {_describe_failure(details)}.",
+            remedy="Check and resume it in Globus; then start the program again.",
         )
     states = [
         {"state": str(entry["details"]["state_name"]), "code": str(entry["code"]), "time": str(entry["time"])}
@@ -122,6 +122,5 @@ def _wait(flow: GlobusFlow, run: str) -> GlobusRun:
 
 def _describe_failure(details: Mapping[str, Any]) -> str:
     return (
-        f"{details.get('code', '')}: {details.get('description', '')}".strip(": ")[:300]
-        or "no reason is given"
+        f"{details.get('code', '')}: {details.get('description', '')}".strip(": ")[:300] or "without a reason"
     )

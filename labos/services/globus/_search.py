@@ -29,7 +29,8 @@ class GlobusIndex:
     ) -> None:
         if not visible_to or isinstance(visible_to, str):
             raise BadInput(
-                "It is not said who may see what is published.", remedy='Give visible_to=["public"], say.'
+                "It is not defined who may see the publication.",
+                remedy='Give visible_to, for example visible_to=["public"].',
             )
         self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
         self.index, self.visible_to = index, list(visible_to)
@@ -61,6 +62,6 @@ def ingest_once(index: GlobusIndex, sent: SendingRecord, subject: str, content: 
 
     ended = wait_for(SERVICE, index.patience, look)
     if ended["state"] == "FAILED":
-        why = ended.get("message") or ended.get("state_description") or "no reason is given"
+        why = ended.get("message") or ended.get("state_description") or "without a reason"
         raise GlobusFailed(f"The task {known['task']} of {SERVICE} failed: {why}.")
     return str(known["task"])

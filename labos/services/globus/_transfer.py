@@ -36,7 +36,7 @@ class GlobusPlace(msgspec.Struct, frozen=True):
         parts = urlsplit(url)
         if parts.scheme != SCHEME or not parts.netloc or len(parts.path) < 2:
             raise BadInput(
-                f"{url!r} is no file of a Globus collection.",
+                f"{url!r} is not a file of a Globus collection.",
                 remedy="Write globus://, the id of the collection, and the path: globus://1234-…/plate.csv",
             )
         return cls(parts.netloc, unquote(parts.path))
@@ -118,12 +118,12 @@ def _wait(client: Any, task: str, sha256: str, patience: GlobusTimes) -> Moved:
     ended = wait_for(SERVICE, patience, look)
     why = ended.get("fatal_error") or {}
     if ended["status"] == "FAILED":
-        reason = f"{why.get('code', '')}: {why.get('description', '')}".strip(": ") or "no reason is given"
+        reason = f"{why.get('code', '')}: {why.get('description', '')}".strip(": ") or "without a reason"
         raise GlobusFailed(f"The task {task} of {SERVICE} failed: {reason}.")
     if ended["status"] != "SUCCEEDED":
         raise GlobusRefused(
-            f"The task {task} of {SERVICE} stands still ({ended['status']}).",
-            remedy="Mostly a sign-in has expired: sign in to the collection; then start the program again.",
+            f"The task {task} of {SERVICE} has stopped ({ended['status']}).",
+            remedy="Usually a sign-in has expired: sign in to the collection; then start the program again.",
         )
     if not sha256:
         (*_, file) = ask(SERVICE, lambda: list(client.task_successful_transfers(task))) or [{}]

@@ -16,7 +16,7 @@ from zoneinfo import ZoneInfo
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from labos.errors import Undelivered
-from labos.spec.findings import FindingList, SpecErrors, near
+from labos.spec.findings import FindingList, SpecErrors, suggest_name
 from labos.spec.parts import Part, Seconds
 from labos.spec.source import Path_, Source, read
 from labos.spec.validation import validate
@@ -45,7 +45,7 @@ def _check_zone(name: str) -> str:
 
 def _check_address(text: str) -> str:
     if not re.fullmatch(r"[^\s@<>,]+@[^\s@<>,]+", text):
-        raise ValueError(f"{text!r} is no e-mail address")
+        raise ValueError(f"{text!r} is not an e-mail address")
     return text
 
 
@@ -68,7 +68,7 @@ class Secret(Part):
     @model_validator(mode="after")
     def _check_one(self) -> Secret:
         if bool(self.env) == bool(self.file):
-            raise ValueError("a secret is in `env:` or in `file:`, one of them")
+            raise ValueError("a secret needs either `env:` or `file:`")
         return self
 
     def value(self) -> str:
@@ -171,27 +171,35 @@ def _check(book: Book, source: Source, report: FindingList) -> None:
     for name, contact in book.contacts.items():
         path: Path_ = ("contacts", name)
         if bool(contact.email) == bool(contact.webhook):
-            error(f"{name!r} is reached in no way, or in two.", path, "Give `email:` or `webhook:`.")
+            error(
+                f"{name!r} needs exactly one of `email:` and `webhook:`.",
+                path,
+                "Give `email:` or `webhook:`.",
+            )
         if contact.email and book.smtp is None:
             error(
                 "There is no mail server to send this through.", (*path, "email"), "Add `smtp:` to the file."
             )
         if contact.token is not None and not contact.webhook:
-            error("A token goes with a webhook.", (*path, "token"), "Remove it.")
+            error("A token is only for a webhook.", (*path, "token"), "Remove it.")
         if contact.quiet is not None and contact.quiet.start == contact.quiet.end:
-            error("These hours begin when they end.", (*path, "quiet"), "Change `start:` or `end:`.")
+            error(
+                "The start and the end of these hours are equal.",
+                (*path, "quiet"),
+                "Change `start:` or `end:`.",
+            )
     for number, level in enumerate(book.escalation):
         for index, name in enumerate(level.notify):
             if name not in book.contacts:
                 at = ("escalation", number, "notify", index)
-                error(f"There is no contact {name!r}.", at, near(name, book.contacts, "contact"))
+                error(f"There is no contact {name!r}.", at, suggest_name(name, book.contacts, "contact"))
     smtp = book.smtp
     if smtp is not None:
         if bool(smtp.user) != (smtp.password is not None):
-            error("`user:` and `password:` go together.", ("smtp",), "Give both or neither.")
+            error("`user:` and `password:` are needed together.", ("smtp",), "Give both or neither.")
         if smtp.security == "none" and smtp.password is not None and smtp.host not in LOOPBACK:
             error(
-                "The password would cross the network in clear.",
+                "The password would be sent over the network unencrypted.",
                 ("smtp", "security"),
                 "Write `starttls` or `tls`.",
             )

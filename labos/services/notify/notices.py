@@ -114,8 +114,8 @@ def quarantine_key(module: str) -> str:
 def report_kernel_death(event: str, position: int, at: int, why: str) -> Notice:
     """The kernel has stopped by itself; ``event`` is the event of its start."""
     text = (
-        f"The kernel has stopped: {why}\n\nNo step starts until it runs again. "
-        "Instruments finish what they are doing.\n\nStart it with: labos up"
+        f"The kernel has stopped: {why}\n\nNo step starts until it runs again. Instruments finish "
+        "their present actions.\n\nStart it with: labos up"
     )
     return Notice(f"{event}.stopped", position, at, "kernel", KERNEL, "the kernel has stopped", text, True)
 
@@ -124,7 +124,7 @@ def report_kernel_gone(head: Envelope, before: int, epoch: int) -> Notice:
     """A kernel has started after an earlier one that did not shut down properly."""
     text = (
         f"The kernel (epoch {before}) ended without closing the lab. Another one (epoch {epoch}) has "
-        "started and goes on from the log; it asks where it cannot know."
+        "started and continues from the log; it asks about outcomes that are not known."
     )
     title = "the kernel had stopped and runs again"
     return Notice(head.id, head.position, head.recorded_at, "kernel", "", title, text)

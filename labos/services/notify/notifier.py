@@ -85,7 +85,7 @@ class Notifier:
     def on_kernel_stopped(self, why: str) -> None:
         """The kernel has failed. Its database may be unreachable, so the notice is sent without waiting for
         it."""
-        self._dead = why or "for a reason that it did not give"
+        self._dead = why or "without a reason"
         self._hang_up()
         self._awake.set()
 
@@ -224,7 +224,7 @@ class Notifier:
     def _tell_restart(self, event: KernelStarted, head: Envelope, now: int) -> list[OutboxItem]:
         """A new kernel finds out by itself which nodes are alive; and it shows that a kernel runs again."""
         items: list[OutboxItem] = [
-            SettledNotice(module_key(""), "a new kernel looks for its nodes", all=True, quietly=True)
+            SettledNotice(module_key(""), "a new kernel is connecting to its nodes", all=True, quietly=True)
         ]
         before = self.outbox.note("epoch") or 0
         if before and self.outbox.note("closed") != before and not self.outbox.is_open(KERNEL):
@@ -260,7 +260,7 @@ class Notifier:
         unreachable: dict[str, str] = {}
         for delivery in self.outbox.list_due(self.clock.now_ns()):
             if delivery.contact not in self.book.contacts:
-                why = "the contacts file has no such contact any more"
+                why = "the contact is no longer in the contacts file"
                 self.outbox.mark_failed(delivery, why, self.clock.now_ns(), None, tried=False)
             elif delivery.id in self._sent:
                 self._note_sent(delivery)  # the delivery could not be recorded before
@@ -317,6 +317,6 @@ def pause_ns(failures: int) -> int:
 def test_message(lab: str, contact: str, clock: Clock) -> channels.Notification:
     """A message with which a contact is tested."""
     now = clock.now_ns()
-    text = "This is a test of LabOS' notifications. Nothing is the matter."
+    text = "This is a test of LabOS' notifications. You need not do anything."
     notice = Notice(f"test-{now}", 0, now, "test", "", "a test message", text)
     return channels.Notification(f"test-{now}.{contact}.0", lab, "lab", notice, 0)

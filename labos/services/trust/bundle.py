@@ -93,7 +93,7 @@ class Planned(Protocol):
     def payload(self) -> bytes: ...
 
 
-class ToldWords(msgspec.Struct, frozen=True):
+class WordsLine(msgspec.Struct, frozen=True):
     """A line of ``words.jsonl``: a text and its salt (hexadecimal digits). An event holds the digest of
     both."""
 
@@ -127,8 +127,8 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
     last = {record.head.type for record in records if record.head.stream == subject}
     if last.isdisjoint(ENDS[kind]):
         raise Refused(
-            f"The {kind} {subject} has not ended: what is missing could not be told from what was taken "
-            "away.",
+            f"The {kind} {subject} has not ended, so a missing record could not be distinguished from "
+            "a removed one.",
             remedy="Wait for its end, then make a checkpoint.",
         )
     lines = []
@@ -171,7 +171,7 @@ def _encode_words(log: Log, records: Iterable[Record]) -> bytes:
     found = log.words_of(named) if named else {}
     standing = [found[name] for name in named if name in found and not found[name].is_erased]
     return b"".join(
-        msgspec.json.encode(ToldWords(kept.reference, kept.salt.hex(), kept.text)) + b"\n"
+        msgspec.json.encode(WordsLine(kept.reference, kept.salt.hex(), kept.text)) + b"\n"
         for kept in standing
     )
 
@@ -195,7 +195,7 @@ def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], t
         raise LogDamaged(
             f"The log is not the one whose checkpoint of size {head.size} was signed.",
             position=tree.size,
-            remedy="Look with labos verify --checkpoint FILE.",
+            remedy="Check with labos verify --checkpoint FILE.",
         )
     for name in tuple(list_plan_streams(found.values())):
         found |= {record.head.position: record for record in plans.get(name, ())}

@@ -39,7 +39,8 @@ def parse_tree_head(text: str) -> TreeHead:
     except (ValueError, binascii.Error):
         pass
     raise BadInput(
-        "The text of the note is no checkpoint.", remedy="It has an origin, a size and a root, a line each."
+        "The text of the note is not a checkpoint.",
+        remedy="A checkpoint has three lines: origin, size and root.",
     )
 
 

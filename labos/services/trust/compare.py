@@ -48,7 +48,7 @@ def read_tree_heads(path: Path, trusted: TrustedKeys) -> list[TreeHead]:
         head = parse_tree_head(note.text)
         if not trusted.find_signers(note, head):
             raise BadInput(
-                f"{file} is signed by no key that is known here.",
+                f"{file} is not signed by a known key.",
                 remedy="Give the public key that signed it: --public-key FILE.",
             )
         found.append(head)
@@ -68,7 +68,7 @@ def compare(log: Log, heads: Sequence[TreeHead]) -> CheckpointComparison:
             fault += "its tail was cut off"
             return CheckpointComparison(len(heads), agrees_to, fault, end + 1)
         if roots.get(head.size) != head.root:
-            fault = f"what stands at positions {agrees_to + 1} to {head.size} was rewritten"
+            fault = f"the records at positions {agrees_to + 1} to {head.size} were rewritten"
             return CheckpointComparison(len(heads), agrees_to, fault, agrees_to + 1)
         agrees_to = head.size
     return CheckpointComparison(len(heads), agrees_to)

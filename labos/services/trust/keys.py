@@ -50,8 +50,8 @@ class SigningKeys:
         path = self._find_file(witness)
         if path.exists():
             raise Refused(
-                f"This lab has a key already: {path}.",
-                remedy="Show it with labos key show. A new one takes its place with labos key rotate.",
+                f"This lab already has a key: {path}.",
+                remedy="Show it with labos key show. To replace it: labos key rotate.",
             )
         key = make_key(name, COSIGNS if witness else SIGNS, secrets.token_bytes(32))
         make_folder(self.folder)
@@ -70,7 +70,9 @@ class SigningKeys:
         except FileNotFoundError:
             raise NotFound(f"This lab has no key {path}.", remedy=f"Make one: {made}") from None
         except (OSError, UnicodeDecodeError) as error:
-            raise BadInput(f"The key {path} cannot be read: {error}.", remedy="Put it right.") from None
+            raise BadInput(
+                f"The key {path} cannot be read: {error}.", remedy="Correct or restore the file."
+            ) from None
 
     def list_public_keys(self) -> list[PublicKey]:
         """The public keys with which this lab has signed, oldest first. Raises BadInput."""
@@ -117,7 +119,7 @@ class TrustedKeys:
             if note.find_signers([old, fresh]) != [old, fresh]:
                 raise BadInput(
                     f"A change of the key {old.name} is not signed by both keys.",
-                    remedy="Ask the lab for its public key, by another way than this file.",
+                    remedy="Get the public key from the lab in another way.",
                 )
             self._ended[old.text] = size
             if fresh not in self.keys:
@@ -137,7 +139,7 @@ class TrustedKeys:
 def _parse_rotation(note: Note) -> tuple[int, PublicKey, PublicKey]:
     lines = note.text.splitlines()
     if len(lines) != 5 or lines[0] != ROTATION or not lines[1].isdecimal():
-        raise BadInput("This is no change of a key.", remedy="Take the file rotation.notes of the lab.")
+        raise BadInput("This is not a change of a key.", remedy="Use the file rotation.notes of the lab.")
     return int(lines[1]), parse_public_key(lines[2]), parse_public_key(lines[3])
 
 

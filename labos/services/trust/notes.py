@@ -137,7 +137,8 @@ class Note(msgspec.Struct, frozen=True):
                 if signature.is_by(key):
                     if not key.verifies(self.text.encode(), signature.raw):
                         raise BadInput(
-                            f"This is not what {key.name} has signed: its text or its signature was changed.",
+                            f"The signature of {key.name} does not match: the text or the signature "
+                            "was changed.",
                             remedy="Get the original file again.",
                         )
                     found.append(key)
@@ -156,7 +157,7 @@ def parse_public_key(text: str) -> PublicKey:
     name, key_id, kind, raw = _split_key(text.strip(), "public")
     key = PublicKey(name, kind, raw)
     if key.id != key_id:
-        raise _make_key_error("public", "its id does not follow from its name and key")
+        raise _make_key_error("public", "its id does not match its name and key")
     return key
 
 
@@ -167,7 +168,7 @@ def parse_signing_key(text: str) -> SigningKey:
     name, key_id, kind, seed = _split_key(text.removeprefix(_PRIVATE).strip(), "private")
     key = SigningKey(name, kind, seed)
     if key.public.id != key_id:
-        raise _make_key_error("private", "its id does not follow from its name and key")
+        raise _make_key_error("private", "its id does not match its name and key")
     return key
 
 
@@ -185,7 +186,7 @@ def parse_note(data: bytes) -> Note:
         return Note(text + "\n", parse_signatures(lines))
     except ValueError as error:
         raise BadInput(
-            f"This is no signed note: {error}.", remedy="Give a file of labos checkpoint."
+            f"This is not a signed note: {error}.", remedy="Give a file of labos checkpoint."
         ) from None
 
 
@@ -219,7 +220,7 @@ def _split_key(text: str, what: str) -> tuple[str, bytes, int, bytes]:
     except (binascii.Error, ValueError) as error:
         raise _make_key_error(what, str(error)) from None
     if len(raw) != 33 or raw[0] not in _KINDS or len(found) != 4:
-        raise _make_key_error(what, "it is of a kind that is not known here")
+        raise _make_key_error(what, "it is of an unknown kind")
     return name, found, raw[0], raw[1:]
 
 
@@ -232,7 +233,7 @@ def _check_name(name: str) -> None:
 
 
 def _make_key_error(what: str, why: str) -> BadInput:
-    return BadInput(f"This is no {what} key: {why}.", remedy="Give one that labos key has made.")
+    return BadInput(f"This is not a {what} key: {why}.", remedy="Give one that labos key has made.")
 
 
 def _encode_base64(data: bytes) -> str:

@@ -34,7 +34,8 @@ class Folder:
             replace_file(target, data)
         except OSError as error:
             raise SystemFailed(
-                f"{target} cannot be written: {error.strerror or error}.", remedy="Put the folder right."
+                f"{target} cannot be written: {error.strerror or error}.",
+                remedy="Check the folder and its rights.",
             ) from None
 
 
@@ -57,7 +58,7 @@ class HttpPlace:
             raise SystemFailed(f"{target} cannot be reached: {error}.", remedy="Is its server up?") from None
         if not answer.is_success:
             raise SystemFailed(
-                f"{target} was not taken: the server answers {answer.status_code}.",
+                f"{target} was refused: the server answers {answer.status_code}.",
                 remedy="It has to allow PUT from here.",
             )
 
@@ -68,7 +69,7 @@ def place_of(text: str) -> PublishPlace:
         return HttpPlace(text)
     if "://" in text:
         raise BadInput(
-            f"Checkpoints cannot be kept at {text}.", remedy="Name a folder, or a URL with http(s)."
+            f"Checkpoints cannot be stored at {text}.", remedy="Name a folder, or a URL with http(s)."
         )
     return Folder(Path(text))
 

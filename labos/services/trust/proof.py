@@ -33,7 +33,7 @@ from labos.services.trust.bundle import (
     WORDS,
     AboutBundle,
     ProvenEvent,
-    ToldWords,
+    WordsLine,
     belongs_to,
     is_signature,
     list_plan_streams,
@@ -49,7 +49,7 @@ LARGEST = 4 << 30
 
 _line = msgspec.json.Decoder(ProvenEvent)
 _envelope = msgspec.json.Decoder(Envelope)
-_words_decoder = msgspec.json.Decoder(ToldWords)
+_words_decoder = msgspec.json.Decoder(WordsLine)
 _about = msgspec.json.Decoder(AboutBundle)
 
 
@@ -114,7 +114,7 @@ def _unpack(path: Path) -> dict[str, bytes]:
                 raise ValueError(f"it unpacks to more than {LARGEST} bytes")
             names = archive.namelist()
             if len(set(names)) != len(names):
-                raise ValueError("a name is in it twice")
+                raise ValueError("it contains a name twice")
             return {name: archive.read(name) for name in names}
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
         raise _make_bundle_error(path, str(error)) from None
@@ -125,7 +125,7 @@ def _unpack(path: Path) -> dict[str, bytes]:
 def _read_about(files: dict[str, bytes], path: Path) -> AboutBundle:
     missing = [name for name in (ABOUT, NOTE, EVENTS) if name not in files]
     if missing:
-        raise _make_bundle_error(path, f"it holds no {', '.join(missing)}")
+        raise _make_bundle_error(path, f"these files are missing: {', '.join(missing)}")
     try:
         about = _about.decode(files[ABOUT])
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -152,7 +152,7 @@ def _check_signature(
     except BadInput as error:
         return VerifiedPart("signature", 1, error.message, (str(error),)), ""
     if not known.list_for(head.origin):
-        fault = f"The checkpoint is of {head.origin}, and no key was given that bears this name."
+        fault = f"The checkpoint is of {head.origin}, but no key with this name was given."
         return VerifiedPart("signature", 1, fault, (fault,)), ""
     if not signers:
         by = ", ".join(f"{each.name} ({each.key_id.hex()})" for each in note.signatures)
@@ -184,13 +184,13 @@ def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[
         if stamp is not None:
             yield VerifiedPart("time stamp", 0, "There is a time stamp; it was not checked (--tsa FILE).")
     elif stamp is None:
-        fault = "The checkpoint bears no time stamp."
+        fault = "The checkpoint has no time stamp."
         yield VerifiedPart("time stamp", 0, fault, (fault,))
     else:
         try:
             at = read_stamp_time(stamp, note.text.encode(), trust.authorities)
             yield VerifiedPart(
-                "time stamp", 1, f"The checkpoint existed at {at.isoformat()}, says its time stamp."
+                "time stamp", 1, f"By its time stamp, the checkpoint existed at {at.isoformat()}."
             )
         except BadInput as error:
             yield VerifiedPart("time stamp", 1, error.message, (str(error),))
@@ -218,7 +218,7 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
             positions.append(at)
         elif digest(event.payload) != event.head.digest:
             faults.append(
-                f"Position {at}: the payload of {event.head.type} is not the one that was recorded."
+                f"Position {at}: the payload of {event.head.type} was changed after it was recorded."
             )
             positions.append(at)
         else:
@@ -233,7 +233,7 @@ def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
     streams = {about.of: about.kind, **dict.fromkeys(about.runs, "run")}
     faults, positions = [], []
     if len({event.head.lab for event in events} | {about.lab}) > 1:
-        faults.append("The events are of several labs, or of another one than the bundle says.")
+        faults.append("The events are from several labs, or not from the lab of the bundle.")
     if [event.head.position for event in events] != sorted({event.head.position for event in events}):
         faults.append("The events are not in the order of the log.")
     by_stream: dict[str, list[_Event]] = {name: [] for name in streams}
@@ -244,7 +244,7 @@ def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
             faults.append(fault)
             positions += position
         if name != about.of and not any(_is_submission(event, about.of) for event in own):
-            faults.append(f"The run {name} is none of {about.of}.")
+            faults.append(f"The run {name} does not belong to {about.of}.")
     own = [event for event in events if event.head.stream in streams]
     planned = set(list_plan_streams(own))
     for event in events:
@@ -262,11 +262,11 @@ def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
 
 def _describe_story(about: AboutBundle, own: int) -> str:
     if about.kind == "run":
-        return f"The run {about.of} is whole: {own} events of its own, from its submission to its end."
+        return f"The run {about.of} is complete: its {own} events, from its submission to its end."
     runs = f"{len(about.runs)} run{'' if len(about.runs) == 1 else 's'}"
-    whole = f"The {about.kind} {about.of} is whole: {own} events of its own and of its {runs}."
+    whole = f"The {about.kind} {about.of} is complete: {own} events, with those of its {runs}."
     # The events of an experiment do not contain its number of runs.
-    only = " That it had no other runs, only a signature under it says." if about.kind == "experiment" else ""
+    only = " Only a signature of it can show that it had no other runs." if about.kind == "experiment" else ""
     return whole + only
 
 
@@ -296,7 +296,7 @@ def _find_missing_rows(about: AboutBundle, own: Sequence[_Event]) -> Iterator[st
             end = msgspec.json.decode(event.payload, type=CampaignCompleted)
             runs = end.completed + end.failed + end.cancelled
             if runs != len(about.runs):
-                yield f"{about.of} had {runs} runs, and {len(about.runs)} are here."
+                yield f"{about.of} had {runs} runs, but {len(about.runs)} are here."
 
 
 def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[VerifiedPart]:
@@ -342,17 +342,17 @@ def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[
             faults.append(f"Line {number} of {WORDS} cannot be read ({error}).")
             continue
         if kept.reference not in named:
-            faults.append(f"Line {number} of {WORDS} is a text of no event, which nothing vouches for.")
+            faults.append(f"Line {number} of {WORDS} is a text that belongs to no event.")
         elif kept.is_erased or not kept.is_genuine:
             at = named[kept.reference]
-            faults.append(f"Position {at}: line {number} of {WORDS} is not what was written there.")
+            faults.append(f"Position {at}: line {number} of {WORDS} was changed after it was written.")
             positions.append(at)
         else:
             found.add(kept.reference)
     if not named and not faults:
         return
     left_out = len(named) - len(found)
-    result = f"{len(found)} of {len(named)} texts of people are there, as they were written"
+    result = f"{len(found)} of {len(named)} texts of people are there and unchanged"
     result += f"; {left_out} were erased or left out." if left_out else "."
     yield VerifiedPart("words", len(named), result, tuple(faults), tuple(positions))
 
@@ -368,17 +368,15 @@ def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> VerifiedP
         if data is None:
             faults.append(f"Position {position} names the file {each}, which is not in the bundle.")
         elif digest(data) != each:
-            faults.append(f"The file {each} that position {position} names has other bytes than were stored.")
+            faults.append(f"The file {each} that position {position} names was changed after it was stored.")
         else:
             continue
         positions.append(position)
     known = {ABOUT, NOTE, STAMP, ROTATIONS, EVENTS, WORDS, *(f"{BLOBS}{each}" for each in named)}
-    faults += [
-        f"The bundle holds {name!r}, which nothing vouches for." for name in files if name not in known
-    ]
-    result = f"{len(named)} files that the events name are there and whole."
+    faults += [f"The bundle holds {name!r}, which no event names." for name in files if name not in known]
+    result = f"{len(named)} files that the events name are there and unchanged."
     return VerifiedPart("files", len(named), result, tuple(faults), tuple(positions))
 
 
 def _make_bundle_error(path: Path, why: str) -> BadInput:
-    return BadInput(f"{path} is no bundle: {why}.", remedy="Make one with labos bundle ID -o FILE.")
+    return BadInput(f"{path} is not a bundle: {why}.", remedy="Make one with labos bundle ID -o FILE.")

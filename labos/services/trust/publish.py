@@ -108,7 +108,7 @@ def _check_newest(log: Log, home: Path) -> None:
         raise LogDamaged(
             f"The log contradicts the checkpoint {newest}: it was rewritten, or its tail was cut off.",
             position=min(seen.size, log.head().position + 1),
-            remedy="Nothing was signed. Look with labos verify --checkpoint FILE.",
+            remedy="Nothing was signed. Check with labos verify --checkpoint FILE.",
         )
 
 
@@ -130,6 +130,6 @@ def _ask_cosignatures(
     known = [signature for signature in found if any(signature.is_by(key) for key in keys)]
     if not known or not Note(note.text, tuple(known)).find_signers(keys):
         raise BadInput(
-            f"The witness {url} has not signed with a key that was given.", remedy="Ask for its key."
+            f"The witness {url} has not signed with one of the given keys.", remedy="Ask for its key."
         )
     return known

@@ -58,7 +58,7 @@ def read_stamp_time(stamp: bytes, text: bytes, roots: Path) -> datetime:
         return answer.tst_info.gen_time.astimezone(UTC)
     except (OSError, ValueError, VerificationError) as error:
         raise BadInput(
-            f"The time stamp does not hold: {error}.", remedy=f"Is {roots} the certificate of its authority?"
+            f"The time stamp is not valid: {error}.", remedy=f"Is {roots} the certificate of its authority?"
         ) from None
 
 

@@ -20,8 +20,8 @@ from labos.services.log import Log
 TREE_FILE = "labos.tree"
 
 _LOOK = (
-    "Nothing was signed. Find out where: labos verify --checkpoint FOLDER, with the checkpoints that were "
-    "kept. If the log was restored from an older copy on purpose, docs/trust.md says what to do."
+    "Nothing was signed. Find out where: labos verify --checkpoint FOLDER, with your copies of the "
+    "checkpoints. If the log was restored from an older copy on purpose, see docs/trust.md."
 )
 
 
@@ -53,7 +53,7 @@ def read_tree(home: Path) -> StoredTree:
         return StoredTree()
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(
-            f"{path} cannot be read ({error}).", remedy="Take it away: it is made anew from the log."
+            f"{path} cannot be read ({error}).", remedy="Remove it: LabOS makes it again from the log."
         ) from None
 
 
@@ -71,7 +71,8 @@ def grow(log: Log, kept: StoredTree) -> Growth:
         before = Edge(kept.size, [bytes.fromhex(each) for each in kept.edge])
     except ValueError as error:
         raise BadInput(
-            f"{TREE_FILE} contradicts itself ({error}).", remedy="Take it away: it is made anew from the log."
+            f"{TREE_FILE} contradicts itself ({error}).",
+            remedy="Remove it: LabOS makes it again from the log.",
         ) from None
     previous = bytes.fromhex(kept.chain) if kept.size else GENESIS
     if kept.size:
@@ -100,7 +101,7 @@ def _check_same(log: Log, kept: StoredTree, chain: bytes) -> None:
         )
     record = next(iter(log.read(kept.size - 1, kept.size)), None)
     if record is None or record.hash != chain:
-        raise _report_damage(kept.size, "it bears another hash than when the last checkpoint was signed")
+        raise _report_damage(kept.size, "its hash has changed since the last checkpoint was signed")
 
 
 def _report_damage(position: int, fault: str) -> LogDamaged:

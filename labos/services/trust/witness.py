@@ -62,13 +62,13 @@ class Witness:
             return WitnessReply(400, f"{error.message}\n")
         known = [key for key in self._keys if key.name == head.origin and key.kind == SIGNS]
         if not known:
-            return WitnessReply(404, f"No lab {head.origin} is known here.\n")
+            return WitnessReply(404, f"The lab {head.origin} is not known here.\n")
         try:
             signed = note.find_signers(known)
         except BadInput:
             signed = []
         if not signed:
-            return WitnessReply(403, "No key that is known here has signed this.\n")
+            return WitnessReply(403, "This is not signed by a known key.\n")
         if old > head.size:
             return WitnessReply(400, "The old size is larger than the new one.\n")
         with self._one:  # no other request changes the size between reading and writing it
@@ -84,9 +84,7 @@ class Witness:
         if old != seen.size or (old == head.size and seen.root != head.root):
             return WitnessReply(409, f"{seen.size}\n", SIZE_TYPE)
         if not is_consistent(old, seen.root, head.size, head.root, proof):
-            return WitnessReply(
-                422, "The proof does not show that this tree continues the one that was seen.\n"
-            )
+            return WitnessReply(422, "The proof does not show that this tree continues the previous one.\n")
         try:
             Folder(self._folder).put(_name_file(head.origin), note.encode())
         except SystemFailed as error:
@@ -144,14 +142,14 @@ def ask_witness(url: str, note: Note, old: int, proof: Proof) -> tuple[NoteSigna
         if int(seen) > size:
             raise SystemFailed(
                 f"The witness {url} has seen a log of {seen} events, this one has {size}: it was cut off.",
-                remedy="Look with labos verify.",
+                remedy="Check with labos verify.",
             )
         old = int(seen)
     if answer.status_code != 200:
         raise SystemFailed(
             f"The witness {url} does not cosign the checkpoint of size {size}: "
             f"{answer.status_code} {seen[:200]}",
-            remedy="409 and 422 say that this log is not the one that it saw before; 403 and 404 that it "
+            remedy="409 and 422: this log differs from the one that the witness saw before; 403 and 404: it "
             "does not have this lab's public key.",
         )
     try:

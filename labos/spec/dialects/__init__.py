@@ -21,13 +21,13 @@ OWN_KEYS = {"stations", "stock", "labware"}
 """Keys that only LabOS' own workcell files have."""
 
 _NO_SPECS = {
-    "services": "It looks like a Docker Compose file, which says nothing of the bench.",
-    "commands": "A protocol file is not loaded itself: name it in an argument of a step.",
-    "node_name": "A MADSci node file says nothing that the workcell's settings.yaml does not say.",
+    "services": "It looks like a Docker Compose file, which has no information about the bench.",
+    "commands": "A protocol file cannot be loaded directly: name it in an argument of a step.",
+    "node_name": "A MADSci node file adds nothing to the workcell's settings.yaml.",
     "representation_templates": "MADSci locations are read with the settings.yaml beside them.",
     "location_templates": "MADSci locations are read with the settings.yaml beside them.",
     "workcell_server_url": "These MADSci settings name no nodes: add `workcell_nodes:`.",
-    "manager_type": "Of MADSci's managers the workcell's is read; put `locations:` into its file.",
+    "manager_type": "LabOS reads only the file of MADSci's workcell manager; put `locations:` into it.",
 }
 """Keys that show the kind of another file, with a remedy."""
 
@@ -114,7 +114,7 @@ def _warn_of_doubles(source: Source, report: FindingList) -> None:
     """Foreign programs read files with PyYAML, which uses the last one of equal keys."""
     for double in source.doubles:
         report.add_warning(
-            f"{double.message} The last one counts, as in the program that it was written for.",
+            f"{double.message} The last one is used, as in the program for which the file was written.",
             Place(double.line, double.column),
             field=double.field,
             remedy="Remove the others.",

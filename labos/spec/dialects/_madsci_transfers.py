@@ -123,7 +123,8 @@ class TransferTemplates:
         if config.get("enabled"):
             self.reader.warn_of_assumption(
                 path,
-                "A transfer costs the same however full its target is: what has no room is waited for.",
-                "Give places that are to be avoided a higher `cost:` by a way of their own.",
+                "In LabOS, the cost of a transfer does not depend on how full its target is; a "
+                "transfer waits until there is room.",
+                "To avoid a place, give it its own way with a higher `cost:`.",
                 key=True,
             )

@@ -180,7 +180,7 @@ class _Workcell:
         place = location.name if own else f"wc.{location.name.replace('.', '_')}"
         if place in self.stations:
             raise location.reader.source.error(
-                f"The location {location.name!r} stands here twice.", location.path, remedy="Remove one."
+                f"The location {location.name!r} is listed twice.", location.path, remedy="Remove one."
             )
         station = SourceMapping(at)
         station.put("kind", location.kind, at, at)
@@ -205,7 +205,9 @@ class _Workcell:
                 if location.resource:
                     self._configure(node, "resource_ids", place, location.resource, at)
             else:
-                location.warn(f"The location {location.name!r} is taught to {node!r}, which is no node here.")
+                location.warn(
+                    f"The location {location.name!r} is taught to {node!r}, which is not a node in this file."
+                )
 
     def _teach(self, node: str, place: str, value: Any, at: Place, *, own: bool) -> None:
         """Add a place to a node: joints if it is a list of numbers; any other value goes to the node's
@@ -274,7 +276,7 @@ class _Location:
         if name is None:
             return None
         if str(name) not in known:
-            self.warn(f"The {what} {name!r} is not in this file; {self.name!r} is taken for a nest.")
+            self.warn(f"The {what} {name!r} is not in this file; {self.name!r} is assumed to be a nest.")
         return known.get(str(name))
 
     def _bind(self, template: SourceMapping, ways: dict[str, SourceMapping]) -> None:

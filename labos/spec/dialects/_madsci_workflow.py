@@ -8,7 +8,7 @@ from typing import Any
 from labos.spec.carriers import TRANSFER
 from labos.spec.dialects._madsci_parameters import ALIASES, Parameters
 from labos.spec.dialects._reader import Reader, find_places, is_number
-from labos.spec.findings import FindingList, near
+from labos.spec.findings import FindingList, suggest_name
 from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
 METADATA = ("definition_metadata", "metadata")
@@ -75,7 +75,7 @@ class _Workflow:
         if self.pause is not None:
             self.reader.warn_of_assumption(
                 ("steps", len(self.steps) - 1),
-                "Nothing comes after the waiting at the end; it is left out.",
+                "The wait at the end has no effect; it is left out.",
                 "Add a step.",
             )
         parameters = self.parameters.make_form(data.at)
@@ -153,7 +153,7 @@ class _Workflow:
             parameter = self.parameters.declare(parameter, (*path, key))
         if str(parameter) in self.parameters.forward:
             raise self.source.error(
-                f"The {key} comes from an earlier step, and must be known before a run.",
+                f"The {key} comes from an earlier step, but it must be known before the run.",
                 (*path, key),
                 remedy=f"Write `{key}:` itself, or take it from an input.",
             )
@@ -199,7 +199,7 @@ class _Workflow:
             value = value.get("location_name")
         if not isinstance(value, str):
             raise self.source.error(
-                "The location has no name; joint angles alone do not say what is there.",
+                "The location has no name; joint angles do not show which station it is.",
                 path,
                 remedy="Write the name of a location of the workcell.",
             )
@@ -216,7 +216,7 @@ class _Workflow:
             return self._read_source(index, *self.parameters.forward[key])
         known = [*self.parameters.inputs, *self.parameters.forward]
         raise self.source.error(
-            f"The parameter {key!r} is not declared.", path, remedy=near(key, known, "parameter")
+            f"The parameter {key!r} is not declared.", path, remedy=suggest_name(key, known, "parameter")
         )
 
     def _read_source(self, index: int, entry: SourceMapping, path: Path_) -> str:
@@ -272,10 +272,10 @@ class _Workflow:
         if action == TRANSFER_RESOURCE:
             target = arguments.get("destination_location_id", "where it goes")
             raise self.source.error(
-                "The step names a resource of MADSci, and LabOS does not know where that stands.",
+                "The step names a resource of MADSci, but LabOS does not know its location.",
                 (*path, "action"),
-                remedy=f"Write `action: transfer`, and as arguments `source:` with the location where it "
-                f"stands then, and `target: {target}`.",
+                remedy="Write `action: transfer`, and as arguments `source:` with its location at that "
+                f"time, and `target: {target}`.",
             )
         out = SourceMapping(arguments.at)
         for name, value in arguments.items():
@@ -291,7 +291,7 @@ class _Workflow:
         if action == TRANSFER_CONTENTS:
             self.reader.warn_of_assumption(
                 path,
-                "One piece of labware is carried: on a stack, the one on top.",
+                "One piece of labware is moved: from a stack, the one on top.",
                 "Repeat the step if the location holds more.",
             )
         return out
@@ -315,7 +315,7 @@ class _Workflow:
             raise self.source.error("The step does not say how long.", path, remedy="Write `seconds:`.")
         if last is None:
             self.reader.warn_of_assumption(
-                path, "Nothing is done before the waiting; it is left out.", "Remove it."
+                path, "The wait at the start has no effect; it is left out.", "Remove it."
             )
             return
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)
@@ -335,7 +335,7 @@ class _Workflow:
         known |= {*ARGUMENTS, *LOCATIONS, used_key}
         for key, value in step.items():
             if key == "conditions" and value:
-                self.reader.ignore((*path, key), "names conditions; LabOS checks itself what stands where")
+                self.reader.ignore((*path, key), "contains conditions; LabOS itself checks where labware is")
             elif key not in known and value is not None:
                 self.reader.ignore((*path, key))
         for key, value in used.items():

@@ -52,7 +52,7 @@ def _find_spot(source: Source, key: str) -> tuple[Any, Any]:
 def _read_number(reader: Reader, table: SourceMapping, key: str, path: tuple[str, ...]) -> float:
     value = table.get(key)
     if not is_number(value):
-        raise reader.source.error(f"`{key}` is no number.", (*path, key), remedy="Write it in mm or µL.")
+        raise reader.source.error(f"`{key}` is not a number.", (*path, key), remedy="Write it in mm or µL.")
     return float(value)  # type: ignore[arg-type]
 
 
@@ -89,7 +89,7 @@ def _read_wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | Non
     if volume <= 0:
         reader.warn_of_assumption(
             ("wells",),
-            "The wells stand in no grid with one pitch; they are left out.",
+            "The wells are not in a regular grid; they are left out.",
             "Write them yourself.",
         )
         return None

@@ -26,7 +26,7 @@ from color_solvers import Mixture, distance, solver_of
 
 from labos.client import Experiment, LabClient, RunFailed, RunResult
 from labos.client.plate_reading import BadPicture, Color, Reading, read_plate
-from labos.client.report import parser_for, read_payload, run_program
+from labos.client.report import make_parser, read_payload, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -302,7 +302,7 @@ def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
 
 
 def main() -> int:
-    parser = parser_for(
+    parser = make_parser(
         "Find the amounts of three dyes that make a wanted colour.", user="bo", out="color-EXPERIMENT"
     )
     parser.add_argument(

@@ -22,7 +22,7 @@ from growth_layout import DRUG
 from growth_plots import write_growth_report
 
 from labos.client import Experiment, LabClient, RunResult
-from labos.client.report import ReportPage, parser_for, run_program
+from labos.client.report import ReportPage, make_parser, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -130,7 +130,7 @@ def prepare(given: argparse.Namespace) -> Callable[[LabClient], list[str]]:
 
 
 def main() -> int:
-    parser = parser_for("Find how much of a drug halves the growth of bacteria.", user="bo", out="growth")
+    parser = make_parser("Find how much of a drug halves the growth of bacteria.", user="bo", out="growth")
     parser.add_argument("--workcell", choices=("rpl", "bio"), default="rpl", help="where it runs")
     parser.add_argument("--plates", type=int, default=1, help=f"how many, {MOST_PLATES} at the most")
     return run_program("growth assay", parser, prepare)

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from labos.client import Experiment, LabClient, RunFailed, RunResult
 from labos.client.plate_reading import BadPicture, read_plate
-from labos.client.report import parser_for, read_payload, run_program
+from labos.client.report import make_parser, read_payload, run_program
 from labos.client.report import write_report as write_page
 from labos.errors import BadInput
 
@@ -192,7 +192,9 @@ def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
 
 
 def main() -> int:
-    parser = parser_for("Prepare, seal, cycle, peel and photograph plates.", user="ada", out="pcr-EXPERIMENT")
+    parser = make_parser(
+        "Prepare, seal, cycle, peel and photograph plates.", user="ada", out="pcr-EXPERIMENT"
+    )
     parser.add_argument(
         "--payload", type=Path, default=HERE / "payloads" / "standard.yaml", help="programme and plates"
     )

@@ -22,7 +22,7 @@ from drop_dynamics import BadSeries, find_dynamics, series_of
 from drop_report import Drop, Summary, summary_of, write_drop_report
 
 from labos.client import Experiment, LabClient
-from labos.client.report import parser_for, read_payload, run_program
+from labos.client.report import make_parser, read_payload, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -178,7 +178,7 @@ def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
 
 
 def main() -> int:
-    parser = parser_for(
+    parser = make_parser(
         "Measure how fast particles diffuse in a pendant drop.", user="qi", out="drops-EXPERIMENT"
     )
     parser.add_argument(

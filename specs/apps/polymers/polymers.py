@@ -21,7 +21,7 @@ from polymer_recommender import Recipe, Recommender
 from polymer_report import Sample, write_polymer_report
 
 from labos.client import Experiment, LabClient
-from labos.client.report import parser_for, read_payload, run_program
+from labos.client.report import make_parser, read_payload, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -215,7 +215,7 @@ def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
 
 
 def main() -> int:
-    parser = parser_for("Find a polymer of a wanted colour.", user="ada", out="polymers-EXPERIMENT")
+    parser = make_parser("Find a polymer of a wanted colour.", user="ada", out="polymers-EXPERIMENT")
     parser.add_argument(
         "--payload", type=Path, default=HERE / "payloads" / "blue.yaml", help="what is wanted"
     )

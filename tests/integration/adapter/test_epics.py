@@ -208,7 +208,7 @@ def test_what_a_record_refuses_has_failed(ioc: Ioc, tmp_path: Path, protocol: st
         failed = await here.outcome("a1")
         # Over PV Access the value is refused before it is sent.
         assert (failed.succeeded, failed.effects) == (False, "unknown" if protocol == "ca" else "none")
-        assert "Speed does not take 'fast'" in failed.error
+        assert "Speed does not accept 'fast'" in failed.error
 
     run(tmp_path, scenario)
 
@@ -222,7 +222,7 @@ def test_what_does_not_end_in_time_is_not_known(ioc: Ioc, tmp_path: Path) -> Non
         await adapter(here, ioc, actions={**MAPPING["actions"], "travel": endless})
         await here.start("a1", "travel", target=NEVER + 10)
         told = await here.status("a1", "interrupted")
-        assert "not done within 1 s (by Position, State)" in told.why
+        assert "did not end within 1 s (by Position, State)" in told.why
         assert (await here.kernel.recover("a2")).succeeded
         await here.idle(40)
 
@@ -293,7 +293,7 @@ def test_an_ioc_killed_in_mid_motion(tmp_path: Path, action: str, protocol: str)
         if action == "travel":  # its put was answered; the end of the motion is waited for
             await here.await_taken()
         ioc.kill()
-        await here.in_error("Nobody answers for")
+        await here.in_error("here is no answer for")
         ioc.start()
         told = await here.status("a1", "interrupted", 60)
         assert "restarted" in told.why or "lost" in told.why
@@ -351,7 +351,7 @@ def test_what_is_not_there_is_named(ioc: Ioc, tmp_path: Path) -> None:
         await here.process(
             "epics_node", DESCRIPTION, **ioc.config, epics={**MAPPING, "resources": {"foil": "Foil"}}
         )
-        await here.in_error("Nobody answers for SHAKER:Foil")
+        await here.in_error("here is no answer for SHAKER:Foil")
 
     run(tmp_path, scenario)
 

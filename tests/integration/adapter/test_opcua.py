@@ -127,7 +127,7 @@ def test_a_lost_answer_never_moves_twice(
         await here.start("a1", action, speed=2, time_s=6.0, label=label)
         await until(lambda: len(server.truth("shake", label=label)) == 1, 20)
         cable.cut()
-        await here.in_error("Nobody answers for")
+        await here.in_error("here is no answer for")
         cable.mend()
         if action == "shake":
             assert "its callback was lost" in (await here.status("a1", "interrupted")).why
@@ -156,7 +156,7 @@ def test_a_motion_is_waited_for_across_a_broken_line(
         await until(lambda: len(server.truth("travel", target=7.0)) == 1, 20)
         await here.await_taken()
         cable.cut()
-        await here.in_error("Nobody answers for")
+        await here.in_error("here is no answer for")
         cable.mend()
         assert (await here.outcome("a1", 40)).result == 7.0
         assert len(server.truth("travel", target=7.0)) == 1
@@ -205,7 +205,7 @@ def test_the_server_is_killed_in_mid_motion(tmp_path: Path, action: str) -> None
         await here.start("a1", action, **args)
         await until(lambda: len(server.truth(action)) == 1, 20)
         server.kill()
-        await here.in_error("Nobody answers for")
+        await here.in_error("here is no answer for")
         server.start()
         told = await here.status("a1", "interrupted", 60)
         assert "restarted" in told.why or "lost" in told.why

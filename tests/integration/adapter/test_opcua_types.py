@@ -173,7 +173,7 @@ def test_an_encrypted_server_lets_the_right_user_in(tmp_path: Path, monkeypatch:
         with_node(server.port, check_refused, **{**told, "opcua_password": str(wrong)})
 
         async def not_encrypted(node: Any) -> None:
-            assert "Nobody answers for" in await node.trouble()
+            assert "here is no answer for" in await node.trouble()
 
         with_node(server.port, not_encrypted)
     finally:
@@ -185,11 +185,11 @@ def test_what_a_config_says_of_secrets_is_checked_before_anything_is_sent(tmp_pa
     note = str(tmp_path / "note.pem")
     policy = {"opcua_policy": "Basic256Sha256"}
     for told, words in (
-        ({"opcua_url": "opc.tcp://me:secret@plc/"}, "`opcua_url` holds a user"),
-        ({"opcua_user": "me"}, "the password would go over the network as it is"),
+        ({"opcua_url": "opc.tcp://me:secret@plc/"}, "`opcua_url` contains a user"),
+        ({"opcua_user": "me"}, "the password would be sent over the network unencrypted"),
         ({"opcua_user": "me", **policy, "opcua_password": "/no/file"}, "`opcua_password` names the file"),
         ({"opcua_policy": "None"}, "It is Basic256Sha256, Aes128Sha256RsaOaep or Aes256Sha256RsaPss"),
-        ({"opcua_key": note}, "`opcua_key` is nothing without `opcua_policy`"),
+        ({"opcua_key": note}, "`opcua_key` has no effect without `opcua_policy`"),
         (policy, "`opcua_policy` needs `opcua_certificate`"),
         ({**policy, "opcua_certificate": note}, "holds no certificate"),
         ({**policy, "opcua_certificate": "/no/file"}, "cannot be read"),

@@ -303,7 +303,7 @@ def test_the_adapter_is_killed_before_the_device_gave_an_id(sealer: Sealer, tmp_
         first.kill()
         await here.await_node_gone()
         await process(here, sealer, JOBS)
-        assert "before the device had given an id" in (await here.status("a1", "interrupted", 40)).why
+        assert "before it received an id from the device" in (await here.status("a1", "interrupted", 40)).why
         assert (await here.start("a1", "seal", time=3.0)).status == "interrupted"
         assert len(sealer.seals) == 1
 
@@ -349,7 +349,7 @@ def test_the_device_is_killed_in_mid_action(tmp_path: Path, mapping: dict[str, A
 
 
 def test_what_a_mapping_lacks_is_said() -> None:
-    assert find_flaw({"outcome": {}}) == "neither `action` nor `actions` says how an action is started"
+    assert find_flaw({"outcome": {}}) == "`action` or `actions` is needed, to define how an action is started"
     assert find_flaw({"action": {"path": "/a"}, "job": {}}) == "job.path: is missing"
     assert "is not known here" in find_flaw({"action": {"path": "/a", "body": 1}})
     assert find_flaw(PAPER) == ""

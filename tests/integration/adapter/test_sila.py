@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from labos.adapter import describe_foreign
 from labos.core.model import ActionSpec, Arg, Description
-from labos.spec.about import About, description_of, make_about
+from labos.spec.about import About, make_about, make_description
 from labos.spec.emit import to_yaml
 from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play
@@ -66,7 +66,7 @@ def description(server: SilaProcess) -> Description:
     """What the server says of itself, as it goes through a workcell file."""
     told = asyncio.run(describe_foreign("sila_node", server.config()))
     written = yaml.safe_load(to_yaml(make_about(told)))
-    return description_of(About.model_validate(written), "sila_node")
+    return make_description(About.model_validate(written), "sila_node")
 
 
 def config(server: SilaProcess, port: int = 0, **more: Any) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def test_a_bolt_that_stays_is_told(ioc: Ioc, tmp_path: Path) -> None:
         assert (await here.outcome("a1")).succeeded
         await here.start("a2", "lock")
         stuck = await here.status("a2", "interrupted")  # whether it is locked is asked of a person
-        assert "not done within 1 s" in stuck.why
+        assert "did not end within 1 s" in stuck.why
         assert len(ioc.truth("locked")) == before
 
     run(tmp_path, scenario)

@@ -103,7 +103,7 @@ def test_a_command_of_madsci_that_does_not_say_that_it_succeeded(told: Any) -> N
     [
         ({"State": "STANDBY"}, True, ""),
         ({"State": "WORKS"}, False, ""),
-        ({"State": "CALIBRATES"}, False, "says that it is 'CALIBRATES'; `rest: state` does not tell"),
+        ({"State": "CALIBRATES"}, False, "reports 'CALIBRATES'; `rest: state` does not define"),
     ],
 )
 def test_a_device_by_a_mapping(state: dict[str, Any], idle: bool, says: str) -> None:

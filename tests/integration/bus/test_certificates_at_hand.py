@@ -54,7 +54,7 @@ def test_a_kernel_on_the_bus_of_another_makes_no_authority(settings: Settings) -
 def test_an_authority_that_is_gone_is_not_replaced_by_another(settings: Settings) -> None:
     """All nodes would be refused, and nobody would know why."""
     announce(settings.home, KernelInfo(0, "http://127.0.0.1:1", TLS[0], LAB, "sqlite:///x"))
-    with pytest.raises(NotFound, match="is gone"):
+    with pytest.raises(NotFound, match="is missing"):
         Guard(KERNEL, settings, runs_bus=True).prepare()
     guard = Guard(BUS, Settings(settings.home / "other", ""), runs_bus=True)
     guard.prepare()
@@ -91,7 +91,7 @@ def test_a_node_is_told_which_certificate_it_needs(settings: Settings) -> None:
         None,
         "",
     )
-    with pytest.raises(NotFound, match="no certificate was named"):
+    with pytest.raises(NotFound, match="no certificate was given"):
         node(settings, None, lab="")
     with pytest.raises(NotFound, match="There is no"):
         node(settings, None)
@@ -99,14 +99,14 @@ def test_a_node_is_told_which_certificate_it_needs(settings: Settings) -> None:
     authority.init("test")
     other = PartyIdentity("node", "rpl/peeler", LAB)
     authority.issue(other)
-    with pytest.raises(BadInput, match="is that of the node rpl/peeler, not of the node rpl/sealer"):
+    with pytest.raises(BadInput, match="belongs to the node rpl/peeler, not to the node rpl/sealer"):
         node(settings, authority.credentials(other).folder)
 
 
 def test_a_certificate_of_another_lab_is_refused_by_the_node_itself() -> None:
     check_lab(MODULE, LAB, LAB)
     check_lab(MODULE, LAB, "")  # the site's certificates tell of no lab
-    with pytest.raises(BadInput, match="belongs to lab lab-1, its certificate to lab lab-2"):
+    with pytest.raises(BadInput, match="belongs to lab lab-1, but its certificate to lab lab-2"):
         check_lab(MODULE, LAB, "lab-2")
 
 

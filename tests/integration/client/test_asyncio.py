@@ -139,5 +139,5 @@ def test_whoever_waits_when_the_client_is_closed_is_told(url: str) -> None:
 
 @pytest.mark.parametrize("name", ["", ".", ".."])
 def test_a_name_that_names_nothing_is_refused(url: str, name: str) -> None:
-    with LabClient(url) as lab, pytest.raises(BadInput, match="names nothing"):
+    with LabClient(url) as lab, pytest.raises(BadInput, match="is not a name"):
         lab.status(name)

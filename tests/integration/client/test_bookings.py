@@ -88,7 +88,7 @@ def test_a_booking_ends_by_itself_and_who_waits_goes_on(lab: LabThread, say: Say
         assert client.bookings() == []
     log = say("log", "--type", "booking")
     assert "op booked corner for maintenance from" in log
-    assert "is over, and does not come again" in log
+    assert "is over, and is not repeated" in log
 
 
 def test_overlaps_are_refused_by_name(say: Say) -> None:
@@ -193,8 +193,8 @@ def test_a_run_that_would_never_have_room_is_warned_about(lab: LabThread, say: S
     say("book", "reader", *again, "--force")
     with LabClient(lab.url) as client:
         run = client.do("reader", "close_lid", user="ada")
-        assert any("leave no gap of" in warning for warning in client.warnings), client.warnings
-        assert "leave no gap of" in say("explain", run)
+        assert any("leave no free time of" in warning for warning in client.warnings), client.warnings
+        assert "leave no free time of" in say("explain", run)
         client.cancel(run, "ada")
 
 

@@ -56,7 +56,7 @@ def test_a_run_is_due_and_the_lab_says_whether_that_will_be_kept(lab: LabThread,
             client.submit(CUT, user="ada", due="40 min", request="first")
         with pytest.raises(BadInput, match="has passed"):
             client.submit(CUT, user="ada", due="2020-01-01T08:00")
-        with pytest.raises(BadInput, match="is no time"):
+        with pytest.raises(BadInput, match="is not a time"):
             client.submit(CUT, user="ada", due="tomorrow")
         there = time.strftime("%Y-%m-%dT%H:%M", time.localtime(time.time() + 9 * 3600))
         arguments = [str(tmp_path / "cut.yaml"), "--user", "ada", "--due", there, "--home", home]
@@ -104,7 +104,7 @@ def test_rows_of_a_campaign_are_due(lab: LabThread, tmp_path: Path) -> None:
         there = int(time.mktime(time.strptime("2099-05-04T10:30", "%Y-%m-%dT%H:%M"))) * 10**9
         assert due == [there, 4081487400 * 10**9, 0]
         (tmp_path / "cuts.yaml").write_text(CAMPAIGN.replace("2099-05-04T10:30", "soon"))
-        with pytest.raises(BadInput, match="Row 0: 'soon' is no time"):
+        with pytest.raises(BadInput, match="Row 0: 'soon' is not a time"):
             client.submit_campaign(tmp_path / "cuts.yaml", user="ada")
         again = client.clone_campaign(campaign["campaign"], "ada")
         assert again["campaign"] != campaign["campaign"]

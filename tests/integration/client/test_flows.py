@@ -127,9 +127,9 @@ def test_a_flow_goes_on_at_the_step_at_which_it_was(lab: LabClient) -> None:
 def test_a_flow_that_cannot_be_is_refused() -> None:
     step = FlowStep("fit", Line().fit)
     for steps in ([], [step, step], [FlowStep("input", Line().fit)]):
-        with pytest.raises(BadInput, match="two of one name"):
+        with pytest.raises(BadInput, match="two steps with the same name"):
             Flow("analyse", steps)
-    with pytest.raises(BadInput, match="is never tried"):
+    with pytest.raises(BadInput, match="has no attempts"):
         Flow("analyse", [FlowStep("fit", Line().fit, attempts=0)])
 
 

@@ -118,7 +118,7 @@ REFUSED_BY_THE_LAB = {
     "confirm I99": ("labos confirm", "I99"),
     "approve R99": ("labos approve", "does not wait for an approval"),
     "refuse R99": ("labos refuse", "does not wait for an approval"),
-    "erase 1 --because personal": ("labos erase", "No words stand beside the log"),
+    "erase 1 --because personal": ("labos erase", "There are no erasable words at these positions"),
     "bench round": ("labos bench round", "has not lost its end"),
     "estop sealer": ("labos estop", "NOT known to be stopped"),
     "run nothing-like-it": ("labos run", "nothing-like-it"),

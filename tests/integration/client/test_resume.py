@@ -247,7 +247,7 @@ def test_a_decision_may_be_large_and_must_be_json(lab: LabClient) -> None:
         assert experiment.decide("grid", lambda: 0) == list(range(9000))
         with pytest.raises(BadInput, match="cannot be written"):
             experiment.decide("limit", lambda: float("inf"))
-        with pytest.raises(BadInput, match="no function"):
+        with pytest.raises(BadInput, match="needs a function"):
             experiment.decide("limit", 3)  # type: ignore[arg-type]
 
 
@@ -303,7 +303,7 @@ def test_what_cannot_be_resumed_is_said(lab: LabClient) -> None:
         Experiment(lab, "growth", "ada", resume=name),
     ):
         pass
-    with pytest.raises(BadInput, match="not begun"):
+    with pytest.raises(BadInput, match="not started"):
         _ = Experiment(lab, "plates", "ada").random
     lab.end_experiment(name, "ended", "ada")
 
@@ -313,7 +313,7 @@ def test_runs_of_others_in_the_experiment_are_named(lab: LabClient) -> None:
     with again(lab, name) as experiment:
         (stray,) = events(lab, name, "run.submitted")
         assert lab.warnings == [
-            f"{stray['run']} of {name} bears no key of its program, which would submit it again."
+            f"{stray['run']} of {name} has no key of its program, so the program would submit it again."
         ]
         lab.wait(stray["run"])
         assert experiment.id == name

@@ -412,7 +412,7 @@ def test_an_api_process_says_what_it_misses(lab: LabThread, folder: Path, tmp_pa
     home = Settings.make(folder / "lab")
     for settings, error, words in (
         (ApiSettings(home, "One/two"), BadInput, "name of an API process"),
-        (ApiSettings(Settings.make(folder / "lab", host="0.0.0.0")), BadInput, "in clear"),
+        (ApiSettings(Settings.make(folder / "lab", host="0.0.0.0")), BadInput, "unencrypted"),
         (ApiSettings(Settings.make(tmp_path / "none")), NotFound, "No kernel runs"),
     ):
         with pytest.raises(error, match=words), ApiThread(settings):

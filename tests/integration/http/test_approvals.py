@@ -87,7 +87,7 @@ def test_a_submission_that_waits_says_so_and_is_approved_as_it_was_seen(people: 
     assert shown["proposal"]["demand"]["modules"] == {"sealer": shown["proposal"]["demand"]["module_time_s"]}
     with pytest.raises(Forbidden, match="operator"):
         people["bob"].approve(first, "", shown["proposal"]["digest"])
-    with pytest.raises(Refused, match="not what was looked at"):
+    with pytest.raises(Refused, match="has changed since you checked it"):
         people["olga"].approve(first, "", "ab" * 32)
     people["olga"].approve(first, "", shown["proposal"]["digest"], comment="good")
     with pytest.raises(NotFound, match="does not wait"):
@@ -131,8 +131,8 @@ def test_on_the_command_line(people: People, tmp_path: Path) -> None:
     # A submission of a person who asks for it; its answer says what it waits for.
     (tmp_path / "seal.yaml").write_text(SEAL)
     told_run = people.labos("bob", "submit", str(tmp_path / "seal.yaml"), "--payload", "time=3", "--propose")
-    assert "waits for approval, because bob asks for it" in told_run.output
-    assert "Look at it" in people.labos("olga", "interventions").output
+    assert "waits for approval, because bob requests it" in told_run.output
+    assert "Check it" in people.labos("olga", "interventions").output
     people.labos("olga", "refuse", told_run.stdout.split()[-1])
 
 

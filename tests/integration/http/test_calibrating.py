@@ -86,7 +86,7 @@ def test_a_report_that_is_lost_is_found_to_be(lab: LabThread, say: Say, tmp_path
         path for path in (lab.settings.home / "blobs").rglob("*") if path.is_file() and digest in str(path)
     )
     kept.unlink()
-    assert f"names the blob {digest}, which is not there" in say("verify", fails=True, out=True)
+    assert f"names the blob {digest}, which is missing" in say("verify", fails=True, out=True)
 
 
 def test_a_report_that_is_not_kept(lab: LabThread, say: Say, tmp_path: Path) -> None:
@@ -96,7 +96,9 @@ def test_a_report_that_is_not_kept(lab: LabThread, say: Say, tmp_path: Path) -> 
     assert "is empty" in say("calibrate", "reader", "--file", str(report), fails=True)
     report.write_bytes(REPORT)
     wrong = ("--until", "2031-02-30", "--file", str(report))
-    assert "'2031-02-30' is no date. Write 2027-05-31, say." in say("calibrate", "reader", *wrong, fails=True)
+    assert "'2031-02-30' is not a date. Write it like 2027-05-31." in say(
+        "calibrate", "reader", *wrong, fails=True
+    )
     assert "no module" in say("calibrate", "washer", "--file", str(report), fails=True)
     with LabClient(lab.url) as client, pytest.raises(LabosError):
         client.file(sha256(REPORT).hexdigest())

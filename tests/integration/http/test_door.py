@@ -99,9 +99,9 @@ def test_only_json_is_read(raw: httpx.Client, kind: str) -> None:
 @pytest.mark.parametrize(
     ("said", "wrong", "remedy"),
     [
-        ({}, "in clear", "--tls-cert"),
-        ({"open_to_network": True}, "in clear", "--behind-proxy"),
-        ({"behind_proxy": True}, "asks nobody for a certificate", "--open-to-network"),
+        ({}, "unencrypted", "--tls-cert"),
+        ({"open_to_network": True}, "unencrypted", "--behind-proxy"),
+        ({"behind_proxy": True}, "without certificates", "--open-to-network"),
         ({"behind_proxy": True, "open_to_network": True}, "has no users", "labos user add"),
     ],
 )
@@ -171,7 +171,7 @@ def test_a_table_that_was_sent_along_is_taken(lab: LabThread, raw: httpx.Client)
 def test_files_programs_and_secrets_are_not_named_over_http(raw: httpx.Client, config: str) -> None:
     answer = apply(raw, CELL.format(name="rpl2", more=f"config: {config}"))
     assert answer.status_code == 400, answer.text
-    assert "cannot be said over HTTP" in answer.json()["detail"]
+    assert "cannot be set over HTTP" in answer.json()["detail"]
     assert "nodes.yaml" in answer.json()["remedy"]
 
 
@@ -218,7 +218,7 @@ def test_a_node_is_told_by_its_own_computer(tmp_path: Path) -> None:
     }
     assert with_own_settings(told, path, "c/peeler").config == told.config
     path.write_text("c/sealer: {rest_node_auth: /etc/labos/a.auth}\n")
-    with pytest.raises(BadInput, match="does not say where it may be sent"):
+    with pytest.raises(BadInput, match="but not the address to which it may be sent"):
         with_own_settings(told, path, "c/sealer")
     path.write_text("c/plc: {opcua_url: 'opc.tcp://plc/', opcua_password: /etc/labos/plc.password}\n")
     told = SetupReply(config={"opcua_url": "opc.tcp://evil.example/"})

@@ -73,18 +73,18 @@ def test_the_client_gets_a_file_and_parts_of_it(lab: Lab) -> None:
         lab.client.file(lab.picture, first=len(whole))
     with pytest.raises(NotFound):
         lab.client.file("0" * 64)
-    with pytest.raises(BadInput, match="names no file"):
+    with pytest.raises(BadInput, match="is not a file"):
         lab.client.file({"file": "x"})
 
 
 def test_a_picture_and_a_table_in_one_call(lab: Lab) -> None:
     image = lab.client.image(lab.picture)
     assert (image.format, image.mode, image.width) == ("PNG", "RGB", 800)
-    with pytest.raises(BadInput, match=r"plate\.png is no table"):
+    with pytest.raises(BadInput, match=r"plate\.png is not a table"):
         lab.client.table(lab.picture)
     name = keep_file(lab, b"well;OD\r\nA1;0,25\r\nA2;1\r\n")
     assert lab.client.table(name) == [{"well": "A1", "OD": 0.25}, {"well": "A2", "OD": 1}]
-    with pytest.raises(BadInput, match="is no picture"):
+    with pytest.raises(BadInput, match="is not a picture"):
         lab.client.image(name)
     with pytest.raises(NotFound):
         lab.client.table("0" * 64)

@@ -135,7 +135,7 @@ def test_it_plans_without_leaving_a_trace(agent: Agent, lab: LabThread) -> None:
     before = lab.runtime.kernel.state.position
     told = agent.ask("check_workflow", workflow=SEAL, payload={"time": 3})["data"]
     assert (told["steps"][0]["module"], told["demand"]["steps"], told["refusal"]) == ("sealer", 1, "")
-    assert told["approval"] == ["agent asks for it", "it was made by a program (agent)"]
+    assert told["approval"] == ["agent requests it", "it was made by a program (agent)"]
     told = agent.ask("check_campaign", campaign=CAMPAIGN, workflow=SEAL, tables={"rows.csv": ROWS})["data"]
     assert (told["rows"], told["checked"]) == (2, 2)
     assert lab.runtime.kernel.state.position == before
@@ -144,7 +144,7 @@ def test_it_plans_without_leaving_a_trace(agent: Agent, lab: LabThread) -> None:
 def test_what_it_proposes_waits_whatever_its_token_allows(agent: Agent, lab: LabThread) -> None:
     state = lab.runtime.kernel.state
     told = agent.ask("propose_run", workflow=SEAL, payload={"time": 3}, key="one")
-    assert told["meaning"].startswith("It has not begun")
+    assert told["meaning"].startswith("It has not started")
     run = told["data"]["run"]
     again = agent.ask("propose_run", workflow=SEAL, payload={"time": 3}, key="one")
     assert again["data"]["run"] == run
@@ -156,17 +156,17 @@ def test_what_it_proposes_waits_whatever_its_token_allows(agent: Agent, lab: Lab
     assert set(state.approvals.open) >= {run, campaign, clone}
     waits = agent.ask("why_run_waits", run=run)["data"]["waits"]
     assert waits == [
-        f"seal it: run {run} waits for approval, because agent asks for it, and it was made by a program "
+        f"seal it: run {run} waits for approval, because agent requests it, and it was made by a program "
         "(agent)"
     ]
     assert agent.ask("proposals", subject=campaign)["data"]["proposal"]["demand"]["rows"] == 2
     # The core holds it: the token itself, past the server, cannot approve, nor start.
     with LabClient(lab.url, token=agent.client._token) as client:
         digest = client.approval_of(run)["proposal"]["digest"]
-        with pytest.raises(Refused, match="agent is no person"):
+        with pytest.raises(Refused, match="agent is not a person"):
             client.approve(run, "agent", digest)
         question = next(q for q in client.state(waits=False)["interventions"] if q["run"] == run)
-        with pytest.raises(Refused, match="is no person"):
+        with pytest.raises(Refused, match="is not a person"):
             client.resolve(question["id"], "approve", "agent")
         direct = client.submit({"text": SEAL, "name": "s"}, {"time": 3}, user="")
         assert "made by a program" in client.approval
@@ -194,7 +194,7 @@ def test_for_a_user_it_proposes_what_that_user_may(lab: LabThread, folder: Path,
     acting.client.close()
     execute(lab, GrantRole("user:bob", "viewer"), "ada")
     acting = Agent(lab, mighty, behalf="bob")
-    assert "bob is viewer there" in acting.fault("propose_run", workflow=SEAL, payload={"time": 3})
+    assert "bob has the role viewer there" in acting.fault("propose_run", workflow=SEAL, payload={"time": 3})
     acting.client.close()
     execute(lab, GrantRole("user:bob", "submitter"), "ada")
 

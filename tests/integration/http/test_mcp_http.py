@@ -243,7 +243,7 @@ def test_what_is_too_large_or_no_request_is_not_read(folder: Path, url: str) -> 
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("--http-port", "0", "--host", "0.0.0.0"), "tokens would cross the network in clear"),
+        (("--http-port", "0", "--host", "0.0.0.0"), "tokens would be sent over the network unencrypted"),
         (("--http-port", "0", "--behalf", "bob"), "each agent names its user"),
         (("--host", "127.0.0.1"), "goes with --http-port"),
     ],

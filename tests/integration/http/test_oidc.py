@@ -100,15 +100,15 @@ def test_a_way_back_is_good_once_and_for_one_browser(lab: LabThread, browser: ht
     check_refused(browser.get(address))  # it was tried
     address = to_the_way_back(browser, "bob")
     assert browser.get(address).status_code == 200
-    assert "nobody went there" in check_refused(browser.get(address))
+    assert "the sign-in was not started here" in check_refused(browser.get(address))
 
 
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"state": "x"}, "nobody went there"),
-        ({"iss": "https://evil.example"}, "the answer is of"),
-        ({"iss": ""}, "the answer is of"),
+        ({"state": "x"}, "the sign-in was not started here"),
+        ({"iss": "https://evil.example"}, "the answer is from"),
+        ({"iss": ""}, "the answer is from"),
         ({"code": ""}, "says 'nothing'"),
         ({"code": "x"}, "invalid_grant"),
         ({"error": "access_denied"}, "access_denied"),
@@ -120,7 +120,7 @@ def test_a_forged_answer_is_refused(browser: httpx.Client, change: dict[str, str
 
 
 @pytest.mark.parametrize(
-    ("field", "why"), [("verifier", "invalid_grant"), ("nonce", "id token is not valid")]
+    ("field", "why"), [("verifier", "invalid_grant"), ("nonce", "ID token is not valid")]
 )
 def test_a_code_of_somebody_else_is_refused(
     lab: LabThread, browser: httpx.Client, field: str, why: str

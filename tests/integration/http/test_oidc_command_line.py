@@ -113,7 +113,9 @@ def test_a_browser_comes_back_to_the_command(lab: LabThread, shell: Shell) -> No
     assert token["expires_at"] - token["created_at"] == 2 * 86_400 * 10**9  # the lab's file allows no more
     assert "labos login on" in shell.run("token", "list", LABOS_URL=lab.url)
     # One that is shown by the environment goes before it, and is not what signing out revokes.
-    assert "is not one of this lab" in shell.run("whoami", LABOS_URL=lab.url, LABOS_TOKEN="x", fails=True)
+    assert "does not belong to this lab" in shell.run(
+        "whoami", LABOS_URL=lab.url, LABOS_TOKEN="x", fails=True
+    )
     assert "signed out" in shell.run("logout", lab.url, LABOS_TOKEN="x")
     assert shell.tokens == {}
     with LabClient(lab.url, token=secret) as late, pytest.raises(NotSignedIn, match="revoked"):
@@ -175,7 +177,7 @@ def check_refused(client: LabClient, state: str, key: str, sent: dict[str, Any])
 def test_a_code_is_good_once(anybody: LabClient) -> None:
     begun, sent = way_back(anybody)
     assert anybody.finish_sign_in(begun["state"], begun["key"], **sent)["user"] == "bob"  # type: ignore[arg-type]
-    assert "nobody went there" in check_refused(anybody, begun["state"], begun["key"], sent)
+    assert "the sign-in was not started here" in check_refused(anybody, begun["state"], begun["key"], sent)
     # The provider does not take it again either, for another sign-in.
     other = anybody.begin_sign_in(9)
     assert "invalid_grant" in check_refused(anybody, other["state"], other["key"], sent)
@@ -188,14 +190,14 @@ def test_a_code_that_was_caught_is_good_for_nobody_else(anybody: LabClient) -> N
     begun, sent = way_back(anybody)
     thief = anybody.begin_sign_in(9)  # PKCE: the code belongs to another verifier
     assert "invalid_grant" in check_refused(anybody, thief["state"], thief["key"], sent)
-    assert "nobody went there" in check_refused(anybody, "x", begun["key"], sent)
+    assert "the sign-in was not started here" in check_refused(anybody, "x", begun["key"], sent)
 
 
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"iss": "https://evil.example"}, "the answer is of"),
-        ({"iss": ""}, "the answer is of"),
+        ({"iss": "https://evil.example"}, "the answer is from"),
+        ({"iss": ""}, "the answer is from"),
         ({"code": ""}, "says 'nothing'"),
         ({"code": "x"}, "invalid_grant"),
         ({"error": "access_denied"}, "access_denied"),
@@ -232,8 +234,8 @@ def test_a_device_is_asked_for_no_faster_than_the_provider_says(lab: LabThread, 
     command_line = lab.runtime.gate.command_line
     assert command_line is not None
     command_line._devices[begun["state"]].until = 0.0
-    assert "nobody has typed" in check_refused(anybody, begun["state"], begun["key"], {})
-    assert "nobody went there" in check_refused(anybody, begun["state"], begun["key"], {})
+    assert "the code was not entered" in check_refused(anybody, begun["state"], begun["key"], {})
+    assert "the sign-in was not started here" in check_refused(anybody, begun["state"], begun["key"], {})
 
 
 # -- what is tried at the command line ----------------------------------------------------------------

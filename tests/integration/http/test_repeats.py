@@ -175,8 +175,8 @@ def test_runs_that_are_asked_for_together_are_carried_out_once(raw: httpx.Client
     found = raw.post("/runs", json=single, headers=make_key_header("together-1"))
     assert found.json()["run"] == first.json()["runs"][1], "as if it had been submitted by itself"
     refused = (
-        ({"keys": ["a", "b"]}, "3 payloads, and 2 keys"),
-        ({"keys": ["a", "b", "a"]}, "payloads[2]: Its key 'a' is also that of payloads[0]"),
+        ({"keys": ["a", "b"]}, "3 payloads, but 2 keys"),
+        ({"keys": ["a", "b", "a"]}, "payloads[2]: Its key 'a' is also the key of payloads[0]"),
         ({"keys": ["a", "b", "together-1"]}, "payloads[2]: The key 'together-1' belongs to"),
         ({"payloads": [{"time": 1}, {"time": "x"}], "first": 7}, "payloads[8]: "),
         ({"payloads": [{"time": 1}, {"time": 2**70}]}, "payloads[1]"),

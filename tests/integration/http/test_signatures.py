@@ -189,7 +189,7 @@ def test_a_bundle_carries_signatures_and_the_log_is_checked_against_them(
 
     # A log that somebody has written anew, with a chain that is right in itself.
     code, told = ask("verify")
-    assert (code, "1 signatures are under the records that were signed" in told) == (0, True), told
+    assert (code, "1 signatures match their records" in told) == (0, True), told
     store = open_store(f"sqlite:///{home / 'labos.db'}", create=False, read_only=True)
     records = list(store.read(0))
     store.close()
@@ -206,7 +206,7 @@ def test_a_bundle_carries_signatures_and_the_log_is_checked_against_them(
     part = check_signatures(store)
     store.close()
     assert part.positions == tuple(r.head.position for r in records if r.head.type == RunSigned.TYPE)
-    assert "they are others now" in part.faults[0]
+    assert "these records have changed" in part.faults[0]
 
 
 def test_passwords_are_nowhere(lab: LabThread, folder: Path) -> None:

@@ -220,8 +220,8 @@ def test_a_bundle_of_several_runs_proves_itself(signed: Signed) -> None:
     code, told = signed.verify(experiment)
     assert code == 0, told
     assert "The bundle proves the experiment E1 of the lab" in told
-    assert "events of its own and of its 2 runs" in told
-    assert "only a signature under it says" in told
+    assert "events, with those of its 2 runs" in told
+    assert "Only a signature of it can show" in told
     assert "bob (authored, " in told
     assert "bob (reviewed of R1, " in told
     code, told = signed.verify(signed.bundle("C1"))
@@ -255,7 +255,7 @@ def test_a_run_taken_out_of_a_bundle_is_missed(signed: Signed) -> None:
     if runs:
         edit(path, without(runs[0]))
         code, told = signed.verify(path)
-        assert (code, f"C1 had {len(runs)} runs, and {len(runs) - 1} are here" in told) == (1, True), told
+        assert (code, f"C1 had {len(runs)} runs, but {len(runs) - 1} are here" in told) == (1, True), told
 
 
 def test_a_run_of_another_experiment_or_a_moved_signature_does_not_belong(signed: Signed) -> None:
@@ -275,7 +275,7 @@ def test_a_run_of_another_experiment_or_a_moved_signature_does_not_belong(signed
 
     edit(path, add)
     code, told = signed.verify(path)
-    assert (code, f"The run {others[0]} is none of E1" in told) == (1, True), told
+    assert (code, f"The run {others[0]} does not belong to E1" in told) == (1, True), told
 
     with zipfile.ZipFile(signed.bundle("E1")) as archive:
         lines = archive.read("events.jsonl").splitlines(keepends=True)
@@ -307,7 +307,7 @@ def test_a_bundle_that_calls_itself_something_else(signed: Signed) -> None:
 def test_a_log_written_anew_under_a_signature(signed: Signed) -> None:
     """Another actor of a run's end: the signature under the experiment is not under these records."""
     code, told = signed.ask("verify")
-    assert (code, "3 signatures are under the records that were signed" in told) == (0, True), told
+    assert (code, "3 signatures match their records" in told) == (0, True), told
     store = open_store(f"sqlite:///{signed.home / 'labos.db'}", create=False, read_only=True)
     records = list(store.read(0))
     store.close()
@@ -321,7 +321,7 @@ def test_a_log_written_anew_under_a_signature(signed: Signed) -> None:
     store.close()
     first = next(r.head.position for r in records if r.head.type == RecordsSigned.TYPE)
     assert part.positions == (first,)
-    assert "records of E1, and they are others now" in part.faults[0]
+    assert "records of E1, but these records have changed" in part.faults[0]
 
 
 def test_signatures_are_asked_for_in_sql(signed: Signed) -> None:

@@ -132,7 +132,7 @@ def test_a_file_of_tokens_is_for_its_owner_alone(
     monkeypatch.setenv("LABOS_TOKEN_FILE", str(file))
     monkeypatch.setenv("LABOS_CA", str(folder / "lab.pem"))
     with LabClient(f"https://127.0.0.1:{lab.runtime.http.port}") as client:
-        with pytest.raises(BadInput, match="Others than its owner can read"):
+        with pytest.raises(BadInput, match="Other users can read"):
             client.identity()
         os.chmod(file, 0o600)
         assert client.identity()["user"] == "bob"

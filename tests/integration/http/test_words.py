@@ -139,7 +139,7 @@ def test_bundles_checkpoints_and_verify_hold_before_and_after_an_erasure(tmp_pat
         assert say("replay", home, "--at", str(position), "--hash") == state
         say("bundle", run, "-o", str(later), "--home", home)
         verified = say("verify", "--home", home)
-        assert "0 are those that were written, 1 were erased" in verified
+        assert "0 are unchanged, 1 were erased" in verified
     key = ("--public-key", str(public))
     assert SECRET.encode() in unpack(bundle)
     assert "1 of 1 texts of people are there" in say("verify", "--bundle", str(bundle), *key)
@@ -168,7 +168,7 @@ def test_a_bundle_with_other_words_is_refused(tmp_path: Path) -> None:
             other.writestr(name, archive.read(name).replace(b"has a cold", b"is all well"))
     told = CliRunner().invoke(group, ["verify", "--bundle", str(changed), "--public-key", str(public)])
     assert told.exit_code == 1
-    assert "is not what was written there" in told.output
+    assert "was changed after it was written" in told.output
 
 
 def test_an_older_backup_does_not_bring_back_what_was_erased_since(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_an_older_backup_does_not_bring_back_what_was_erased_since(tmp_path: Pat
     assert SECRET.encode() not in bytes_of(elsewhere)
     last = tmp_path / "last"
     say("restore", newer, "--home", str(last))
-    assert "1 are those that were written, 1 were erased" in say("verify", "--home", str(last))
+    assert "1 are unchanged, 1 were erased" in say("verify", "--home", str(last))
 
 
 def test_an_older_copy_of_the_database_loses_them_when_the_lab_starts(tmp_path: Path) -> None:
@@ -260,16 +260,16 @@ def test_a_second_person_agrees_where_the_policy_asks_for_one(tmp_path: Path) ->
     ("asked", "said"),
     [
         ({"records": [9999]}, "no position 9999"),
-        ({"records": [1]}, "No words stand beside the log there"),
-        ({"user": "nobody"}, "No words stand beside the log there"),
-        ({}, "is said by 1 to 1000 positions, or by a user"),
+        ({"records": [1]}, "There are no erasable words at these positions"),
+        ({"user": "nobody"}, "There are no erasable words at these positions"),
+        ({}, "by 1 to 1000 positions, or by a user"),
     ],
 )
 def test_what_cannot_be_erased_is_said(tmp_path: Path, asked: dict[str, Any], said: str) -> None:
     with a_lab(tmp_path) as client:
         with pytest.raises((Refused, NotFound), match=said):
             client.erase_words("personal", "ada", **asked)
-        with pytest.raises(Refused, match="is no reason"):
+        with pytest.raises(Refused, match="is not a valid reason"):
             client.erase_words("because", "ada", user="bo")
 
 
@@ -284,8 +284,8 @@ def test_words_are_put_into_problems_calendars_and_longer_sentences(tmp_path: Pa
         assert kernel is not None
         calendar = httpx.get(f"{kernel.url}/api/v1/calendar.ics").content
         assert SECRET.encode() in calendar.replace(b"\r\n ", b"")
-        client.enter("corner", "olga", why="to look at it")
-        with pytest.raises(Refused, match="to look at it"):
+        client.enter("corner", "olga", why="to check it")
+        with pytest.raises(Refused, match="to check it"):
             client.enter("corner", "bo")
         experiment = client.start_experiment("colours", "ada")
         client.control("cancel", experiment, "bo", why="it is late")

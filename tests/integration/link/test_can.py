@@ -163,7 +163,7 @@ def test_emergencies_are_told(adapter: Adapter) -> None:
 def test_noise_from_the_adapter_ends_the_connection(adapter: Adapter) -> None:
     adapter._answers[ASKED_6041] = b"t5?\x1f84B416000\r"
     link = at(adapter)
-    with pytest.raises(LinkLost, match="hears nothing any more"):
+    with pytest.raises(LinkLost, match="receives nothing any more"):
         link.upload(0x6041, timeout_s=0.2)
     adapter._answers[ASKED_6041] = STATUS
     assert link.upload(0x6041) == b"\x27\x02"
@@ -188,5 +188,5 @@ def test_a_node_says_who_it_is_whenever_the_link_is_opened(adapter: Adapter) -> 
     with pytest.raises(WrongDevice, match="a valve was expected, but a drive answers"):
         other.open()
     adapter._answers[ASKED_6041] = b""
-    with pytest.raises(NotConnected, match="does not say who it is"):
+    with pytest.raises(NotConnected, match="does not identify itself"):
         at(adapter, identify=lambda link: str(link.upload(0x6041, timeout_s=0.1))).open()

@@ -175,7 +175,7 @@ def test_who_does_not_say_who_it_is_is_not_asked_anything(wire: Wire, end: FarEn
     link = Link(wire, Terminated(), identify=ask_who, expected="sealer 17")
     with (
         answer_on(end, {b"WHO": b"seal"}) as device,
-        pytest.raises(NotConnected, match="does not say who it is"),
+        pytest.raises(NotConnected, match="does not identify itself"),
     ):
         link.exchange(b"GO")
     assert device.heard == [b"WHO"]

@@ -74,7 +74,7 @@ def test_a_file_that_the_lab_has_not_moves_nothing(tmp_path: Path) -> None:
     async def check() -> None:
         async with place(tmp_path) as lab:
             await lab.kernel.serve(KEY, lab.desk.on_request)
-            with pytest.raises(DeviceError, match=r"mix\.yaml is not to be had") as raised:
+            with pytest.raises(DeviceError, match=r"mix\.yaml cannot be fetched") as raised:
                 await lab.files.fetch("0" * 64, "mix.yaml")
             assert raised.value.effects == "none"
             damaged = lab.blobs.put(b"abc")
@@ -149,7 +149,7 @@ def test_bytes_that_are_not_what_their_name_says_are_refused(tmp_path: Path) -> 
                 return await lab.desk.on_request(payload.replace(digest(b"abc").encode(), b"0" * 64))
 
             await lab.kernel.serve(KEY, garble)
-            with pytest.raises(DeviceError, match="not those of its SHA-256") as raised:
+            with pytest.raises(DeviceError, match="does not match its SHA-256") as raised:
                 await lab.files.send(Attachment("p.raw", b"abc"))
             assert raised.value.effects == "all"
 
@@ -184,7 +184,7 @@ def test_a_file_that_cannot_be_kept_beside_the_node_moved_nothing(tmp_path: Path
         async with place(tmp_path) as lab:
             await lab.kernel.serve(KEY, lab.desk.on_request)
             (tmp_path / "node").write_text("no folder")
-            with pytest.raises(DeviceError, match="cannot be kept beside the node") as caught:
+            with pytest.raises(DeviceError, match="cannot be stored beside the node") as caught:
                 await lab.files.fetch(lab.blobs.put(b"steps"), "mix.yaml")
             assert caught.value.effects == "none"
 

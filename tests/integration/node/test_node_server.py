@@ -366,7 +366,7 @@ def test_what_ran_when_the_node_died_is_interrupted_and_never_runs_again(check: 
         ]
         state = await kernel.state()
         assert (state.status, state.finished, state.interrupted) == ("BUSY", ["a1"], ["a2"])
-        assert "waiting for the device to stand still" in (await kernel.start("a3")).why
+        assert "waiting for the device to stop" in (await kernel.start("a3")).why
         arms[0].idle = True
         await until(lambda: kernel.states[-1].status == "IDLE")
         assert (await kernel.ask("a1")).status == "finished"
@@ -523,7 +523,7 @@ def test_the_operation_reset_takes_recoveries_only(check: Check) -> None:
         await here.node()
         refused = await here.kernel.reset("a1", "wave")
         assert (refused.status, refused.transient) == ("refused", False)
-        assert refused.why == "wave does not bring cell/arm out of an error."
+        assert refused.why == "wave cannot recover cell/arm from an error."
         assert (await here.kernel.start("a1")).status == "void"
         key = here.kernel.keys.operation(MODULE, "reset")
         asked = await here.kernel.bus.query(key, msgspec.json.encode(Ask(LAB, 1, "a2", 1, 21)), 2.0)
@@ -627,7 +627,7 @@ def test_what_still_moves_shows_nothing(check: Check) -> None:
         await kernel.start("a2", "pick")
         seen = await kernel.admin("observe")
         assert (seen.done, seen.result) == (False, None)
-        assert "carrying labware (pick)" in seen.why
+        assert "moving labware (pick)" in seen.why
         arm_of(server).go.set()
         assert (await kernel.outcome("a2")).succeeded
         assert (await kernel.admin("observe")).done

@@ -273,7 +273,7 @@ def test_what_a_device_sees_and_its_levels_are_told_or_refused(check: Check) -> 
             arm.sees = odd
             reply = await here.kernel.admin("observe")
             assert not reply.done
-            assert "cannot be told" in reply.why or "surrogates" in reply.why
+            assert "cannot be sent" in reply.why or "surrogates" in reply.why
             if odd == {"n": 2**70}:
                 continue  # a level is a number with a point
             arm.levels = odd
@@ -290,7 +290,7 @@ def test_a_handle_that_cannot_be_kept_is_not(check: Check) -> None:
         arm_of(server).handle = "x" * (TEXT_LIMIT + 1)
         await here.kernel.start("a1", "with_handle")
         outcome = await here.kernel.outcome("a1")
-        assert "own id cannot be kept" in outcome.error
+        assert "own id cannot be stored" in outcome.error
         assert not server.journal.broken
 
     check(scenario)
@@ -299,7 +299,7 @@ def test_a_handle_that_cannot_be_kept_is_not(check: Check) -> None:
 def test_an_action_whose_file_is_lost_was_done(tmp_path: Path) -> None:
     async def main() -> None:
         files = Files(bus=_NO_BUS, key="", folder=tmp_path)
-        with pytest.raises(DeviceError, match=r"the file scan.tif that it left cannot be read") as caught:
+        with pytest.raises(DeviceError, match=r"its file scan.tif cannot be read") as caught:
             await hand_over({"scan": Attachment("scan.tif", tmp_path / "scan.tif")}, files)
         assert caught.value.effects == "all"
 

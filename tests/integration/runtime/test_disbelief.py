@@ -150,7 +150,7 @@ def test_a_late_result_is_evidence_if_the_node_itself_says_so(tmp_path: Path) ->
             await lab.say(lab.keys.result(ARM, action.id), forge(action))
             await until(lambda: liar.questions > asked, 10.0)
             await lab.heartbeats(3, OTHER)
-            assert action.id in lab.kernel.state.actions.settled, "its node does not say so"
+            assert action.id in lab.kernel.state.actions.settled, "its node does not confirm it"
 
             liar.reply = ActionReply("finished", "j", outcome=Outcome(True, "all"), attempt=1)
             await lab.say(lab.keys.result(ARM, action.id), forge(action))
@@ -313,7 +313,7 @@ def test_a_module_that_does_not_answer_settled_delays_only_itself(tmp_path: Path
         async with start_attacked(tmp_path, nodes=(OTHER,), answer_s=60.0) as (lab, _):
             liar = await Liar.show_itself(lab)
             liar.settles = asyncio.Event()
-            lab.dispatcher.tell_settled(ARM, ActionId("gone"), done=True)
+            lab.dispatcher.report_settled(ARM, ActionId("gone"), done=True)
             await lab.kernel.execute(SubmitRun(plan(step("other")), "ada"), "ada")
             await until(lambda: lab.is_over("R1"), 10.0)
             assert lab.dispatcher._telling, "it was still being told"

@@ -187,7 +187,7 @@ def test_a_turn_of_which_there_is_no_end_is_taken_back(
         with monkeypatch.context() as endless:
             for kind in (RunPaused, RunResumed):
                 endless.setitem(REACTIONS, kind, (toggle,))
-            with pytest.raises(InternalFault, match="What follows from PauseRun does not come to an end"):
+            with pytest.raises(InternalFault, match="The reactions to PauseRun do not end"):
                 await kernel.execute(PauseRun(run), "ada")
             await await_reopened(kernel)
         assert kernel.durable == before == kernel.state.position

@@ -88,7 +88,7 @@ def test_who_was_erased_is_gone_with_the_next_backup(tmp_path: Path, monkeypatch
     lab.ask("restore", str(safe), "--rehearse")
     (lab.home / "labos.db").rename(tmp_path / "broken.db")
     said = lab.ask("restore", str(safe))
-    assert "Of 1 users the accounts are as they were then" in said
+    assert "The accounts of 1 users are as they were then" in said
     accounts = open_accounts(url)
     assert ([token.user for token in accounts.tokens()], accounts.people()) == (["bob"], {})
     accounts.close()

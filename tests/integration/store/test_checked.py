@@ -37,14 +37,14 @@ TAMPERED = [
     (run("UPDATE event SET recorded_at = 5 WHERE position = 2"), 2, "recorded_at"),
     (run('UPDATE event SET "schema" = 2 WHERE position = 1001'), 1001, "schema"),
     (run("DELETE FROM event WHERE position = 600"), 600, "missing"),
-    (run("DELETE FROM event WHERE position > 1190"), 1191, "reaches to 1200"),
+    (run("DELETE FROM event WHERE position > 1190"), 1191, "ends at 1200"),
     (run("UPDATE head SET position = 1199"), 1199, "head row"),
     (run("UPDATE head SET lab = 'lab-2'"), 1, "lab-2"),
     (run("UPDATE head SET recorded_at = recorded_at + 1"), 1200, "head row"),
     (
         run("UPDATE head SET position = 1199, hash = (SELECT hash FROM event WHERE position = 1199)"),
         1200,
-        "behind the end",
+        "after the end",
     ),
 ]
 
@@ -126,7 +126,7 @@ def test_a_forged_snapshot_is_not_used(
             database.run("UPDATE snapshot SET data = ?", forged)
         with hear_journal() as told:
             folded, number = load(opened(store_url), end=kept.head())
-        assert number == len(book.records), "the log is folded from its beginning"
+        assert number == len(book.records), "the state is computed from the beginning of the log"
         assert [line["event"] for line in told].count("snapshot_not_used") == 1
         assert hash_state(folded) == hash_state(honest)
         keep_snapshot(kept, book, middle)  # for the third: sealed, then changed

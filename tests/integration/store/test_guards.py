@@ -89,7 +89,7 @@ def _run(statement: str) -> Tamper:
         (
             _run("UPDATE head SET position = 7, hash = (SELECT hash FROM event WHERE position = 7)"),
             8,
-            "behind the head",
+            "after the end",
         ),
     ],
 )

@@ -107,7 +107,7 @@ def test_no_bucket_no_server_no_such_kind(bucket: str, monkeypatch: pytest.Monke
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     with pytest.raises(StoreUnavailable, match="s3://labos/gone"):
         ObjectBlobs("s3://labos/gone").put(b"abc")
-    with pytest.raises(BadInput, match="Blobs cannot be kept at nix://labos"):
+    with pytest.raises(BadInput, match="Blobs cannot be stored at nix://labos"):
         open_blobs("nix://labos")
 
 

@@ -52,7 +52,7 @@ def test_what_the_log_names_stays_and_what_is_young_stays(lab: Lab) -> None:
     assert f"{old} removed" in said
     assert "2 files without a reference in the log; 1 were removed." in said
     assert set(blobs.names()) == {*named, young}
-    assert "are there and whole" in lab.ask("verify")
+    assert "are there and unchanged" in lab.ask("verify")
 
 
 def test_options_that_do_not_go_together(lab: Lab) -> None:

@@ -95,8 +95,8 @@ def test_the_log_is_searched_for_words_that_stand_beside_it(store: SqlEventStore
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        ("UPDATE words SET text = 'I am well'", "are not those that were written"),
-        ("UPDATE words SET salt = '', text = '', erased_at = 9", "no event says that somebody erased them"),
+        ("UPDATE words SET text = 'I am well'", "were changed after they were written"),
+        ("UPDATE words SET salt = '', text = '', erased_at = 9", "no event records their erasure"),
         ("DELETE FROM words", "are missing beside the log"),
     ],
 )
@@ -129,7 +129,7 @@ def test_words_that_are_put_back_after_they_were_erased_are_found(
             {"salt": words.salt, "text": words.text},
         )
     engine.dispose()
-    assert "were erased at position 2 are there again" in check_words(store).faults[0]
+    assert "are there although they were erased at position 2" in check_words(store).faults[0]
 
 
 def test_erasures_are_noted_beside_the_database(

@@ -103,7 +103,9 @@ def test_a_file_whose_package_bears_a_loaded_name_is_not_mistaken_for_it(tmp_pat
     for path in (folder.parent / "__init__.py", folder / "__init__.py"):
         path.touch()
     (folder / "interface.py").write_text(OTHER.format(name="tecan"), "utf-8")
-    with pytest.raises(BadInput, match=r"as labos_drivers\.tecan\.interface: .* is loaded by that name"):
+    with pytest.raises(
+        BadInput, match=r"as labos_drivers\.tecan\.interface: .* is already loaded with that name"
+    ):
         load_driver(str(folder / "interface.py"))
 
 

@@ -35,7 +35,7 @@ def test_numbers_come_back_as_they_were() -> None:
 
 @pytest.mark.parametrize("values", ["a picture", ["a", "b"], None])
 def test_what_is_no_array_of_numbers_is_told(values: Any) -> None:
-    with pytest.raises(DeviceError, match="series is no array of numbers") as told:
+    with pytest.raises(DeviceError, match="series is not an array of numbers") as told:
         encode_array("series", ChannelReading(values))
     assert told.value.effects == "all", "the action itself is over"
 

@@ -56,8 +56,8 @@ def test_what_is_written_can_be_used(tmp_path: Path) -> None:
     assert seal.read_text() == (
         "# Imported from seal.yaml (WEI). What had to be assumed stands below.\n"
         "labos: 1\n"
-        "# Line 2: The key 'name' stands here twice; the first is in line 1. The last one counts, as in the\n"
-        "# program that it was written for.\n"
+        "# Line 2: The key 'name' is there twice; the first is in line 1. The last one is used, as in the\n"
+        "# program for which the file was written.\n"
         "name: Seal\n\nsteps:\n"
         "  # Line 4: The key 'foo' is a placeholder.\n"
         "  - {name: s, module: sealer, action: seal}\n"
@@ -148,7 +148,11 @@ def test_what_was_assumed_is_listed_by_consequence(tmp_path: Path) -> None:
     )
     told = call("import", str(lab), "-o", str(tmp_path / "out"))
     listed = told.partition("most important first:")[2]
-    order = ["serves the module 'oven'", "taken for the driver a4s_sealer", "does not know what mood"]
+    order = [
+        "driver for the module 'oven'",
+        "assumed to have the driver a4s_sealer",
+        "does not know what mood",
+    ]
     assert [listed.index(text) for text in order] == sorted(listed.index(text) for text in order)
     shown = json.loads(call("import", str(lab), "-o", str(tmp_path / "out"), "--force", "--json"))
     (cell,) = [file for file in shown["written"] if file["kind"] == "workcell"]

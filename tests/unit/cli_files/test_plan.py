@@ -60,7 +60,7 @@ def test_branches_and_windows(tmp_path: Path) -> None:
 
 
 def test_what_is_wrong_is_said_as_elsewhere() -> None:
-    with pytest.raises(SpecErrors, match="The payload holds no 'color_A_volumes'"):
+    with pytest.raises(SpecErrors, match="The payload has no 'color_A_volumes'"):
         call("plan", "cp_mixcolor", "--workcell", "rpl")
 
 

@@ -46,7 +46,7 @@ def test_a_new_lab_and_no_lab_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyP
     book.save(tmp_path)
     assert "has too few executions of these steps." in call(*PLAN, "--home", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    assert "Times are those of the drivers: no lab was asked (--home)." in call(*PLAN)
+    assert "The times are from the drivers, not from a lab (--home)." in call(*PLAN)
     plan = json.loads(call(*PLAN, "--json"))
     assert (plan["lab"], plan["steps"][0]["learned"]) == ("", False)
 
@@ -55,4 +55,4 @@ def test_a_lab_that_was_named_must_be_there(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(StoreUnavailable):
         call(*PLAN, "--home", str(tmp_path))
     monkeypatch.setenv("LABOS_URL", "http://127.0.0.1:9")
-    assert "no lab was asked" in call(*PLAN)
+    assert "not from a lab" in call(*PLAN)

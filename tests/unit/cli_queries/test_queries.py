@@ -344,8 +344,8 @@ def test_who_answers_late_is_told_who_did_before(home: Path) -> None:
 
 def test_what_was_asked_for_again_stands_in_the_log_of_its_run(ask: Ask, home: Path) -> None:
     append(home, RequestRepeated("R2", "cancel", "second thoughts"), RequestRepeated("*", "pause", "lunch"))
-    assert "R2: cancel was asked for again: second thoughts" in ask("log", "--run", "R2").stdout
-    assert "the lab: pause was asked for again: lunch" in ask("log").stdout
+    assert "R2: cancel was requested again: second thoughts" in ask("log", "--run", "R2").stdout
+    assert "the lab: pause was requested again: lunch" in ask("log").stdout
 
 
 def test_what_the_lab_asked_and_who_answered(ask: Ask, home: Path) -> None:
@@ -441,8 +441,8 @@ def test_what_stands_beside_the_log_is_checked_too(ask: Ask, home: Path) -> None
         bench.execute("INSERT INTO motion VALUES (1, '{}'), (2, '{\"a\": 1}')")
         bench.commit()
     told = ask("verify").stdout
-    assert f"The snapshot of position {book.position} is sealed, and what the log folds to." in told
-    assert f"The lab's folder knows of the log up to position {book.position}." in told
+    assert f"The snapshot of position {book.position} is sealed and agrees with the log." in told
+    assert f"By the note in the lab's folder, the log has at least {book.position} positions." in told
     assert "Simulated benches: 1, 2 motions." in told
     found = json.loads(ask("verify", "--json").stdout)
     checked = {part["name"]: part["checked"] for part in found["parts"]}
@@ -465,9 +465,9 @@ def test_a_forged_snapshot_is_named(ask: Ask, home: Path) -> None:
     book.save(home, with_snapshot=True)
     raw(home, "UPDATE snapshot SET data = zeroblob(100)")
     told = ask("verify", code=1).stdout
-    assert f"The snapshot of position {book.position} is not used: its seal is not of this lab's key" in told
+    assert f"The snapshot of position {book.position} is not used: its seal was made with another key" in told
     raw(home, "UPDATE snapshot SET digest = ''")
-    assert "is not used: it bears no seal" in ask("verify").stdout
+    assert "is not used: it has no seal" in ask("verify").stdout
     raw(home, "DELETE FROM snapshot")
     assert "There is no snapshot." in ask("verify").stdout
 
@@ -479,7 +479,7 @@ def test_a_sealed_snapshot_that_the_log_does_not_fold_to_is_named(ask: Ask, home
     store = open_store(f"sqlite:///{home / 'labos.db'}", home=home)
     store.save_snapshot(book.position, book.records[-1].hash, fold_fingerprint(), encode_picture(other))
     store.close()
-    assert "is not what the log folds to" in ask("verify", code=1).stdout
+    assert "differs from the state by the log" in ask("verify", code=1).stdout
 
 
 def test_blobs_are_checked_against_the_log(ask: Ask, home: Path) -> None:
@@ -495,10 +495,10 @@ def test_blobs_are_checked_against_the_log(ask: Ask, home: Path) -> None:
     found = json.loads(told)
     position = found["position"]
     assert named.name.encode() in two_users().records[position - 1].payload
-    assert f"names the blob {named.name}, which is not there" in told
+    assert f"names the blob {named.name}, which is missing" in told
     named.write_bytes(data)
     FolderBlobs(home / "blobs").put(b"nobody knows me")
-    assert "are there that it does not name" in ask("verify").stdout
+    assert "others are there" in ask("verify").stdout
 
 
 def test_journals_are_checked(ask: Ask, home: Path) -> None:
@@ -527,7 +527,7 @@ def test_a_checkpoint_shows_a_tail_that_was_cut(ask: Ask, home: Path, tmp_path: 
         f"recorded_at = {cut.head.recorded_at}",
     )
     once = cut.head.position + 10
-    assert f"but it once reached {once}: its tail is lost" in ask("verify", code=1).stdout
+    assert f"but it once ended at {once}: its end is lost" in ask("verify", code=1).stdout
     (home / "labos.head").unlink()
     assert "The log is intact" in ask("verify").stdout, "a chain alone does not show it"
     told = ask("verify", "--checkpoint", str(file), code=1).stdout
@@ -549,9 +549,9 @@ def test_a_checkpoint_shows_a_log_that_was_rewritten(ask: Ask, home: Path, tmp_p
     assert other.position > two_users().position
     shutil.rmtree(home)
     save(other.records, home)
-    assert "bears another hash" in ask("verify", "--checkpoint", str(file), code=1).stdout
+    assert "has another hash" in ask("verify", "--checkpoint", str(file), code=1).stdout
     file.write_text("[]")
-    assert "is no checkpoint" in ask("verify", "--checkpoint", str(file), code=1).stdout
+    assert "is not a checkpoint" in ask("verify", "--checkpoint", str(file), code=1).stdout
 
 
 def test_a_checkpoint_is_renewed_on_request(ask: Ask, home: Path, tmp_path: Path) -> None:
@@ -588,7 +588,7 @@ def test_a_database_that_is_not_there_or_not_ready(ask: Ask, tmp_path: Path) -> 
     assert ask("log", "--database", missing).stdout == ""
     told = ask("verify", "--database", missing, code=1).stdout
     assert "The log is intact: 0 records" in told
-    assert "The log is empty, but the one of this lab's folder once reached" in told
+    assert "The log is empty, but the log of this lab's folder once ended at" in told
     for name in ("runs", "labware", "stations", "experiments", "twh"):
         ask(name, "--database", missing)
 

@@ -78,7 +78,7 @@ def test_payloads_are_laid_over_one_another(tmp_path: Path) -> None:
         *("--payload", '{"color_C_volumes": [1]}', "--payload", 'destination_wells=["A1"]'),
     )
     assert "Labware needed at the start: wc.parking." in told
-    assert "The payload holds no 'color_A_volumes'" in ask("cp_mixcolor", "--workcell", "rpl", code=1)
+    assert "The payload has no 'color_A_volumes'" in ask("cp_mixcolor", "--workcell", "rpl", code=1)
     assert "must be a number" in ask("pcr", "--workcell", "rpl", "--payload", "seal.time=long", code=1)
 
 

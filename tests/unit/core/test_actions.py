@@ -116,7 +116,7 @@ def test_a_refusal_after_doubt_takes_question_and_uncertainty_back() -> None:
     lab.doubt(action)
     lab.refuse(action, final=False)
     assert lab.questions() == []
-    assert lab.state.bench.haunted == {}
+    assert lab.state.bench.uncertain_at == {}
     assert lab.where("P1") == "a"
     lab.check_log()
 
@@ -238,7 +238,7 @@ def test_a_person_finds_lost_labware(choice: str, place: str | None) -> None:
         assert lab.state.bench.labware == {}
     else:
         assert lab.where("P1") == place
-    assert lab.state.bench.haunted == {}
+    assert lab.state.bench.uncertain_at == {}
     lab.check_log()
 
 
@@ -266,7 +266,7 @@ def test_what_came_half_off_a_stack_is_looked_for_too(effects: str, choice: str)
     assert lab.code(lab.submit(route("c", "a", arm="arm2"))) == "uncertain"
     lab.keep_picture()
     lab.answer(lab.question("lost_labware"), choice)
-    assert lab.state.bench.haunted == {}
+    assert lab.state.bench.uncertain_at == {}
     assert lab.state.bench.searched == {}
     stack = lab.state.bench.stations["cell/stack"]  # type: ignore[index]
     assert len(stack.stock) == (1 if choice == "source" else 0)
@@ -351,7 +351,7 @@ def test_doubt_asks_with_concrete_choices() -> None:
     assert [c.name for c in question.choices] == ["done", "not_done", "gone"]
     assert "P1 may be at: a, arm.gripper, b" in question.text
     assert lab.run("R1").steps[1].status == UNKNOWN
-    assert lab.state.bench.haunted == {"cell/a": 1, "cell/arm.gripper": 1, "cell/b": 1}
+    assert lab.state.bench.uncertain_at == {"cell/a": 1, "cell/arm.gripper": 1, "cell/b": 1}
 
 
 @pytest.mark.parametrize(
@@ -363,7 +363,7 @@ def test_each_answer_about_a_move(choice: str, place: str | None, step_after: in
     lab.doubt(action)
     lab.keep_picture()
     lab.answer(lab.question("unknown_action"), choice)
-    assert lab.state.bench.haunted == {}
+    assert lab.state.bench.uncertain_at == {}
     assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
     if place is not None:
         assert lab.where("P1") == place
@@ -423,7 +423,7 @@ def test_the_node_answers_before_the_person(succeeded: bool, effects: Any, place
     lab.do(FinishAction(action, 1, succeeded, effects, error="jam"))
     assert lab.questions("unknown_action") == []
     assert lab.where("P1") == place
-    assert bool(lab.state.bench.haunted) == (place == "")
+    assert bool(lab.state.bench.uncertain_at) == (place == "")
     lab.check_log()
 
 
@@ -577,7 +577,7 @@ def test_what_is_no_file_is_not_given_for_one() -> None:
     lab.finish(lab.start(run), {"file": "p.png"})
     lab.do(lab.start_command(run, 1))
     assert lab.types()[-1] == "run.failed"
-    assert "file: what step 'first' returned is no file" in str(lab.log[-1])
+    assert "file: the result of step 'first' is not a file" in str(lab.log[-1])
 
 
 def test_a_slot_that_the_device_reports_is_the_labwares_and_fills_in_arguments() -> None:

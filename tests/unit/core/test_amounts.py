@@ -48,10 +48,10 @@ def test_arguments_decide_how_long_it_takes(written: str, args: dict[str, Any], 
 @pytest.mark.parametrize(
     ("written", "args", "message"),
     [
-        ("seconds", {"seconds": 5}, "'seconds' is no duration"),
-        ("{seconds} + 20", {"seconds": 5}, "is no duration"),
+        ("seconds", {"seconds": 5}, "'seconds' is not a duration"),
+        ("{seconds} + 20", {"seconds": 5}, "is not a duration"),
         ("{seconds}", {"seconds": -1}, "is -1"),
-        ("{name}", {"name": "long"}, "is no number"),
+        ("{name}", {"name": "long"}, "is not a number"),
     ],
 )
 def test_what_is_no_duration_is_an_error(written: str, args: dict[str, Any], message: str) -> None:

@@ -252,7 +252,9 @@ class Chaos:
 def check_nothing_left(lab: Driver) -> None:
     state = lab.state
     assert state.approvals.open == state.approvals.alike == {}
-    assert state.actions.open == state.bench.reserved == state.bench.haunted == state.bench.searched == {}
+    assert (
+        state.actions.open == state.bench.reserved == state.bench.uncertain_at == state.bench.searched == {}
+    )
     assert all(item.moving == "" and item.maybe == () for item in state.bench.labware.values())
     assert all(place.expected == 0 for place in state.bench.stations.values())
     assert all(module.in_flight == {} for module in state.modules.by_name.values())

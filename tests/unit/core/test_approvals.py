@@ -39,7 +39,7 @@ def test_a_run_waits_until_a_second_person_has_approved_it() -> None:
     found = lab.reject(answer(lab, "R1", "ada"), "ada")
     assert (found.code, found.message) == (
         "second_person",
-        "R1 is ada's own, and takes the approval of a second person.",
+        "R1 is a run of ada and needs the approval of a second person.",
     )
     assert lab.reject(answer(lab, "R1", "bo"), "bo").code == "no_right"
     lab.do(answer(lab, "R1", "olga"), "olga")
@@ -94,7 +94,7 @@ def test_the_question_names_the_steps_and_whose_run_it_is() -> None:
     lab = small()
     run = lab.submit(make_burning(7), "ada")
     text = question_of(lab, run).text
-    assert text.startswith("Run R1 (burn) of ada does what is dangerous: ")
+    assert text.startswith("Run R1 (burn) of ada has dangerous steps: ")
     assert text.count("(laser)") == 5
     assert "and 2 more" in text
 

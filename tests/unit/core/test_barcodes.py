@@ -165,7 +165,7 @@ def test_answers_about_another_plates_barcode(
     # It must not go on with a plate that is not its own, though it might.
     assert driver.run(run).paused == (choice in ("swapped", "other"))
     assert codes(driver) == barcodes
-    assert driver.state.bench.haunted == {}
+    assert driver.state.bench.uncertain_at == {}
     driver.check_log()
 
 

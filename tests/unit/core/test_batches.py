@@ -98,9 +98,9 @@ def test_a_quota_counts_each_of_them() -> None:
     lab.do(ApplyShares("s", (Group("g", 1.0, {"ada": Member(quota=Quota(queued=3))}),)))
     refusal = lab.reject(batch_of(4))
     assert refusal.code == "quota"
-    assert refusal.message.startswith("payloads[3]: 3 runs of ada wait already, and 3 may.")
+    assert refusal.message.startswith("payloads[3]: 3 runs of ada already wait; at most 3 may wait.")
     lab.do(batch_of(3))
-    assert lab.reject(batch_of(1, first=9)).message.startswith("payloads[9]: 3 runs of ada wait already")
+    assert lab.reject(batch_of(1, first=9)).message.startswith("payloads[9]: 3 runs of ada already wait")
     lab.do(CancelRun(RunId("R2")))
     lab.do(batch_of(1, first=9))
 

@@ -371,7 +371,7 @@ def test_the_policy_says_how_much_whoever_is_no_operator_may_book() -> None:
         return lab.reject(MakeBooking(DEV, terms(begins, ends, by), by, lab.now), by)
 
     long = check_refused(1, 14)
-    assert (long.code, "lasts 13.0 h" in long.message, "may last 12 h" in long.message) == (
+    assert (long.code, "lasts 13.0 h" in long.message, "may last at most 12 h" in long.message) == (
         "too_long",
         True,
         True,

@@ -48,7 +48,7 @@ def test_the_same_once_more_is_another_calibration() -> None:
 @pytest.mark.parametrize("until", ["2027-02-30", "01.01.2027", "20270101", "2027-W01-1", "tomorrow"])
 def test_a_day_is_a_day_of_the_calendar(until: str) -> None:
     refusal = small().reject(calibrate(until=until))
-    assert (refusal.code, refusal.remedy) == ("bad_date", "Write 2027-05-31, say.")
+    assert (refusal.code, refusal.remedy) == ("bad_date", "Write it like 2027-05-31.")
 
 
 def test_there_is_no_such_module() -> None:

@@ -244,9 +244,9 @@ def test_rows_that_are_proposed_together_are_as_if_one_by_one() -> None:
 
 def test_rows_are_taken_up_to_the_first_that_has_to_wait() -> None:
     lab = Lab(budget=Budget(runs=3))
-    lab.lab.do(SubmitRows((lab.row(0), RefuseRow(C1, 1, "no well"), lab.row(3), lab.row(2))))
+    lab.lab.do(SubmitRows((lab.row(0), RefuseRow(C1, 1, "not a well"), lab.row(3), lab.row(2))))
     assert (lab.campaign.next_row, lab.campaign.refused, list(lab.campaign.runs)) == (2, 1, ["R1"])
-    lab.lab.do(SubmitRows((lab.row(2), RefuseRow(C1, 3, "no well"), lab.row(4), lab.row(5))))
+    lab.lab.do(SubmitRows((lab.row(2), RefuseRow(C1, 3, "not a well"), lab.row(4), lab.row(5))))
     assert lab.campaign.next_row == 5
     lab.to_the_end()
     assert lab.lab.types().count("run.submitted") == 3

@@ -54,7 +54,7 @@ def test_what_cannot_be_decided_fails_the_run_and_says_why() -> None:
     event = lab.log[-1].event
     assert isinstance(event, RunFailed)
     assert event.kind == "experiment"
-    assert event.why == "the condition of step 's1' cannot be decided: There is no 'x' in steps.s0."
+    assert event.why == "the condition of step 's1' cannot be evaluated: There is no 'x' in steps.s0."
 
 
 def test_a_condition_is_true_or_false_and_nothing_else() -> None:

@@ -46,7 +46,7 @@ def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
     found = lab.check_start(run, 1)
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("expired", True)
-    assert describe_wait(found) == f"foil of dev is past its date (lot A was good until {today(lab, -1)})"
+    assert describe_wait(found) == f"foil of dev has expired (lot A, on {today(lab, -1)})"
     assert find_remedy(found).endswith("labos replenish dev foil --lot LOT --instead")
     assert lab.reject(lab.start_command(run, 1)).code == "expired"
     lab.do(Replenish(DEV, "foil", 0, "B", today(lab, 30), True, today(lab)))

@@ -160,7 +160,7 @@ def test_an_action_whose_node_stays_away_is_asked_about() -> None:
     assert lab.scheduler.find_next_deadline(lab.state) is None
     lab.do(JOIN)
     lab.finish(action)
-    assert lab.questions() == [], "the node answered after all"
+    assert lab.questions() == [], "the node has answered"
     assert lab.run(run).steps[0].status == DONE
     lab.check_log()
 
@@ -189,7 +189,7 @@ def test_a_node_that_comes_back_at_its_work_ends_the_question() -> None:
     assert lab.run(run).steps[1].status == IN_FLIGHT
     assert lab.state.bench.labware["P1"].maybe, "nobody has seen it"  # type: ignore[index]
     assert list_in_motion(lab.state, "cell") == ["arm"], "nobody is let in"
-    assert "carrying" in lab.reject(ObserveStation(StationName("cell/a"), "olga", count=1)).message
+    assert "moving" in lab.reject(ObserveStation(StationName("cell/a"), "olga", count=1)).message
     assert lab.accept(action) == []
     lab.finish(action)
     assert lab.where("P1") == "b"

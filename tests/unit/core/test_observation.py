@@ -334,7 +334,7 @@ def test_nobody_puts_it_back_where_others_were_let_in_meanwhile() -> None:
     refusal = lab.reject(ResolveIntervention(question.id, "not_done", "x"))
     assert (refusal.code, refusal.remedy) == (
         "occupied",
-        "Put it at b and answer done, or take it away and answer gone.",
+        "Put it at b and answer `done`, or remove it and answer `gone`.",
     )
     lab.answer(question, "done")
     assert lab.where("P1") == "b"
@@ -384,7 +384,7 @@ def test_nor_into_a_module_that_works_for_another_or_is_held(look: tuple[str, in
     question = lab.question("unknown_action")
     refusal = lab.reject(ResolveIntervention(question.id, "not_done", "x"))
     assert refusal.code == "occupied"
-    assert f"run:{other} was let in to dev.n1" in refusal.message
+    assert f"run:{other} has moved to dev.n1" in refusal.message
     if not ended:
         lab.finish(opening)
     lab.answer(question, "done")

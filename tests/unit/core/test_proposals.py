@@ -275,7 +275,7 @@ def test_nobody_approves_what_is_their_own() -> None:
     found = lab.reject(ApproveProposal("R1", find_proposal(lab, "R1").digest, "olga"), "olga")
     assert (found.code, found.message) == (
         "own_approval",
-        "R1 is olga's own, and the lab's policy wants somebody else to approve it.",
+        "R1 belongs to olga, and the lab's policy requires the approval of another person.",
     )
     assert lab.reject(ApproveProposal("R1", find_proposal(lab, "R1").digest, "bo"), "bo").code == "no_right"
     # Nor by the question in the inbox, and nor for a program that acts in one's name.

@@ -88,7 +88,7 @@ def test_what_follows_without_end_is_stopped(monkeypatch: pytest.MonkeyPatch) ->
         written.append(event)
         return event
 
-    with pytest.raises(RuntimeError, match="What follows from Answer does not come to an end"):
+    with pytest.raises(RuntimeError, match="The reactions to Answer do not end"):
         carry_out(LabState(), Answer(), write, LABOS)
     assert len(written) == 10_002
 

@@ -111,7 +111,7 @@ def test_an_action_that_does_not_end_in_its_time_is_unknown_and_not_failed() -> 
     assert "it did not end within 600 s" in question.text
     assert lab.scheduler.find_next_deadline(lab.state) is None
     lab.finish(action)
-    assert lab.questions() == [], "the node answered after all"
+    assert lab.questions() == [], "the node has answered"
     assert lab.run(run).steps[0].status == DONE
     lab.check_log()
 

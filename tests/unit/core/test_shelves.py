@@ -130,7 +130,7 @@ def test_nobody_is_sure_what_stands_on_a_shelf() -> None:
     lost = made.submit(carry("stack", "a", "hotel"))
     made.step(lost)
     made.doubt(made.start(lost, 1))
-    assert made.state.bench.haunted[shelf(1)] == 1
+    assert made.state.bench.uncertain_at[shelf(1)] == 1
     other = made.submit(plan(step("dev", take("stack", "hotel"))))
     made.step(other)  # the other shelf is beyond doubt
     assert made.at("hotel.2") == ["P2"]
@@ -242,7 +242,7 @@ def test_loading_fills_the_lowest_free_shelves() -> None:
     made = lab(3)
     made.do(DeclareStation(shelf(2), ("plate",)))
     refusal = made.reject(LoadStation(HOTEL, "plate", 3))
-    assert (refusal.code, refusal.remedy) == ("too_many", "Load 2 at the most.")
+    assert (refusal.code, refusal.remedy) == ("too_many", "Load 2 at most.")
     made.do(LoadStation(HOTEL, "plate+lid", 2, "L7"))
     assert [made.at(f"hotel.{n}") for n in (1, 2, 3)] == [["P2"], ["P1"], ["P4"]]
     assert made.state.bench.labware[LabwareId("P5")].on == "P4"
@@ -295,7 +295,7 @@ def test_a_hotel_with_labware_is_not_divided_nor_put_together() -> None:
     made = Driver(one_place)
     made.stock("hotel", 1)
     refusal = made.reject(ApplyWorkcell(cell(2)))
-    assert "cannot be divided into shelves otherwise" in refusal.message
+    assert "cannot be divided into other shelves" in refusal.message
     made = lab(2)
     made.stock("hotel.1", 1)
     assert made.reject(ApplyWorkcell(one_place)).code == "station_occupied"

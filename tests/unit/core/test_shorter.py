@@ -86,7 +86,7 @@ def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
     assert isinstance(wait, Wait)
     assert describe_wait(wait) == (
         f"this log ends at {lab.state.shorter.ended} and arm knows more: "
-        "nothing starts before the bench was compared"
+        "nothing starts until the whole bench has been checked"
     )
     assert find_remedy(wait).endswith("labos bench round")
     question = lab.question("log_shorter")
@@ -199,7 +199,7 @@ def test_a_log_that_was_put_back_asks_for_a_round() -> None:
     lab.do(StartKernel(2, "0"))
     assert lab.questions() == []
     lab.do(StartKernel(2 + LEAP, "0"))
-    assert "put back" in lab.question("log_shorter").text
+    assert "may be an older copy" in lab.question("log_shorter").text
 
 
 def test_questions_of_earlier_versions_become_one_round() -> None:
@@ -257,7 +257,7 @@ def test_what_a_node_never_began_is_not_sent_again_on_a_bench_that_nobody_has_se
     lab.do(HearJournal(DEV, (), 10**6))
     lab.do(ResendAction(action, 1, "journal-arm"))
     assert lab.state.actions.open[action].status == "unknown"
-    assert lab.do(RefuseAction(action, 1, "it was never begun there", False)) == []
+    assert lab.do(RefuseAction(action, 1, "it was never started there", False)) == []
     lab.answer(lab.question("unknown_action"), "done")
     assert lab.where("P1") == "b"
     assert lab.pump() == []

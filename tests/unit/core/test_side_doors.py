@@ -254,7 +254,7 @@ def test_a_silent_application_is_closed_by_its_owner_or_an_operator() -> None:
 
     lab = make_crowded()
     lab.do(CancelRun(RunId("R2")), "ada")
-    lab.do(LoseExperiment(E, "no sign of life"))
+    lab.do(LoseExperiment(E, "no heartbeat"))
     question = InterventionId(f"I{lab.state.interventions.named}")
     assert lab.reject(ResolveIntervention(question, "close", "bo"), "bo").code == "not_yours"
     lab.do(ResolveIntervention(question, "close", "ada"), "ada")

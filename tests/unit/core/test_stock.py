@@ -139,7 +139,7 @@ def test_a_step_that_needs_more_than_the_module_holds_is_refused() -> None:
     lab = dry(3, capacity=3)
     found = lab.reject(SubmitRun(plan(step("dev", consumes("foil", 4), key="Seal")), "ada"))
     assert found.code == "beyond_capacity"
-    assert "'Seal' needs 4 of foil, but dev holds 3" in found.message
+    assert "'Seal' needs 4 of foil, but dev holds at most 3" in found.message
 
 
 def test_who_ran_dry_stands_in_nobodys_calculation() -> None:

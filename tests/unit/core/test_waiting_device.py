@@ -38,7 +38,7 @@ def test_somebody_is_told_once_and_the_step_goes_on() -> None:
     (asked,) = look_in(lab, 2)
     assert isinstance(asked, InterventionRequested)
     assert (asked.kind, asked.run, asked.module) == (KIND, "R1", DEV)
-    assert asked.text.startswith("dev stands still in the midst of 'act' of R1: The run is paused.")
+    assert asked.text.startswith("dev has stopped during 'act' of R1: The run is paused.")
     assert look_in(lab, 1000) == []
     assert lab.state.modules.by_name[DEV].failures == []
     lab.do(ReportState(DEV, "BUSY"))

@@ -26,7 +26,7 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("waste_full", True)
     assert describe_wait(found) == "the waste trash is full"
-    assert find_remedy(found) == "Empty it and say so: labos unload trash --all"
+    assert find_remedy(found) == "Empty it and report that: labos unload trash --all"
     assert lab.pump() == []
     lab.do(UnloadStation(TRASH, "ada"))
     assert lab.state.bench.stations[TRASH].level == 0

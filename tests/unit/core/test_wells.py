@@ -78,8 +78,8 @@ def test_what_does_not_fit_is_not_poured(doses: list[tuple[Any, Any]], why: str)
     ("volumes", "why"),
     [
         ([-10], "the volume of ink0 for A1 is -10 µL"),
-        (["ten"], "the volume of ink0 for A1 is 'ten', which is no number"),
-        ([True], "which is no number"),
+        (["ten"], "the volume of ink0 for A1 is 'ten', which is not a number"),
+        ([True], "which is not a number"),
         ([1, 2], "2 volumes of ink0 for 1 well"),
     ],
 )
@@ -127,7 +127,7 @@ def test_what_is_drawn_is_in_the_wells_no_more() -> None:
 @pytest.mark.parametrize(
     ("effects", "why"),
     [
-        ([Draws(["A1"], [101])], "A1 of P1 holds 100 µL as far as is known, and 101 µL would be drawn"),
+        ([Draws(["A1"], [101])], "A1 of P1 is recorded with 100 µL, and 101 µL would be drawn"),
         ([Draws(["A1", "A1"], [60, 60])], "120 µL would be drawn"),
         ([Draws(["B1"], [361])], "361 µL would be drawn out of B1 of P1, and a well of a plate holds 360 µL"),
         ([Draws(["Z99"], [1])], "a plate has no well Z99"),

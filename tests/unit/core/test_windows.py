@@ -111,10 +111,10 @@ def test_an_anchor_that_is_not_there_is_refused() -> None:
         return answer.message + " " + answer.remedy
 
     assert "belongs to no experiment" in why(read(), "")
-    assert "of which no run has been completed in E2" in why(read(), other)
-    assert "of which no run has been completed in E1" in why(read("seal"), experiment)
+    assert "but no run of it has been completed in E2" in why(read(), other)
+    assert "but no run of it has been completed in E1" in why(read("seal"), experiment)
     missing = why(read(at="take out"), experiment)
-    assert "'take out', which is no step of R1 (incubate)" in missing
+    assert "'take out', which is not a step of R1 (incubate)" in missing
     assert "'bring', 'put in'" in missing
 
 
@@ -218,7 +218,7 @@ def test_a_breach_may_ask_and_the_run_stands_still() -> None:
     lab, run = late()
     question = lab.question("late_step")
     assert question.text == (
-        "Run R1 (flow): step 'read' did not start within 5 s of the end of 'dose'. The run stands still."
+        "Run R1 (flow): step 'read' did not start within 5 s of the end of 'dose'. The run has stopped."
     )
     assert [choice.name for choice in question.choices] == ["go_on", "fail"]
     assert all(choice.consequence.endswith(".") for choice in question.choices)

@@ -54,7 +54,7 @@ def test_it_cannot_be_done() -> None:
     lab = ask_person()
     events = lab.do(confirm(lab, "not_done", note="no hands"))
     failed = next(e for e in events if isinstance(e, ActionFailed))
-    assert (failed.effects, failed.error) == ("none", "ada says that it cannot be done: no hands")
+    assert (failed.effects, failed.error) == ("none", "ada reports that it cannot be done: no hands")
     assert lab.where("P1") == "a"
     assert "run.failed" in lab.types()
 

@@ -66,7 +66,7 @@ def test_what_may_hold_something_stays() -> None:
     driver.doubt(driver.start(driver.submit(route("dev.a", "c"))))
     assert codes(driver, without("c", "dev.a")) == {"uncertain", "plan_in_use"}
     refused = driver.reject(ApplyWorkcell(without("c")))
-    assert refused.message == "It is being found out what stands at c, which cannot be removed from cell."
+    assert refused.message == "It is not yet known what stands at c, which cannot be removed from cell."
 
 
 def test_a_module_at_work_stays_and_so_does_one_that_a_queued_run_needs() -> None:
@@ -111,7 +111,7 @@ def test_what_holds_something_neither_shrinks_below_it_nor_becomes_another_kind(
     driver = lab()
     driver.stock("c", 1)
     assert driver.reject(ApplyWorkcell(change_station("stack", capacity=2))).message == (
-        "The station stack holds 3, more than the 2 that it is to hold."
+        "The station stack holds 3, more than the 2 of its new capacity."
     )
     assert driver.reject(ApplyWorkcell(change_station("c", kind="waste"))).message == (
         "The station c holds P1 and cannot become a waste."

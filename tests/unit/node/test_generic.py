@@ -12,7 +12,7 @@ from labos.errors import DeviceError
 from labos.node.generic import GenericNode, extend_node, make_generic_node
 from labos.node.node import Node, Setup, action
 from labos.node.world import Crash, World
-from labos.spec.about import About, Extends, add_reset, description_of, extend
+from labos.spec.about import About, Extends, add_reset, extend, make_description
 
 PACE = 10_000.0
 
@@ -50,7 +50,7 @@ PRESS = {
 
 
 def describe(about: dict[str, Any]) -> Description:
-    return add_reset(description_of(About.model_validate(about), "generic"))
+    return add_reset(make_description(About.model_validate(about), "generic"))
 
 
 def node_of(

@@ -320,7 +320,7 @@ def test_lines_that_are_missing_or_foreign() -> None:
         lines = file.data.splitlines(keepends=True)
         with pytest.raises(JournalDamaged, match="lost its beginning"):
             await reopen(MemoryFile(b"".join(lines[1:])))
-        with pytest.raises(JournalDamaged, match="without its beginning"):
+        with pytest.raises(JournalDamaged, match="without its start"):
             await reopen(MemoryFile(lines[0] + lines[2]))
         with pytest.raises(JournalDamaged):
             await reopen(MemoryFile(b"something else\n"))

@@ -52,7 +52,7 @@ def test_an_older_list_is_not_taken_back(authority: Authority, elsewhere: Receiv
     assert elsewhere.offer(read_list(authority))
     assert not elsewhere.offer(older)
     elsewhere.file.write_bytes(older)  # by hand
-    with pytest.raises(BadInput, match="may let certificates speak that were revoked"):
+    with pytest.raises(BadInput, match="may allow certificates that were revoked"):
         elsewhere.read()
     assert not elsewhere.offer(older)
     elsewhere.file.unlink()
@@ -107,7 +107,7 @@ def test_what_the_authority_has_not_signed_is_not_kept(
 
 
 def test_a_list_without_end_is_not_read(elsewhere: ReceivedList) -> None:
-    with pytest.raises(BadInput, match="bytes was sent"):
+    with pytest.raises(BadInput, match="bytes was received"):
         elsewhere.offer(b" " * (9 * 1024 * 1024))
 
 

@@ -81,7 +81,7 @@ class Trial:
     def is_clear(self) -> bool:
         """Whether it is known of every station what stands there."""
         known = all(s.known for s in self.state.bench.stations.values() if s.spec.kind != "waste")
-        return known and not self.state.bench.haunted
+        return known and not self.state.bench.uncertain_at
 
     @property
     def meets_stock(self) -> bool:

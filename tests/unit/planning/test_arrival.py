@@ -77,8 +77,8 @@ def test_whoever_would_block_the_shared_place_waits_outside() -> None:
         lab.finish(lab.list_flying()[-1])
         assert "R2#0" not in lab.pump()
     text = why(lab, "R2")
-    assert text.startswith("it waits outside until dev.nest is free (at about ")
-    assert text.endswith(" UTC), so as not to block hall")
+    assert text.startswith("its first step waits until dev.nest is free (at about ")
+    assert text.endswith(" UTC), because the run would block hall before that")
 
 
 def test_it_is_let_in_in_time() -> None:

@@ -134,7 +134,7 @@ def test_bookings_without_a_gap_are_said_and_nobody_waits_in_silence() -> None:
     lab.pump()
     wait = wait_of(lab, run)
     assert wait.code == "no_gap"
-    assert describe_wait(wait) == "the bookings of dev (B1) leave no gap of 62 min in the next 14 days"
+    assert describe_wait(wait) == "the bookings of dev (B1) leave no free time of 62 min in the next 14 days"
     assert "labos bookings dev" in find_remedy(wait)
     short = lab.submit(visit(10), user="cy")  # type: ignore[arg-type]
     assert lab.pump() == [f"{short}#0"], "nobody waits with it"

@@ -191,7 +191,7 @@ def test_a_run_that_is_paused_inside_keeps_the_others_waiting_and_says_so() -> N
     assert lab.pump() == []
     [(_, wait)] = lab.scheduler.list_waits(lab.state, lab.run("R2"), lab.now)
     assert wait.code == "inside_too"
-    told = "P1 of run R1 is at spinner.rotor too, and 'spin' is done to all that is in there"
+    told = "P1 of run R1 is also at spinner.rotor, and 'spin' acts on everything in it"
     assert wait.reason.sentence == told
     lab.do(ResumeRun(RunId("R1")))
     assert sorted(lab.pump()) == ["R1#1", "R2#1"]

@@ -13,7 +13,7 @@ from labos.planning.due import UNDATED, DueDates, find_time_left
 from labos.planning.hindsight import TimeRange
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.waiting import PATIENCE
-from labos.services.due import tell_whether_kept
+from labos.services.due import describe_margin
 from tests.support.bench import SECOND, Driver, module, plan, small, step, workcell
 
 MINUTE = 60 * SECOND
@@ -136,7 +136,7 @@ def test_a_forecast_says_by_how_much_a_run_is_late() -> None:
 @pytest.mark.parametrize(
     ("ends", "told"),
     [
-        (None, "its end is not in sight"),
+        (None, "its end cannot be estimated"),
         ((0, 70, 80), "late by about 20 s"),
         ((0, 890, 900), "late by about 14 min"),
         ((0, 40, 7250), "may be late, by up to 2 h 00 min"),
@@ -145,4 +145,4 @@ def test_a_forecast_says_by_how_much_a_run_is_late() -> None:
 )
 def test_it_is_told_in_words(ends: tuple[int, int, int] | None, told: str) -> None:
     times = TimeRange(*(at * SECOND for at in ends)) if ends else None
-    assert tell_whether_kept(50 * SECOND, times) == told
+    assert describe_margin(50 * SECOND, times) == told

@@ -60,7 +60,7 @@ def test_its_sentence_and_remedy_are_whole(kind: type[Reason]) -> None:
             Wait(reasons.Reserved("rpl/hidex", "R12", "Read")),
             "hidex is reserved for run R12, whose step 'Read' has to start in time",
         ),
-        (Wait(reasons.NotInTime("rpl/hidex", "Read")), "hidex would not be free in time for 'Read'"),
+        (Wait(reasons.NotInTime("rpl/hidex", "Read")), "hidex will not be free in time for 'Read'"),
         (Wait(reasons.ModuleDown("rpl/x", "GONE")), "x is GONE"),
     ],
 )

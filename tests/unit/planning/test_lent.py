@@ -229,7 +229,7 @@ def test_who_needs_a_variable_that_nobody_will_set_says_so() -> None:
     assert lab.pump() == []
     ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
     told = explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
-    assert told.endswith("'s1' needs dev.mode = 0, which nobody will have set"), told
+    assert told.endswith("'s1' needs dev.mode = 0, which no step will have set"), told
 
 
 # -- by seeds ------------------------------------------------------------------------------------

@@ -44,13 +44,13 @@ def test_a_full_place_at_the_end_is_named_with_what_stands_there() -> None:
     lab.stock("out", 1, "lid")
     told = cause(lab, "R1")
     assert told == (
-        "once started with 'get' it could not reach its end now: 'to out' needs room at out, "
+        "after 'get' the run could not reach its end at present: 'to out' needs room at out, "
         "where P1 of shared stands"
     )
     (reason,) = list_reasons(lab.state, lab.run("R1"), lab.now)
     assert (reason.why, bool(reason.remedy)) == (told, True)
     (plain,) = list_reasons(lab.state, lab.run("R1"), lab.now, causes=False)
-    assert plain.why == "once started with 'get' it could not reach its end now"
+    assert plain.why == "after 'get' the run could not reach its end at present"
 
 
 def test_a_module_that_another_holds_is_named() -> None:
@@ -74,7 +74,7 @@ def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
     lab = Driver(CELL)
     run = lab.submit(plan(step("arm", take("stack", "hall"), key="get")))
     ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
-    assert find_remedy(wait) == "Fill it and say so: labos load stack --type TYPE --count N --lot LOT"
+    assert find_remedy(wait) == "Fill it and report that: labos load stack --type TYPE --count N --lot LOT"
 
 
 def test_whoever_waits_for_a_module_in_doubt_hears_of_the_question() -> None:

@@ -89,7 +89,7 @@ def test_who_would_keep_a_run_inside_waiting_waits_outside() -> None:
     ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run("R2"), lab.now)
     text = describe_wait(wait)
     assert re.fullmatch(
-        r"it waits outside, because run R1 would otherwise wait for it at mill until about .* UTC", text
+        r"its first step waits, because run R1 would otherwise wait for mill until about .* UTC", text
     ), text
     assert "R2#0" in go_on(lab, 4), "once the mill is free again"
 

@@ -551,7 +551,7 @@ def test_a_clock_is_not_started_while_what_is_in_flight_lasts_too_long() -> None
     wait = why(lab, run)
     assert wait is not None
     assert (wait.code, wait.names) == ("not_in_time", ("cell/cam", "read"))
-    assert describe_wait(wait) == "cam would not be free in time for 'read'"
+    assert describe_wait(wait) == "cam will not be free in time for 'read'"
     lab.pump()
     lab.wait(210.0)
     assert code(lab, run) == "not_in_time"

@@ -63,12 +63,12 @@ def test_without_escalation_everybody_is_told_at_once() -> None:
         ("Europe/Zurich", "Europe/Zuerich", "contacts.yaml:2:11: timezone: There is no time zone"),
         ("    webhook: https", "    webhook: ftp", "contacts.yaml:13:14: contacts.duty.webhook: A webhook"),
         ("{env: LABOS_TEST_SMTP}", "secret", "contacts.yaml:6:13: smtp.password:"),
-        ("  user: labos\n", "", "contacts.yaml:4:3: smtp: `user:` and `password:` go together."),
-        ("  user: labos", "  user: labos\n  security: none", "smtp.security: The password would cross"),
+        ("  user: labos\n", "", "contacts.yaml:4:3: smtp: `user:` and `password:` are needed together."),
+        ("  user: labos", "  user: labos\n  security: none", "smtp.security: The password would be sent"),
         (
             "    about: [",
             "    email: d@example.org\n    about: [",
-            "contacts.duty: 'duty' is reached in no way",
+            "contacts.duty: 'duty' needs exactly one of",
         ),
     ],
 )

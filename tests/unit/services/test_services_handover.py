@@ -6,12 +6,16 @@ from pathlib import Path
 
 from labos.core.decide.actions import DoubtAction
 from labos.core.decide.handover import HandOver
-from labos.core.decide.nodes import TakeOut
+from labos.core.decide.lab import ApplyWorkcell
+from labos.core.decide.nodes import JoinNode, TakeOut
+from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import Replenish
 from labos.core.ids import LabwareId, ModuleName, Owner
 from labos.core.resources import LevelSet
 from labos.services.handover import Handover, read_handover
+from labos.services.waits import KEPT
 from labos.store import open_store
+from tests.support.bench import module, plan, step, workcell
 from tests.unit.services.logbook import SECOND, START_NS, Logbook
 
 SEALER = ModuleName("rpl/sealer")
@@ -73,3 +77,24 @@ def test_only_this_shift_counts(tmp_path: Path) -> None:
     assert (found.twh.longest.commands, found.since) == (1, START_NS + 900 * SECOND)
     young = report(a_day(), tmp_path / "young", -10_000, 1200)
     assert young.since == START_NS, "the lab is younger than its shift"
+
+
+def test_an_order_of_the_kernel_is_assumed_only_while_one_runs(tmp_path: Path) -> None:
+    cell = workcell([module("mill"), module("saw")], [])
+    book = Logbook()
+    book.do(ApplyWorkcell(cell))
+    for each in cell.modules:
+        book.do(JoinNode(each.name, "j", "i", each.driver, "1", "", "IDLE", True), each.name)
+    for name in ("mill", "saw"):
+        book.do(SubmitRun(plan(step(name)), "ada", {}))
+    book.start("R1", 0)
+    store = open_store(book.save(tmp_path), create=False, read_only=True)
+    try:
+        found, dead = (
+            read_handover(store, START_NS, START_NS + 9 * SECOND, kernel_runs=lives)
+            for lives in (True, False)
+        )
+    finally:
+        store.close()
+    assert [(run.run, run.waits) for run in found.queued] == [("R2", (KEPT,))]
+    assert [(run.run, run.waits) for run in dead.queued] == [("R2", ())]

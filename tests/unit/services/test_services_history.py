@@ -80,7 +80,7 @@ def test_moments_outside_the_log_are_refused(log: SqlEventStore) -> None:
     with pytest.raises(BadInput, match=r"there was no log yet\. It begins at"):
         fold_state_at(log, Moment(at_ns=START_NS - 1))
     for position in (0, two_users().position + 1):
-        with pytest.raises(BadInput, match=rf"no position {position}\. It reaches from 1"):
+        with pytest.raises(BadInput, match=rf"no position {position}\. Its positions are 1"):
             fold_state_at(log, Moment(position=position))
 
 

@@ -53,7 +53,7 @@ def test_what_programs_read_is_exact(ns: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "yesterday", "-2", "-h", "2025-13-01", "12 o'clock", "99999-01-01"])
 def test_what_is_no_time_is_refused_with_examples(text: str) -> None:
-    with pytest.raises(BadInput, match="is no time") as caught:
+    with pytest.raises(BadInput, match="is not a time") as caught:
         parse_time(text, NOW)
     assert "-2h" in caught.value.remedy
 

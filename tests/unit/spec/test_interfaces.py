@@ -38,5 +38,5 @@ def test_a_port_that_is_missing_is_said(address: str) -> None:
 
 @pytest.mark.parametrize("interface", ["rest_node", "epics_node", "opcua_node", "wei_tcp_node"])
 def test_a_protocol_without_descriptions_says_so(interface: str) -> None:
-    with pytest.raises(DeviceError, match=r"does not say what it offers. Write `about:` by hand."):
+    with pytest.raises(DeviceError, match=r"do not describe their actions. Write `about:` yourself."):
         asyncio.run(describe_foreign(interface, {}))

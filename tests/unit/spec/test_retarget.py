@@ -101,7 +101,7 @@ def test_what_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ),
         (
             "module: pf400, action: transfer, args: {source: ot2_growth_beta.deck2, target: sealer.default}",
-            "No module of bio stands in for ot2_growth_beta (no action, but stations).",
+            "No module of bio stands in for ot2_growth_beta (only stations, no action).",
         ),
         (
             "module: pf400, action: transfer, args: {source: sealer.default, target: peeler.default,"

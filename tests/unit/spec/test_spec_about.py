@@ -15,7 +15,7 @@ from labos.core.effects import Move, Needs
 from labos.core.model import Description
 from labos.errors import SpecError
 from labos.spec import SpecErrors, compile_workflow, parse_workcell, parse_workflow
-from labos.spec.about import About, description_of, find_description, make_about
+from labos.spec.about import About, find_description, make_about, make_description
 from labos.spec.interfaces import PLANNED, REACHED
 
 CELL = """
@@ -119,7 +119,7 @@ def test_a_mapping_of_ros_names_is_checked_too() -> None:
     assert "ros_node needs `ros`" in list_ros_findings("{}")
     assert "action: `type` is missing" in list_ros_findings("{ros: {action: {service: /home}}}")
     both = "{ros: {action: {service: /home, action: /dock, type: x/srv/Y}}}"
-    assert "say one of `service`, `action` and `frame`" in list_ros_findings(both)
+    assert "write one of `service`, `action` and `frame`" in list_ros_findings(both)
 
 
 def test_every_interface_that_is_reached_has_an_adapter() -> None:
@@ -141,7 +141,7 @@ def test_a_description_survives_being_written_down() -> None:
         },
     }
     told = describe_madsci(info)
-    again = description_of(About.model_validate(make_about(told)), told.driver)
+    again = make_description(About.model_validate(make_about(told)), told.driver)
     assert again.actions == told.actions
     assert [arg.type for arg in told.actions[0].args] == ["float", "station", "file"]
     assert make_about(Description("d", "1", "")) == {"actions": {}}
@@ -154,7 +154,7 @@ def test_effects_are_written_down_too() -> None:
 
 def parse_about() -> Description:
     table = {"actions": {"seal": {"effects": [{"needs": {}}, {"needs": {"station": "nest"}}]}}}
-    found = description_of(About.model_validate(table), "x")
+    found = make_description(About.model_validate(table), "x")
     assert found.actions[0].effects[0] == Needs()
     return found
 
@@ -196,9 +196,9 @@ def test_wei_files_are_arguments() -> None:
 @pytest.mark.parametrize(
     ("effect", "remedy"),
     [
-        ("{sets: {latch: open}}", "Write `sets: {of: …, variable: …, value: …}`; it may also say labware."),
+        ("{sets: {latch: open}}", "Write `sets: {of: …, variable: …, value: …}`; it may also have labware."),
         ("{moves: {}}", "Known effects: claims, "),
-        ("{take: {}}", "Write `take: {stack: …, target: …}`; it may also say labware."),
+        ("{take: {}}", "Write `take: {stack: …, target: …}`; it may also have labware."),
     ],
 )
 def test_an_effect_that_does_not_fit_says_how_it_is_written(effect: str, remedy: str) -> None:

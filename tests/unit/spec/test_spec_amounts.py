@@ -56,17 +56,17 @@ def test_amounts(text: str, number: float) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{text}", "'text' is no number"),
-        ("{less}", "less than nothing"),
-        ("{n.sum}", "'n' is no list"),
-        ("{wells.sum}", "A value of 'wells' is no number"),
-        ("{n} + 1", "is no amount"),
-        ("{n.__class__}", "is no amount"),
+        ("{text}", "'text' is not a number"),
+        ("{less}", "cannot be negative"),
+        ("{n.sum}", "'n' is not a list"),
+        ("{wells.sum}", "A value of 'wells' is not a number"),
+        ("{n} + 1", "is not an amount"),
+        ("{n.__class__}", "is not an amount"),
         ("{nobody}", "no argument 'nobody'"),
         ("{file:protocol:resources.foil}", "p.yaml:2:3: resources: It does not say 'resources.foil'"),
         (
             "{file:protocol:resources.ink|8}",
-            "p.yaml:3:8: resources.ink: 'much' is no amount",
+            "p.yaml:3:8: resources.ink: 'much' is not an amount",
         ),
         ("{file:protocol:resources.bad}", "p.yaml:5:8: resources.bad: There is no argument 'nobody'"),
     ],
@@ -94,12 +94,12 @@ def at_least(name: str, content: bytes, args: Any) -> Count:
         (
             "{file:protocol:resources.foil|8}",
             at_least,
-            Count(20, "it has a loop", "Say it there: `resources: {foil: N}`."),
+            Count(20, "it has a loop", "Write it there: `resources: {foil: N}`."),
         ),
         (
             "{file:protocol:resources.foil|8}",
             None,
-            Count(8, "it does not say", "Say it there: `resources: {foil: N}`."),
+            Count(8, "it does not say", "Write it there: `resources: {foil: N}`."),
         ),
         (
             "{file:text:resources.foil|8}",
@@ -142,8 +142,8 @@ steps:
     assert amounts == [8.0]
     assert "w.yaml:10:" in warning
     assert (
-        "Step 'Mix' is assumed to use up 8 tips: this cannot be counted from p.py (line 4: how often"
-        in warning
+        "Step 'Mix' is assumed to use up 8 tips: this cannot be counted from p.py (line 4: only the robot "
+        "knows how often" in warning
     )
     assert '`resources = {"tips": N}`' in warning
 

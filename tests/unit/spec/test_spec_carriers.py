@@ -99,8 +99,8 @@ def test_what_waits_for_a_transfer_waits_for_its_last_part() -> None:
 @pytest.mark.parametrize(
     ("steps", "says"),
     [
-        ("{name: x, action: transfer, args: {source: storage, target: island}}", "Nobody carries labware"),
-        ("{name: x, action: transfer, args: {source: storage, target: storage}}", "to where it stands"),
+        ("{name: x, action: transfer, args: {source: storage, target: island}}", "No module moves labware"),
+        ("{name: x, action: transfer, args: {source: storage, target: storage}}", "to the same place"),
         ("{name: x, action: transfer, args: {source: storage, target: nowhere}}", "no station 'nowhere'"),
         ("{name: x, action: transfer, args: {source: storage}}", "takes `source` and `target`"),
     ],

@@ -86,7 +86,7 @@ def test_what_names_one_module_leaves_no_choice() -> None:
         ("{any: []}", "a choice of modules is written"),
         ("{one: [sealer]}", "a choice of modules is written"),
         ("same as Nothing", "there is no step 'Nothing' with a module"),
-        ("same as Seal", "has the module of itself"),
+        ("same as Seal", "refers to itself for its module"),
         ("{any: [sealer, cycler]}", "With 'Seal' by cycler: Step 'Seal': cycler has no action 'seal'"),
     ],
 )

@@ -97,7 +97,7 @@ def test_every_file_loads_or_says_why_not(capsys: pytest.CaptureFixture[str]) ->
 def test_a_key_that_stands_twice_is_told() -> None:
     path = corpus() / "corpus/rpl_workcell/_history/color_picker_app/workflows/cp_wf_trashplate.yaml"
     found = import_spec(read(path, last_wins=True), drivers())
-    [double] = [finding for finding in found.findings if "stands here twice" in finding.message]
+    [double] = [finding for finding in found.findings if "is there twice" in finding.message]
     assert (double.line, double.column, double.severity) == (11, 1, "warning")
     assert "modules: [pf400, barty]" in found.text
 

@@ -11,11 +11,11 @@ from labos.spec import SpecErrors
 from labos.spec.describing import (
     apply_model,
     apply_variant,
+    list_places,
     load_description,
     locate_parts,
     locate_places,
     make_plain,
-    places,
 )
 from labos.spec.frames import frame, from_quaternion, spin
 from labos.spec.source import parse
@@ -58,7 +58,7 @@ def change_text(old: str, new: str) -> str:
 
 def test_a_description_is_read() -> None:
     shaker = load_description(parse(SHAKER))
-    assert list(places(shaker)) == ["nest", "shelf2", "shelf3", "shelf4"]
+    assert list(list_places(shaker)) == ["nest", "shelf2", "shelf3", "shelf4"]
     at = locate_places(shaker, {"drawer": 150})
     assert at["nest"].at == pytest.approx((0, 150, 65))
     assert at["shelf4"].at == pytest.approx((0, 0, 50))
@@ -95,9 +95,9 @@ def test_variants_stand_in_place_of_what_they_change() -> None:
         ("from: sheet}\n    shapes", "from: memory}\n    shapes", "There is no source 'memory'", "memory"),
         ("like: left", "like: drower", "No part 'drower' moves by itself", "drower"),
         ("  body: {", "  base: {", "'base' is the instrument's own frame", "base: {"),
-        ("  body: {", "  body: {on: left, ", "The part 'body' stands on itself", "left, "),
-        ("shelf{n}", "shelf{m}", "do not bear the same numbers", "{kind: hotel"),
-        ("[2, 4]", "[4, 2]", "The lesser number comes first", "[4, 2]"),
+        ("  body: {", "  body: {on: left, ", "The part 'body' is on itself", "left, "),
+        ("shelf{n}", "shelf{m}", "do not have the same numbers", "{kind: hotel"),
+        ("[2, 4]", "[4, 2]", "The lower number comes first", "[4, 2]"),
         ("[0, 200]", "[200, 0]", "the upper one is greater", "{slide_mm: [200, 0]"),
         ("[0, 200]", "[0, 200], turn_deg: [0, 9]", "either slide_mm or turn_deg", "{slide_mm: [0, 200]"),
         ("axis: [0, 1, 0]", "axis: [0, 0, 0]", "axis has a direction", "{slide_mm: [0, 200]"),
@@ -130,7 +130,7 @@ def test_a_variant_is_checked_where_it_is_written() -> None:
 
 def test_reach_is_in_order() -> None:
     found = complaints(SHAKER + "reach: {radius_mm: [500, 100], height_mm: [0, 400]}\n")
-    assert found == ["d.yaml:23:20: reach.radius_mm: The lesser value comes first. Write them in order."]
+    assert found == ["d.yaml:23:20: reach.radius_mm: The lower value comes first. Write them in order."]
 
 
 def test_a_file_that_is_no_description(tmp_path: Path) -> None:

@@ -221,8 +221,8 @@ def test_joint_angles_of_one_place_mean_that_place() -> None:
             "[231.8, -27.2, 313.0, 342.3, 20.0, 683.7]",
             "are those of sealer.default, but 20.0 in the place of 0.0",
         ),
-        ("[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint angles alone do not say what is there"),
-        ("[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]", "joint angles alone do not say what is there"),
+        ("[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint angles do not show which station it is"),
+        ("[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]", "joint angles do not show which station it is"),
     ],
 )
 def test_joint_angles_of_no_place_are_refused(angles: str, says: str) -> None:
@@ -237,5 +237,5 @@ def test_joint_angles_that_two_places_have_mean_neither() -> None:
         "spare: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "spare: [231.8, -27.2, 313.0, 342.3, 0.0, 683.7]"
     )
     cell = parse_workcell(text, DESCRIPTIONS)
-    with pytest.raises(SpecErrors, match="joint angles alone do not say what is there"):
+    with pytest.raises(SpecErrors, match="joint angles do not show which station it is"):
         compile_workflow(parse_workflow(CARRY), {}, cell.workcell, DESCRIPTIONS, simulate=True)

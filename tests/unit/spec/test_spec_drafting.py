@@ -85,12 +85,13 @@ def test_all_that_was_assumed_is_told() -> None:
     assert counts == {"module": 2, "driver": 2, "action": 1, "place": 1, "pose": 1}, told
     text = " ".join(message for _, message in told)
     for said in (
-        "No driver serves the module 'arm' (the model 'Acme Mover 7'); its actions are drafted from the "
-        "workflows: grab.",
-        "'ot2_alpha' is taken for the driver ot2 by its name",
+        "There is no driver for the module 'arm' (the model 'Acme Mover 7'); its actions are drafted "
+        "from the workflows: grab.",
+        "'ot2_alpha' is assumed to have the driver ot2, because of its name",
         "The driver ot2 does not know what color of 'run_protocol' means (bake.yaml, line 4)",
-        "'sealer' is taken for the driver a4s_sealer by its name",
-        "Nobody describes the place 'ot2_alpha_deck1' (bake.yaml, line 3): it is taken for ot2_alpha.deck1.",
+        "'sealer' is assumed to have the driver a4s_sealer, because of its name",
+        "There is no description of the place 'ot2_alpha_deck1' (bake.yaml, line 3): it is assumed to be "
+        "ot2_alpha.deck1.",
         "arm was never taught ot2_alpha.deck1, which it reaches in bake.yaml, line 3",
     ):
         assert said in text, said
@@ -153,7 +154,7 @@ def test_several_spellings_of_one_action_are_one_action() -> None:
 
 def test_joint_values_are_no_places() -> None:
     flow = FLOW.replace("source: wc.rack, target: ot2_alpha_deck1", "source: [1, 2, 3], target: wc.rack")
-    with pytest.raises(SpecErrors, match="must name a station; joint angles alone do not say what is there"):
+    with pytest.raises(SpecErrors, match="must name a station; joint angles do not show which station it is"):
         plan_of(flow)
 
 
@@ -164,7 +165,9 @@ def test_a_place_that_nobody_describes_is_a_nest() -> None:
     cell = cell_for(flow)
     (place,) = [station for station in cell.workcell.stations if station.name == "corner/wc.Bench 3"]
     assert (place.kind, "corner/arm" in place.reach) == ("nest", True)
-    assert any("Nobody describes the place 'Bench 3'" in message for _, message in list_assumed(flow))
+    assert any(
+        "There is no description of the place 'Bench 3'" in message for _, message in list_assumed(flow)
+    )
 
 
 @pytest.mark.parametrize(
@@ -245,7 +248,7 @@ def test_a_module_that_is_left_out_is_called_so() -> None:
     compiled = cell_for(FLOW, cell)
     assert compiled.left_out == {"oven": "it is switched off (`active: false`)"}
     bare = compile_workcell(parse(CELL, "corner.yaml"), drivers())
-    assert bare.left_out == {"arm": "no driver serves it", "oven": "no driver serves it"}
+    assert bare.left_out == {"arm": "there is no driver for it", "oven": "there is no driver for it"}
     with pytest.raises(
         SpecErrors, match=r"the module 'oven' is left out: it is switched off \(`active: false`\)"
     ):

@@ -45,8 +45,11 @@ def test_comments_stand_above_what_they_speak_of() -> None:
 
 
 ASSUMED = [
-    ("# Line 3: No driver serves the module 'robot' (no model); it is left out.", "- {name: robot"),
-    ("# Line 5: The place 'shelf' is taken for a nest: 'shelf' is no module here.", "shelf: "),
+    ("# Line 3: There is no driver for the module 'robot' (no model); it is left out.", "- {name: robot"),
+    (
+        "# Line 5: The place 'shelf' is assumed to be a nest: 'shelf' is not a module of this workcell.",
+        "shelf: ",
+    ),
 ]
 
 

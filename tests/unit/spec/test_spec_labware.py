@@ -114,7 +114,7 @@ def test_a_text_comes_with_its_labware_files(folder: Path) -> None:
     assert again.workcell == cell.workcell
     with pytest.raises(SpecErrors, match=r"labware/deep.yaml': none was sent along"):
         parse_workcell(CELL, descriptions(), "corner.yaml", {})
-    with pytest.raises(SpecErrors, match="was not read from a folder"):
+    with pytest.raises(SpecErrors, match="was not loaded from a folder"):
         parse_workcell(CELL, descriptions(), "corner.yaml")
 
 
@@ -143,10 +143,10 @@ def test_what_cannot_be_stacked_is_refused_on_stacks(folder: Path) -> None:
     on_stack = CELL.replace("wc.turn: {}", "wc.turn: {}\n  stacker.tower1: {accepts: [plate96, deep96]}")
     (fault,) = faults(folder, on_stack)
     assert fault.startswith(
-        "corner.yaml:10:39: stations.stacker.tower1.accepts[1]: One deep96 may not stand upon another"
+        "corner.yaml:10:39: stations.stacker.tower1.accepts[1]: Labware of the type deep96 cannot be stacked"
     )
     (fault,) = faults(folder, CELL.replace("stock: {}", "stock: {stacker.tower1: {deep96: 2}}"))
-    assert "does not accept 'deep96'. One may not stand upon another." in fault
+    assert "does not accept 'deep96'. Pieces of this type cannot be stacked." in fault
     alone = on_stack.replace("plate96, deep96]", "deep96], capacity: 1")
     assert [f.message for f in load(folder, alone).findings] == []
 
@@ -184,7 +184,7 @@ def test_a_place_may_have_a_pose_for_a_type(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "fault"),
     [
-        (POSE, f"{{deep96: {POSE}}}", "It is not said where arm finds wc.shelf with labware of other types."),
+        (POSE, f"{{deep96: {POSE}}}", "arm has no pose for wc.shelf with labware of other types."),
         (POSE, "{any: 5}", "The value 5 does not fit"),
         ("arm, model: pf400", "arm, model: platecrane", "The driver of arm has one pose for all labware."),
     ],

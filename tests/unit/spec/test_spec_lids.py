@@ -52,18 +52,18 @@ def test_a_lid_off_and_on_again_is_right() -> None:
 @pytest.mark.parametrize(
     ("steps", "item", "fault"),
     [
-        ((GET, UNCOVER), "plate96", "'uncover': The labware at sciclops.exchange has no lid to take off."),
+        ((GET, UNCOVER), "plate96", "'uncover': The labware at sciclops.exchange has no lid."),
         (
             (GET, UNCOVER, COVER, AGAIN),
             "plate96+lid96",
-            "The labware at sciclops.exchange has a lid already.",
+            "The labware at sciclops.exchange already has a lid.",
         ),
         (
             (GET, UNCOVER.replace("}", ", args: {target: exchange}}")),
             "plate96+lid96",
             "The lid and its plate cannot both be at sciclops.exchange.",
         ),
-        ((GET, UNCOVER, THROW), "plate96+lid96", "its lid stays behind at sciclops.lidnest1"),
+        ((GET, UNCOVER, THROW), "plate96+lid96", "its lid stays at sciclops.lidnest1"),
         ((GET, TO_READER, READ), "plate96+lid96", "run_assay needs the labware not lidded"),
     ],
 )

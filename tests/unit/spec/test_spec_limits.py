@@ -109,7 +109,7 @@ HOSTILE = {
     "UTF-16": (lambda path: path.write_bytes("name: x\n".encode("utf-16")), "not text"),
     "one endless word": (text("name: " + "x" * 1_000_000), "'steps' is missing"),
     "one endless key": (text('? "' + "x" * 1_000_000 + '"\n: 1\nlabos: 1\n'), ""),
-    "a number without end": (text("name: " + "1" * 100_000), "not a number that can be kept"),
+    "a number without end": (text("name: " + "1" * 100_000), "not a number that can be stored"),
     "unknown keys": (
         text("labos: 1\nname: x\nsteps: []\n" + "".join(f"stepz{n}: 1\n" for n in range(40_000))),
         "",

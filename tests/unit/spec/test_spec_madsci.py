@@ -126,7 +126,7 @@ def test_nodes_that_a_driver_serves_by_name_can_be_used(tmp_path: Path) -> None:
     assert [module.driver for module in loaded.workcell.modules] == ["sealer"]
     assert loaded.workcell.modules[0].config["interface"] == "madsci_rest_node"
     [finding] = loaded.findings
-    assert "No driver serves the module 'other'" in finding.message
+    assert "There is no driver for the module 'other'" in finding.message
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_nodes_that_a_driver_serves_by_name_can_be_used(tmp_path: Path) -> None:
             "workcell_nodes: {a: 'http://x'}\nlocations: [{name: b}, {name: b}]\n",
             2,
             24,
-            "stands here twice",
+            "is listed twice",
         ),
         (
             "nodes: {a: 'http://x'}\n"
@@ -281,12 +281,12 @@ STEP = "name: x\nsteps:\n  - "
             "  - {name: a, node: b, action: c}\n  - {action: d, params: {node: k}}",
             5,
             32,
-            "must be known before a run",
+            "must be known before the run",
         ),
         (STEP + "{node: a, action: b, params: {args: {c: d}}}", 3, 45, "'d' is not declared"),
         (STEP + "{node: a, action: b, files: {c: d}}", 3, 37, "'d' is not declared"),
         (STEP + "{node: a, action: b, args: {c: 1}, locations: {c: d}}", 3, 52, "given twice"),
-        (STEP + "{node: a, action: b, locations: {c: [1, 2]}}", 3, 41, "joint angles alone"),
+        (STEP + "{node: a, action: b, locations: {c: [1, 2]}}", 3, 41, "joint angles do not show"),
         (
             "name: x\nparameters: {feed_forward: [{key: k, step: later}]}\nsteps:\n"
             "  - {node: a, action: b, params: {args: {c: k}}}",
@@ -311,7 +311,7 @@ def test_workflows_that_are_not_understood(text: str, line: int, column: int, sa
     [
         ("node_name: arm\nmodule_name: robot\n", "settings.yaml"),
         ("representation_templates: []\nlocations: []\n", "settings.yaml"),
-        ("manager_type: location_manager\nlocations: []\n", "into its file"),
+        ("manager_type: location_manager\nlocations: []\n", "into it"),
         ("services: {}\n", "Docker Compose"),
         ("workcell_server_url: http://localhost:8005/\n", "workcell_nodes"),
     ],
@@ -344,9 +344,9 @@ steps:
     result = compile_workflow(source, {"which": "cycler"}, BENCH.workcell, DESCRIPTIONS)
     assert [(step.module, step.action) for step in result.plan.steps] == [("wc1/cycler", "open_lid")]
     for payload, says in (
-        ({}, "The payload holds no 'which'"),
+        ({}, "The payload has no 'which'"),
         ({"which": "sycler"}, "Did you mean 'cycler'"),
-        ({"which": 5}, "The module is no text"),
+        ({"which": 5}, "The module is not a text"),
     ):
         [finding] = validate_workflow(source, payload, BENCH.workcell, DESCRIPTIONS)
         assert says in f"{finding.message} {finding.remedy}"

@@ -61,7 +61,9 @@ def test_reservoirs(columns: int, rows: int, dx: float, dy: float) -> None:
 )
 def test_wells_in_no_grid_are_left_out(odd: dict[str, Any]) -> None:
     found = import_spec(parse_source(json.dumps(odd, indent=1), "odd.json"), DESCRIPTIONS)
-    assert [("no grid" in finding.message, finding.line > 1) for finding in found.findings] == [(True, True)]
+    assert [("not in a regular grid" in finding.message, finding.line > 1) for finding in found.findings] == [
+        (True, True)
+    ]
     [plate] = load_labware(parse_source(found.text)).values()
     assert plate.wells is None
 
@@ -69,10 +71,10 @@ def test_wells_in_no_grid_are_left_out(odd: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"dimensions": {"xDimension": "wide"}}, "`xDimension` is no number"),
+        ({"dimensions": {"xDimension": "wide"}}, "`xDimension` is not a number"),
         ({"dimensions": 5}, "must be a table"),
         ({"ordering": 5}, "must be a list"),
-        ({"wells": {"A1": {"x": 1}}}, "`y` is no number"),
+        ({"wells": {"A1": {"x": 1}}}, "`y` is not a number"),
     ],
 )
 def test_what_is_not_understood(change: dict[str, Any], says: str) -> None:

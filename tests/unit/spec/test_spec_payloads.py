@@ -36,11 +36,9 @@ def with_default(payload: dict[str, Any]) -> Any:
 def test_a_slip_of_the_pen_does_not_pass_for_the_default(
     payload: dict[str, Any], key: str, remedy: str
 ) -> None:
-    with pytest.raises(Exception, match="Nothing in the workflow takes") as refused:
+    with pytest.raises(Exception, match="The workflow does not use") as refused:
         with_default(payload)
-    assert f"payload.{key}: Nothing in the workflow takes {key!r} from the payload. {remedy}" in str(
-        refused.value
-    )
+    assert f"payload.{key}: The workflow does not use {key!r} of the payload. {remedy}" in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +83,7 @@ def test_a_workflow_without_references_says_so() -> None:
     (found,) = faults(LOOK % "", {"x": 1}, simulate=True)
     assert (found.field, found.remedy) == (
         "payload.x",
-        "Leave it out: this workflow takes nothing from a payload.",
+        "Leave it out: this workflow uses no payload.",
     )
 
 

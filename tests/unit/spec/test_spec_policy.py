@@ -37,7 +37,7 @@ def test_limits_of_bookings(said: str, meant: BookingLimits) -> None:
         ("{days_ahead: 0}", "bookings.days_ahead"),
         ("{days_ahead: 1.5}", "bookings.days_ahead"),
         ("{days_ahead: 1000}", "bookings.days_ahead"),
-        ("{hours: 12, total_hours: 8}", "One booking may have 12 hours, and all of them 8"),
+        ("{hours: 12, total_hours: 8}", "One booking may have 12 hours, but all bookings together only 8"),
         ("{hour: 12}", "hour"),
         ("[12]", "bookings"),
         ("12", "bookings"),

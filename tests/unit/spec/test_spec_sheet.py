@@ -51,19 +51,19 @@ def test_quotes() -> None:
     [
         ("well,sampel\nA1,x\n", "sheet.csv:1:6: The column 'sampel' is not known. Did you mean 'sample'?"),
         ("well\nA1\n", "sheet.csv:1:1: The column 'sample' is missing."),
-        ("well,sample,well\nA1,x,A1\n", "sheet.csv:1:13: The column 'well' stands here twice."),
+        ("well,sample,well\nA1,x,A1\n", "sheet.csv:1:13: The column 'well' is there twice."),
         (
             "well,sample\nA1,x\nB1,y\na01,z\n",
-            "sheet.csv:4:1: well: The well A1 stands here twice; the first is in line 2.",
+            "sheet.csv:4:1: well: The well A1 is listed twice; the first is in line 2.",
         ),
         (
             "well,sample\nI1,x\n",
             "sheet.csv:2:1: well: There is no well I1 on a plate96. Its wells are A1 to H12.",
         ),
         ("sample,well\nx,H13\n", "sheet.csv:2:3: well: There is no well H13 on a plate96."),
-        ("well,sample\n12,x\n", "sheet.csv:2:1: well: '12' is no well. Write A1, B12 …"),
+        ("well,sample\n12,x\n", "sheet.csv:2:1: well: '12' is not a well. Write A1, B12 …"),
         ("well,sample\nA1,\n", "sheet.csv:2:4: sample: The sample is missing."),
-        ("well,sample,volume\nA1,x,-3\n", "sheet.csv:2:6: volume: '-3' is no volume."),
+        ("well,sample,volume\nA1,x,-3\n", "sheet.csv:2:6: volume: '-3' is not a volume."),
         ("well,sample,volume\nA1,x,400\n", "sheet.csv:2:1: volume: A1 cannot hold 400 µL."),
         ("well,sample,volume,unit\nA1,x,3,gal\n", "sheet.csv:2:8: unit: The unit 'gal' is not known."),
         ("well,sample,unit\nA1,x,uL\n", "sheet.csv:1:1: There is a unit, but no volume."),
@@ -85,7 +85,7 @@ def test_wells_of_large_plates() -> None:
     assert normalise_well("af48") == "AF48"
     assert parse_well("AF48") == (31, 47)
     assert parse_well("A1") == (0, 0)
-    with pytest.raises(ValueError, match="no well"):
+    with pytest.raises(ValueError, match="not a well"):
         normalise_well("A0")
 
 

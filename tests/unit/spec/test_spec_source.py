@@ -56,7 +56,7 @@ DEEP = "a: &a1 [x]\n" + "".join(f"k{n}: &a{n} [*a{n - 1}]\n" for n in range(2, 1
 @pytest.mark.parametrize(
     ("text", "line", "column", "says"),
     [
-        ("a: 1\nb: 2\na: 3\n", 3, 1, "stands here twice; the first is in line 1"),
+        ("a: 1\nb: 2\na: 3\n", 3, 1, "is there twice; the first is in line 1"),
         ("a: [1, 2\nb: 3\n", 2, 2, "not YAML"),
         ("a:\n\t- b\n", 2, 1, "not YAML"),
         ("Name\n\nModules\nOt2 - Deck1\n", 1, 1, "not a table"),
@@ -64,7 +64,7 @@ DEEP = "a: &a1 [x]\n" + "".join(f"k{n}: &a{n} [*a{n - 1}]\n" for n in range(2, 1
         ("- a\n- b\n", 1, 1, "not a table"),
         ("a: &x [*x]\n", 1, 4, "contains itself"),
         ("a: .nan\n", 1, 4, "not a finite number"),
-        ("a: 1\nb: 99999999999999999999\n", 2, 4, "not a number that can be kept"),
+        ("a: 1\nb: 99999999999999999999\n", 2, 4, "not a number that can be stored"),
         ("a: 1e999\n", 1, 4, "not a finite number"),
         ("a: !!python/name:os.system x\n", 1, 4, "tag"),
         ("a: !thing {b: 1}\n", 1, 4, "tag"),

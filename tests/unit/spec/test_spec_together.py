@@ -51,7 +51,7 @@ def test_a_module_says_what_it_does_for_several_runs_at_once() -> None:
             "'home' of spinner cannot be done for several runs at once: it needs no labware",
         ),
         ("{actions: [shut]}", "it leaves lid of the module changed"),
-        ("{actions: [load]}", "it does more than to change labware where it stands"),
+        ("{actions: [load]}", "it does more than change labware in its place"),
         ("{actions: [level]}", "it does not occupy the module"),
         ("{actions: []}", "actions"),
         ("{wait: 10 min}", "actions"),
@@ -74,5 +74,5 @@ def test_labware_of_several_runs_has_to_find_room() -> None:
     text = nests + "{spin: {effects: [{needs: {}}]}}}, together: {actions: [spin]}}]"
     with pytest.raises(LabosError, match="s has no room for labware of several runs"):
         parse_workcell(text % "a: {kind: nest}", DESCRIPTIONS)
-    with pytest.raises(LabosError, match=r"Labware at s\.a keeps other runs from s"):
+    with pytest.raises(LabosError, match=r"Labware at s\.a blocks s for other runs"):
         parse_workcell(text % "a: {kind: nest}, b: {kind: nest}", DESCRIPTIONS)

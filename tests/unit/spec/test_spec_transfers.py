@@ -10,7 +10,7 @@ from labos.bootstrap import descriptions as installed
 from labos.core.model import Description, Plan
 from labos.errors import SpecError
 from labos.spec import SpecErrors, compile_workcell, compile_workflow
-from labos.spec.findings import near
+from labos.spec.findings import suggest_name
 from labos.spec.importing import import_spec
 from labos.spec.source import parse
 from labos.spec.uses import read_uses
@@ -163,7 +163,7 @@ def test_what_is_not_used_is_said() -> None:
         + "  override_transfer_templates: {source_overrides: {nowhere: []}}\n"
     )
     found = warnings(told)
-    assert any("however full its target is" in message for message in found)
+    assert any("how full its target is" in message for message in found)
     assert any("No location is called 'nowhere'" in message for message in found)
 
 
@@ -221,4 +221,4 @@ def test_a_way_that_cannot_be_is_refused_with_its_line(way: str, says: str, reme
     ],
 )
 def test_a_name_that_is_part_of_others_is_offered_those(name: str, says: str) -> None:
-    assert near(name, ["ot2_beta", "pf400", "ot2_alpha"], "module") == says
+    assert suggest_name(name, ["ot2_beta", "pf400", "ot2_alpha"], "module") == says

@@ -59,10 +59,10 @@ def test_amounts_are_converted(value: float | str, unit: str, wanted: str, found
 @pytest.mark.parametrize(
     ("value", "unit", "wanted", "why"),
     [
-        (5, "mL", "", "ink is counted in pieces, which 'mL' cannot be turned into"),
+        (5, "mL", "", "ink is counted in pieces; 'mL' cannot be converted to it"),
         (5, "mg", "uL", "Write one of nL, uL, mL, L"),
-        ("much", "", "uL", "'much' is no amount of ink"),
-        ("-3 mL", "", "uL", "There cannot be -3 of ink"),
+        ("much", "", "uL", "'much' is not an amount of ink"),
+        ("-3 mL", "", "uL", "The amount of ink cannot be -3"),
         (5, "mL", "strips", "ink is counted in strips"),
     ],
 )
@@ -131,8 +131,8 @@ steps:
     [
         ("[A1, B1]", "[100, -150]", r"mix.yaml:14:\d+: .*'again': the volume of red for B1 is -150 µL"),
         ("[A1]", "[100, 150]", r"mix.yaml:14:\d+: .*2 volumes of red for 1 well"),
-        ("[A1]", "[ten]", r"mix.yaml:14:\d+: .*the volume of red for A1 is 'ten', which is no number"),
-        ("[A1, well2]", "[100, 150]", r"mix.yaml:14:\d+: .*'well2' is no well"),
+        ("[A1]", "[ten]", r"mix.yaml:14:\d+: .*the volume of red for A1 is 'ten', which is not a number"),
+        ("[A1, well2]", "[100, 150]", r"mix.yaml:14:\d+: .*'well2' is not a well"),
         (
             "[A1, Z99]",
             "[1, 1]",
@@ -165,7 +165,7 @@ def test_what_cannot_be_poured_is_refused_when_it_is_submitted(wells: str, volum
     [
         ("source_wells: [A1, B1], source_volumes: [300, 10]", ""),
         ("source_wells: [C1], source_volumes: [360]", ""),
-        ("source_wells: [A1], source_volumes: [310]", r"A1 of the labware holds 300 µL as far as is known"),
+        ("source_wells: [A1], source_volumes: [310]", r"A1 of the labware is recorded with 300 µL"),
         ("source_wells: [A1], source_volumes: [-1]", r"mix.yaml:14:\d+: .*what is drawn for A1 is -1 µL"),
         ("source_wells: [A1], source_volumes: [1, 2]", r"mix.yaml:14:\d+: .*2 volumes of what is drawn"),
         ("source_wells: [Z99], source_volumes: [1]", r"has no well Z99"),

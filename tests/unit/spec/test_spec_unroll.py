@@ -40,7 +40,7 @@ def test_a_slip_in_the_payload_of_a_file_is_told_once() -> None:
         "- {name: P, use: prep.yaml, for_each: {item: n, in: [1, 2]}, payload: {file: {name: a, nmae: b}}}\n"
     )
     found = only(use, files=make_used(prep=prep))
-    assert found.message == "Nothing in prep.yaml takes 'file.nmae' from its payload."
+    assert found.message == "prep.yaml does not use 'file.nmae' of its payload."
     assert "Did you mean 'file.name'" in found.remedy
     assert found.field == "steps[0].payload.file"
     assert (
@@ -156,15 +156,15 @@ def test_a_fault_in_a_used_file_names_that_file() -> None:
         ("- {name: P, use: a.yaml, args: {x: 1}}\n", {}, "The key 'args' belongs to a step"),
         ("- {name: P, action: seal}\n", {}, "The key 'module' is missing"),
         (SHOOT % ", payload: {x: 1}", {}, "Only an entry that uses a file has a payload"),
-        (SHOOT % ", for_each: {item: n, in: payload.n}", {}, "goes through a list, and this is none"),
+        (SHOOT % ", for_each: {item: n, in: payload.n}", {}, "needs a list, and this is not one"),
         (SHOOT % ", for_each: {item: n, in: payload.long}", {}, "more than 2000 steps"),
         (SHOOT % ", when: payload.n", {}, "neither true nor false"),
         (SHOOT % ", when: payload.gone == 1", {}, "There is no 'gone' in payload"),
         (SHOOT % ", when: 'payload.n >'", {}, "cannot be read"),
-        (SHOOT % ", when: result.x > 1", {}, "reads the payload and earlier results only"),
+        (SHOOT % ", when: result.x > 1", {}, "can use only the payload and earlier results"),
         (SHOOT % "" + SHOOT % ", when: payload.n > 9" + "- {name: A, module: cam, action: take_picture, args: {file_name: steps.Shoot#2.result}}\n", {}, "it is left out by its `when`"),
         ("- {name: 'S[1]', module: cam, action: take_picture}\n- {name: S, module: cam, action: take_picture, for_each: {item: n, in: [1]}}\n", {}, "Two steps would be called 'S[1]'"),
-        ("- {name: P, use: a.yaml}\n", {"a": "hold: {sealer: none}\nsteps:\n" + SHOOT % ""}, "`hold` counts in the workflow that is submitted"),
+        ("- {name: P, use: a.yaml}\n", {"a": "hold: {sealer: none}\nsteps:\n" + SHOOT % ""}, "`hold` is allowed only in the submitted workflow"),
     ],
 )  # fmt: skip
 def test_what_is_refused(text: str, files: dict[str, str], why: str) -> None:
@@ -206,5 +206,5 @@ def test_a_long_chain_of_left_out_steps_is_no_trouble() -> None:
 
 
 def test_all_left_out_is_refused_by_what_is_left() -> None:
-    with pytest.raises(SpecErrors, match="no step is left"):
+    with pytest.raises(SpecErrors, match="No step of this workflow is left"):
         compile_steps(SHOOT % ", when: 1 > 2")

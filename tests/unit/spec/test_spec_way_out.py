@@ -37,7 +37,7 @@ def test_a_file_may_hold_them() -> None:
 def test_a_closed_module_is_an_error_where_the_run_may_be_cancelled() -> None:
     (fault,) = faults(FLOW + "on_cancel:\n" + FROM_EXCHANGE + FROM_CYCLER)
     assert fault.severity == "error"
-    assert "After a cancellation behind 'Close': cycler.default is out of reach" in fault.message
+    assert "After a cancellation that follows 'Close': cycler.default is out of reach" in fault.message
     assert fault.line == 11
 
 
@@ -50,7 +50,7 @@ def test_labware_that_is_left_in_the_way_is_a_warning() -> None:
 
 def test_new_labware_is_refused() -> None:
     (fault,) = faults(FLOW + "on_cancel:\n" + OPEN + FROM_EXCHANGE + FROM_CYCLER + GET)
-    assert "A way out takes no new labware." in fault.message
+    assert "A workflow on cancellation cannot take new labware." in fault.message
 
 
 def test_keys_that_belong_to_the_workflow_are_refused() -> None:
@@ -61,4 +61,4 @@ def test_keys_that_belong_to_the_workflow_are_refused() -> None:
 def test_a_used_file_has_no_way_out_of_its_own() -> None:
     inner = b"name: inner\nsteps:\n" + OPEN.encode() + b"on_cancel:\n" + OPEN.encode()
     (fault,) = faults("- {name: Use, use: inner.yaml}\n", files={"inner.yaml": inner})
-    assert "`on_cancel` counts in the workflow that is submitted" in fault.message
+    assert "`on_cancel` is allowed only in the submitted workflow" in fault.message

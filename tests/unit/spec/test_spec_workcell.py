@@ -82,8 +82,8 @@ def test_a_place_may_be_written_in_many_ways(text: str, module: str, name: str) 
     ("text", "says"),
     [
         ("sealer.defualt", "Did you mean 'sealer.default'"),
-        ("default", "may be any of cycler.default, sealer.default"),
-        ("other/sealer.default", "another workcell"),
+        ("default", "is ambiguous: cycler.default, sealer.default"),
+        ("other/sealer.default", "is not in the workcell"),
         ("ot2", "no station"),
         ("", "no station"),
     ],
@@ -123,7 +123,7 @@ def change_text(old: str, new: str) -> str:
         (change_text("{arm: [narrow]}", "{amr: [narrow]}"), 15, 23, "stations.ot2.deck2.reach.amr", "'arm'"),
         (change_text("  wc.pcr: {k", "  pcr: {k"), 13, 3, "stations.pcr", "cannot be a station"),
         (change_text("    sealer.default:", "    sealer.defualt:"), 19, 5, None, "'sealer.default'"),
-        (change_text("  arm:\n", "  amr:\n"), 17, 3, "locations.amr", "no module"),
+        (change_text("  arm:\n", "  amr:\n"), 17, 3, "locations.amr", "not a module"),
         (change_text("wc.trash: [1, 2]", "wc.trash: [1, a]"), 22, 19, "locations.arm.wc.trash[1]", "number"),
         (change_text("{plate96: 20}", "{plate96: 21}"), 27, 17, "stock.stack.tower1", "holds 20"),
         (change_text("stack.tower1: {p", "stack.tower9: {p"), 27, 3, "stock.stack.tower9", "'stack.tower"),
@@ -160,7 +160,7 @@ def test_a_model_that_several_drivers_serve_needs_a_driver() -> None:
     known = {**DESCRIPTIONS, "other_sealer": other}
     (fault,) = validate_workcell(parse_source(WORKCELL, "wc.yaml"), known)
     assert fault.severity == "error"
-    assert fault.message == "The model 'A4S_sealer' is served by several drivers: sealer, other_sealer."
+    assert fault.message == "The model 'A4S_sealer' has several drivers: sealer, other_sealer."
     assert "driver: sealer" in fault.remedy
     chosen = change_text("name: sealer, model: A4S_sealer", "name: sealer, driver: other_sealer")
     modules = {m.name: m for m in parse_workcell(chosen, known).workcell.modules}
@@ -200,8 +200,8 @@ locations:
     told = {(finding.line, finding.column): finding.message for finding in loaded.findings}
     assert "left out" in told[7, 26]
     assert "'checks'" in told[6, 47]
-    assert "no module here" in told[13, 5]
-    assert "'ghost', which is no module here" in told[15, 3]
+    assert "not a module of this workcell" in told[13, 5]
+    assert "'ghost', which is not a module of this workcell" in told[15, 3]
     pf400 = loaded.workcell.modules[1].config
     assert pf400["config"]["representations"] == {"wc.trash": "Stack1"}
     assert pf400["poses"]["wc.trash"] == []
@@ -274,10 +274,10 @@ def test_observers_are_told_what_they_look_at() -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("wc.a: {observer: eys}", "'eys' is no module here. Did you mean 'eye'?"),
-        ("wc.a: {verify: always}", "'wc.a' says when it is looked at, but not by which observer."),
+        ("wc.a: {observer: eys}", "'eys' is not a module of this workcell. Did you mean 'eye'?"),
+        ("wc.a: {verify: always}", "'wc.a' has a time of observation, but no observer."),
         ("wc.a: {observer: eye, verify: sometimes}", "sometimes"),
-        ("wc.trash: {observer: eye}", "What is thrown into 'wc.trash' is gone"),
+        ("wc.trash: {observer: eye}", "Labware in the waste 'wc.trash' is off the bench"),
     ],
 )
 def test_what_is_wrong_with_an_observer(line: str, says: str) -> None:

@@ -117,8 +117,8 @@ def test_windows_of_another_run() -> None:
 @pytest.mark.parametrize(
     ("window", "payload", "message"),
     [
-        ("within: {of: payload.plate, after: x, at_most: 5}", {}, "The payload holds no 'plate'"),
-        ("within: {of: payload.plate, after: x, at_most: 5}", {"plate": 7}, "`of` is no text"),
+        ("within: {of: payload.plate, after: x, at_most: 5}", {}, "The payload has no 'plate'"),
+        ("within: {of: payload.plate, after: x, at_most: 5}", {"plate": 7}, "`of` is not a text"),
         (
             "wait: {of: w, after: x, at_least: 9}, within: {of: w, after: x, at_most: 5}",
             {},
@@ -162,7 +162,7 @@ def test_files_are_pinned_and_looked_up_beside_the_workflow(tmp_path: Any) -> No
     result = compile_workflow(read_workflow(tmp_path / "w.yaml"), {}, BENCH.workcell, DESCRIPTIONS)
     assert result.plan.files == {"p/x.yaml": digest(b"hello")}
     assert result.files == {digest(b"hello"): b"hello"}
-    assert "no step before puts any there" in result.findings[0].message
+    assert "no earlier step puts any there" in result.findings[0].message
 
 
 @pytest.mark.parametrize("path", ["../secret.yaml", "/etc/hostname"])
@@ -205,7 +205,7 @@ FAULTS: list[tuple[str, int, int, str, str]] = [
     (seal("time: payload.tiem"), 4, 59, "steps[0].args.time", "Did you mean 'time'"),
     (seal("time: [steps.x.result]"), 4, 59, "steps[0].args.time", "whole argument"),
     (move("sealer.defalt", "cam"), 4, 60, "steps[0].args.source", "Did you mean 'sealer.default'"),
-    (move("[1, 2]", "cam"), 4, 60, "steps[0].args.source", "joint angles alone"),
+    (move("[1, 2]", "cam"), 4, 60, "steps[0].args.source", "joint angles do not show"),
     (move("payload.a.x", "cam"), 4, 60, "steps[0].args.source", "no 'a.x'"),
     ("- {name: a, module: arm, action: transfer, args: {source: cam}}\n", 4, 50, "", "needs the argument"),
     ("- {name: a, module: arm, action: transfer}\n", 4, 3, "", "needs the argument 'source'"),
@@ -235,7 +235,7 @@ FAULTS: list[tuple[str, int, int, str, str]] = [
         4,
         88,
         "steps[0].after",
-        "by way of other steps",
+        "through other steps",
     ),
     (
         SEAL + move("sealer", "cam", more=", wait: {after: seal, at_least: 3 parsecs}"),
@@ -271,9 +271,9 @@ FAULTS: list[tuple[str, int, int, str, str]] = [
     (move("sealer", "cam") + move("cycler", "cam"), 5, 3, "steps[1]", "cam.plate_station is full"),
     (GET + GET, 5, 3, "steps[1]", "stack.exchange is full"),
     (GET + move("stack.exchange", "wc.pcr"), 5, 3, "steps[1]", "does not accept plate96"),
-    (move("sealer", "cam") + SEAL, 5, 3, "steps[1]", "no labware of this run at sealer.default any more"),
-    (move("wc.trash", "cam"), 4, 3, "steps[0]", "Nothing can be taken out of wc.trash"),
-    (move("cam", "cam"), 4, 3, "steps[0]", "to where it stands"),
+    (move("sealer", "cam") + SEAL, 5, 3, "steps[1]", "labware of this run is no longer at sealer.default"),
+    (move("wc.trash", "cam"), 4, 3, "steps[0]", "Labware cannot be taken out of wc.trash"),
+    (move("cam", "cam"), 4, 3, "steps[0]", "to the same place"),
     (SEAL + SEAL, 5, 3, "steps[1]", "needs the labware not sealed, but then the labware sealed"),
     (
         "- {name: a, module: cycler, action: close_lid}\n" + move("sealer", "cycler"),
@@ -294,14 +294,14 @@ FAULTS: list[tuple[str, int, int, str, str]] = [
         4,
         3,
         "steps[0]",
-        "is no stack",
+        "is not a stack",
     ),
     (
         "- {name: a, module: stack, action: get_plate, args: {loc: tower1, target: wc.trash}}\n",
         4,
         3,
         "steps[0]",
-        "gets its name where it is put down: not in wc.trash",
+        "gets its id where it is put down, which cannot be in wc.trash",
     ),
 ]
 
