@@ -421,7 +421,7 @@ class Scheduler:
             yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
             if option.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
-            if not self.adviser.has_order(state, state.runs.plan_of(option).workcell):
+            if not self.adviser.has_order(state, state.runs.plan_of(option).workcell, now):
                 yield from self._start_first_steps(state, option.id, now)
             run = self.admission.find_first(state, bundle, now)
 
