@@ -129,6 +129,14 @@ def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list
     return found
 
 
+def add_next(runs: Sequence[RunState], waiting: Iterable[RunState]) -> list[RunState]:
+    """These runs and the first of those that wait: an order for a part of the runs is compared with what it
+    does to the next ones, too."""
+    known = {run.id for run in runs}
+    others = [run for run in islice(waiting, MOST_WAITING) if run.id not in known and not find_holds(run)]
+    return [*runs, *others]
+
+
 def problem_of(
     state: LabState, cell: str, runs: Sequence[RunState], now: int, level: float = 0.5
 ) -> SchedulingProblem:
