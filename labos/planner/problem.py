@@ -37,7 +37,7 @@ DECK = "deck:"
 
 MOST_WINDOWED = 20
 """If there are windows, only so many runs are planned in all, and always those in progress; further runs are
-added when these end. Rehearsals of more runs take long."""
+added when these end, and take part in rehearsals before (``add_next``)."""
 
 AHEAD_NS = 24 * 3600 * 10**9
 """Bookings within this time from now are planned (wall time)."""
