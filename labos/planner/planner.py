@@ -18,7 +18,7 @@ from labos.core.state import LabState
 from labos.core.suggestions import Suggested
 from labos.planner.lengths import SPREAD
 from labos.planner.overtakings import Overtakings
-from labos.planner.problem import SchedulingProblem, choose_runs, problem_of
+from labos.planner.problem import SchedulingProblem, add_next, choose_runs, problem_of
 from labos.planner.rehearsal import DRAWN, OrderRehearsal, Way
 from labos.planner.solve import Schedule, solve
 from labos.planning.suggested import GRACE_S
@@ -77,7 +77,7 @@ class Planner:
             cell,
             now,
             self.level,
-            runs,
+            add_next(runs, waiting),
             drawn=drawn,
             end_weight=self.end_weight,
             searches=self._searches,

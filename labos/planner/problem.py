@@ -37,7 +37,7 @@ DECK = "deck:"
 
 MOST_WINDOWED = 20
 """If there are windows, only so many runs are planned in all, and always those in progress; further runs are
-added when these end. Rehearsals of more runs take long."""
+added when these end, and take part in rehearsals before (``add_next``)."""
 
 AHEAD_NS = 24 * 3600 * 10**9
 """Bookings within this time from now are planned (wall time)."""
@@ -127,6 +127,14 @@ def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list
             break
         found.append(run)
     return found
+
+
+def add_next(runs: Sequence[RunState], waiting: Iterable[RunState]) -> list[RunState]:
+    """These runs and the first of those that wait: an order for a part of the runs is compared with what it
+    does to the next ones, too."""
+    known = {run.id for run in runs}
+    others = [run for run in islice(waiting, MOST_WAITING) if run.id not in known and not find_holds(run)]
+    return [*runs, *others]
 
 
 def problem_of(

@@ -11,12 +11,20 @@ from labos.core.decide.bookings import MakeBooking, NewTerms
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
 from labos.core.lengths import Times, make_kind
-from labos.core.model import Plan
+from labos.core.model import Plan, Window
 from labos.core.runs import RunState
 from labos.core.shares import Usage
 from labos.planner.overtakings import Overtakings
 from labos.planner.planner import Planner
-from labos.planner.problem import SchedulingProblem, Task, TimeLag, choose_runs, problem_of
+from labos.planner.problem import (
+    MOST_WINDOWED,
+    SchedulingProblem,
+    Task,
+    TimeLag,
+    add_next,
+    choose_runs,
+    problem_of,
+)
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
 from labos.planning.waiting import PATIENCE
@@ -237,3 +245,17 @@ def test_a_run_that_would_stand_in_the_way_waits_outside() -> None:
     lab.do(order)
     assert find_order(Planner(solver=lambda *_: None), lab) is None, "it waits already"
     assert find_order(Planner(solver=lambda *_: None, exact=True), lab) is not None, "nothing is in its way"
+
+
+def test_an_order_for_a_part_of_the_runs_is_rehearsed_with_the_next_ones() -> None:
+    lab = Driver(CELL)
+    window = (Window(0, 0.0, 600.0),)
+    steps = step("dev", key="a", duration_s=60.0), step("other", key="b", duration_s=60.0)
+    for number in range(MOST_WINDOWED + 5):
+        lab.submit(plan(steps[0], replace(steps[1], windows=window), name=f"run {number}"))
+    planned = chosen(lab)
+    rehearsed = add_next(planned, list_waiting(lab.state, "cell"))
+    assert len(planned) == MOST_WINDOWED
+    assert rehearsed[:MOST_WINDOWED] == planned
+    assert len({run.id for run in rehearsed}) == MOST_WINDOWED + 5
+    assert find_order(Planner(seconds=0.1, solver=lambda *_: None, exact=True), lab) is None
