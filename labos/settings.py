@@ -164,7 +164,7 @@ class Settings(msgspec.Struct, frozen=True):
     @property
     def searches_order(self) -> bool:
         """Whether the lab searches for an order of all waiting runs. Raises BadInput."""
-        value = os.environ.get(ORDER) or "age"
+        value = os.environ.get(ORDER) or "search"
         if value in ("age", "search"):
             return value == "search"
         raise BadInput(f"{value!r} is no order of waiting runs.", remedy=f"Write age or search ({ORDER}).")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 
 from labos.audit._campaigns import set_terms
@@ -28,9 +26,8 @@ def on_requested(rows: RowChanges, event: p.ApprovalRequested, head: Envelope, a
         },
         event,
     )
-    campaign = rows.change(CAMPAIGNS, event.subject) if event.kind == "campaign" else None
-    if campaign is not None:
-        campaign["status"] = "proposed"
+    if event.kind == "campaign":
+        rows.update(CAMPAIGNS, event.subject, status="proposed")
 
 
 def on_given(rows: RowChanges, event: p.ApprovalGiven, head: Envelope, at: float) -> None:
@@ -42,11 +39,9 @@ def on_given(rows: RowChanges, event: p.ApprovalGiven, head: Envelope, at: float
     changed = rows.change(table, event.subject) if table is not None else None
     if changed is not None and event.priority is not None:
         changed["priority"] = event.priority
-    campaign = rows.change(CAMPAIGNS, event.subject) if event.kind == "campaign" else None
-    if campaign is not None:
-        campaign["status"] = "open"
-        if event.terms is not None:
-            set_terms(campaign, event.terms)
+    campaign = rows.update(CAMPAIGNS, event.subject, status="open") if event.kind == "campaign" else None
+    if campaign is not None and event.terms is not None:
+        set_terms(campaign, event.terms)
 
 
 def on_refused(rows: RowChanges, event: p.ApprovalRefused, head: Envelope, at: float) -> None:
@@ -88,11 +83,3 @@ def _answer(
     row["answer"], row["answered_by"], row["comment"] = answer, by, comment
     row["answered_at_s"], row["answered_position"] = at, head.position
     return row
-
-
-HANDLERS: dict[Any, Any] = {
-    p.ApprovalRequested: on_requested,
-    p.ApprovalGiven: on_given,
-    p.ApprovalRefused: on_refused,
-    p.RunApproved: on_second_person,
-}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._bench_tables import LOT_USES, MOVES
@@ -91,15 +90,12 @@ def on_handed_over(rows: RowChanges, event: b.LabwareHandedOver, head: Envelope,
     row = rows.change(LABWARE, event.labware)
     if row is not None:
         row["owner"] = event.owner
-        lid = rows.change(LABWARE, row["lid"]) if row["lid"] else None
-        if lid is not None:
-            lid["owner"] = event.owner
+        if row["lid"]:
+            rows.update(LABWARE, row["lid"], owner=event.owner)
 
 
 def on_barcode_read(rows: RowChanges, event: b.BarcodeRead, head: Envelope, at: float) -> None:
-    row = rows.change(LABWARE, event.labware)
-    if row is not None:
-        row["barcode"] = event.barcode
+    rows.update(LABWARE, event.labware, barcode=event.barcode)
 
 
 def on_loaded(rows: RowChanges, event: b.StationLoaded, head: Envelope, at: float) -> None:
@@ -121,15 +117,12 @@ def _settle(rows: RowChanges, row: Row, station: str, on: str) -> None:
 def _lay_on(rows: RowChanges, lid: Row, plate: str) -> None:
     _take_off_plate(rows, lid)
     lid["lies_on"] = plate
-    under = rows.change(LABWARE, plate)
-    if under is not None:
-        under["lid"] = lid["labware"]
+    rows.update(LABWARE, plate, lid=lid["labware"])
 
 
 def _take_off_plate(rows: RowChanges, lid: Row) -> None:
-    under = rows.change(LABWARE, lid["lies_on"]) if lid["lies_on"] else None
-    if under is not None:
-        under["lid"] = ""
+    if lid["lies_on"]:
+        rows.update(LABWARE, lid["lies_on"], lid="")
     lid["lies_on"] = ""
 
 
@@ -154,16 +147,3 @@ def _note(
     by = (event.run, getattr(event, "action", ""), head.actor, why)
     maybe = None if places is None else list(places)
     rows.add(MOVES, head.position, at, event.labware, kind, source, "" if on else target, on, maybe, *by)
-
-
-HANDLERS: dict[Any, Any] = {
-    b.LabwarePlaced: on_placed,
-    b.LabwareMoved: on_moved,
-    b.LabwareObserved: on_observed,
-    b.LabwareUncertain: on_uncertain,
-    b.LabwareRemoved: on_removed,
-    b.LabwareChanged: on_changed,
-    b.LabwareHandedOver: on_handed_over,
-    b.BarcodeRead: on_barcode_read,
-    b.StationLoaded: on_loaded,
-}

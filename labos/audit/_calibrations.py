@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from labos.audit._bench_tables import CALIBRATIONS
 from labos.audit._rows import RowChanges
 from labos.core.days import end_of
@@ -32,6 +30,3 @@ def on_calibrated(rows: RowChanges, event: ModuleCalibrated, head: Envelope, at:
         },
         event,
     )
-
-
-HANDLERS: dict[Any, Any] = {ModuleCalibrated: on_calibrated}

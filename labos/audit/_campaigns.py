@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
-
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._work_tables import CAMPAIGNS, RUNS
 from labos.core import campaigns as c
@@ -44,45 +42,31 @@ def set_terms(row: Row, terms: c.Terms) -> None:
 
 
 def on_paused(rows: RowChanges, event: c.CampaignPaused, head: Envelope, at: float) -> None:
-    _set_status(rows, event.campaign, "paused", event.why)
+    rows.update(CAMPAIGNS, event.campaign, status="paused", why=event.why)
 
 
 def on_resumed(rows: RowChanges, event: c.CampaignResumed, head: Envelope, at: float) -> None:
-    _set_status(rows, event.campaign, "open", "")
+    rows.update(CAMPAIGNS, event.campaign, status="open", why="")
 
 
 def on_stopped(rows: RowChanges, event: c.CampaignStopped, head: Envelope, at: float) -> None:
-    row = _set_status(rows, event.campaign, "stopped", event.why)
-    if row is not None:
-        row["by_run"] = event.by_run
+    rows.update(CAMPAIGNS, event.campaign, status="stopped", why=event.why, by_run=event.by_run)
 
 
 def on_cancelled(rows: RowChanges, event: c.CampaignCancelled, head: Envelope, at: float) -> None:
-    _set_status(rows, event.campaign, "cancelled", event.why)
-
-
-def _set_status(rows: RowChanges, campaign: str, status: str, why: str) -> Row | None:
-    row = rows.change(CAMPAIGNS, campaign)
-    if row is not None:
-        row["status"], row["why"] = status, why
-    return row
+    rows.update(CAMPAIGNS, event.campaign, status="cancelled", why=event.why)
 
 
 def on_completed(rows: RowChanges, event: c.CampaignCompleted, head: Envelope, at: float) -> None:
-    row = rows.change(CAMPAIGNS, event.campaign)
-    if row is None:
-        return
-    row["ended_at_s"], row["ended_position"] = at, head.position
-    if row["status"] not in ("stopped", "cancelled"):
+    row = rows.update(CAMPAIGNS, event.campaign, ended_at_s=at, ended_position=head.position)
+    if row is not None and row["status"] not in ("stopped", "cancelled"):
         row["status"], row["why"] = "completed", event.why
 
 
 def on_archived(
     rows: RowChanges, event: c.CampaignArchived | c.CampaignUnarchived, head: Envelope, at: float
 ) -> None:
-    row = rows.change(CAMPAIGNS, event.campaign)
-    if row is not None:
-        row["archived"] = isinstance(event, c.CampaignArchived)
+    rows.update(CAMPAIGNS, event.campaign, archived=isinstance(event, c.CampaignArchived))
 
 
 def on_row_refused(rows: RowChanges, event: c.CampaignRowRefused, head: Envelope, at: float) -> None:
@@ -109,19 +93,3 @@ def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -
             row["failed"] += 1
         case r.RunCancelled():
             row["cancelled"] += 1
-
-
-HANDLERS: dict[Any, Any] = {
-    c.CampaignSubmitted: on_submitted,
-    c.CampaignPaused: on_paused,
-    c.CampaignResumed: on_resumed,
-    c.CampaignAmended: on_amended,
-    c.CampaignRowRefused: on_row_refused,
-    c.CampaignStopped: on_stopped,
-    c.CampaignCancelled: on_cancelled,
-    c.CampaignCompleted: on_completed,
-    c.CampaignArchived: on_archived,
-    c.CampaignUnarchived: on_archived,
-    r.RunSubmitted: on_run_submitted,
-    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
-}

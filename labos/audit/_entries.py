@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import mimetypes
 from collections.abc import Iterable, Mapping
-from typing import Any, get_args
+from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._entry_tables import ENTRIES
@@ -71,7 +71,12 @@ def on_experiment_started(rows: RowChanges, event: x.ExperimentStarted, head: En
     )
 
 
-def on_experiment_changed(rows: RowChanges, event: x.ExperimentEvent, head: Envelope, at: float) -> None:
+def on_experiment_changed(
+    rows: RowChanges,
+    event: x.ExperimentCancelled | x.ExperimentClosing | x.ExperimentEnded,
+    head: Envelope,
+    at: float,
+) -> None:
     experiment = rows.get(EXPERIMENTS, event.experiment)
     entry = _entry_of(rows, experiment, "started_position")
     if experiment is not None and entry is not None:
@@ -96,7 +101,12 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
     )
 
 
-def on_run_changed(rows: RowChanges, event: Any, head: Envelope, at: float) -> None:
+def on_run_changed(
+    rows: RowChanges,
+    event: r.RunStarted | r.RunPaused | r.RunResumed | r.RunCancelling | r.RunLeaving | r.RunEnd,
+    head: Envelope,
+    at: float,
+) -> None:
     run = rows.get(RUNS, event.run)
     entry = _entry_of(rows, run, "submitted_position")
     if run is not None and entry is not None:
@@ -185,9 +195,7 @@ def on_samples_registered(
     run = rows.get(RUNS, event.run) if event.run else None
     for well in before:
         if well not in labware["samples"] and (place := _place(well)) is not None:
-            gone = rows.change(ENTRIES, first + place)
-            if gone is not None:
-                gone["status"] = "replaced"
+            rows.update(ENTRIES, first + place, status="replaced")
     for well, sample in labware["samples"].items():
         place = _place(well)
         if place is None:
@@ -251,20 +259,4 @@ def _texts(value: Any) -> list[str]:
     return [_text(item) for item in listed if isinstance(item, str) and item][:MOST_LISTED]
 
 
-HANDLERS: dict[Any, Any] = {
-    x.ExperimentStarted: on_experiment_started,
-    x.ExperimentCancelled: on_experiment_changed,
-    x.ExperimentClosing: on_experiment_changed,
-    x.ExperimentEnded: on_experiment_changed,
-    x.ExperimentNoted: on_noted,
-    r.RunSubmitted: on_submitted,
-    r.RunStarted: on_run_changed,
-    r.RunPaused: on_run_changed,
-    r.RunResumed: on_run_changed,
-    r.RunCancelling: on_run_changed,
-    r.RunLeaving: on_run_changed,
-    **dict.fromkeys(get_args(r.RunEnd), on_run_changed),
-    a.ActionSucceeded: on_result,
-    a.ActionReconciled: on_result,
-}
 """They run after those of the other tables, because they read their rows."""

@@ -107,12 +107,3 @@ def _change(
     if lot:
         used = (lot, kind, event.module, event.resource, "", run, action)
         rows.add(LOT_USES, head.position, 0, at, *used)
-
-
-HANDLERS: dict[Any, Any] = {
-    b.LiquidTransferred: on_poured,
-    b.LiquidDrawn: on_drawn,
-    s.LevelSet: on_counted,
-    s.ResourceReplenished: on_replenished,
-    s.ResourceConsumed: on_consumed,
-}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._work_tables import EXPERIMENTS, INTERVENTIONS, USERS
 from labos.core import experiments as x
@@ -52,10 +50,10 @@ def on_asked(rows: RowChanges, event: i.InterventionRequested, head: Envelope, a
 
 
 def on_resolved(rows: RowChanges, event: i.InterventionResolved, head: Envelope, at: float) -> None:
-    row = rows.change(INTERVENTIONS, event.intervention)
-    if row is not None:
-        row["choice"], row["resolved_by"], row["note"] = event.choice, event.by, event.note
-        row["resolved_at_s"], row["resolved_position"] = at, head.position
+    answer = {"choice": event.choice, "resolved_by": event.by, "note": event.note}
+    rows.update(
+        INTERVENTIONS, event.intervention, resolved_at_s=at, resolved_position=head.position, **answer
+    )
     if event.by == head.actor and event.by != "labos" and "/" not in event.by:
         _change_person(rows, event.by, at)["answers"] += 1
 
@@ -85,19 +83,8 @@ def on_cancelled(
 
 
 def on_ended(rows: RowChanges, event: x.ExperimentEnded, head: Envelope, at: float) -> None:
-    row = rows.change(EXPERIMENTS, event.experiment)
+    row = rows.update(
+        EXPERIMENTS, event.experiment, status="ended", ended_at_s=at, ended_position=head.position
+    )
     if row is not None:
-        row["status"], row["ended_at_s"], row["ended_position"] = "ended", at, head.position
         row["why"] = row["why"] or event.why
-
-
-HANDLERS: dict[Any, Any] = {
-    UserErased: on_erased,
-    r.RunSubmitted: on_submitted,
-    i.InterventionRequested: on_asked,
-    i.InterventionResolved: on_resolved,
-    x.ExperimentStarted: on_started,
-    x.ExperimentCancelled: on_cancelled,
-    x.ExperimentClosing: on_cancelled,
-    x.ExperimentEnded: on_ended,
-}

@@ -79,6 +79,13 @@ class RowChanges:
             self._changed[table.name][key] = row
         return row
 
+    def update(self, table: Table, *key: Any, **values: Any) -> Row | None:
+        """Change columns of a row; None if there is no such row."""
+        row = self.change(table, *key)
+        if row is not None:
+            row.update(values)
+        return row
+
     def list_added(self) -> Iterator[tuple[Table, list[Key]]]:
         for table in TABLES:
             if self._added[table.name]:

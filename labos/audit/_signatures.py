@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from labos.audit._rows import RowChanges
 from labos.audit._work_tables import SIGNATURES
 from labos.core.envelope import Envelope
@@ -40,6 +38,3 @@ def _add(
         },
         event,
     )
-
-
-HANDLERS: dict[Any, Any] = {RunSigned: on_run_signed, RecordsSigned: on_records_signed}

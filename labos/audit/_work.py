@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
@@ -87,15 +87,11 @@ def on_bound(rows: RowChanges, event: r.RunBound, head: Envelope, at: float) -> 
 
 
 def on_started(rows: RowChanges, event: r.RunStarted, head: Envelope, at: float) -> None:
-    run = rows.change(RUNS, event.run)
-    if run is not None:
-        run["status"], run["started_at_s"], run["started_position"] = "active", at, head.position
+    rows.update(RUNS, event.run, status="active", started_at_s=at, started_position=head.position)
 
 
 def on_paused(rows: RowChanges, event: r.RunPaused, head: Envelope, at: float) -> None:
-    run = rows.change(RUNS, event.run)
-    if run is not None:
-        run["status"], run["why"] = "paused", event.why
+    rows.update(RUNS, event.run, status="paused", why=event.why)
 
 
 def on_resumed(rows: RowChanges, event: r.RunResumed, head: Envelope, at: float) -> None:
@@ -111,11 +107,8 @@ def on_cancelling(rows: RowChanges, event: r.RunCancelling, head: Envelope, at: 
 
 
 def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float) -> None:
-    run = rows.change(RUNS, event.run)
-    if run is None:
-        return
-    run["status"] = "leaving"
-    for number in range(run["steps"]):
+    run = rows.update(RUNS, event.run, status="leaving")
+    for number in range(run["steps"]) if run is not None else ():
         step = rows.get(STEPS, event.run, number)
         if step is not None and number in event.steps:
             _set_step_status(rows, event.run, number, "pending")
@@ -124,10 +117,9 @@ def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float)
 
 
 def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
-    run = rows.change(RUNS, event.run)
+    run = rows.update(RUNS, event.run, ended_at_s=at, ended_position=head.position)
     if run is None:
         return
-    run["ended_at_s"], run["ended_position"] = at, head.position
     match event:
         case r.RunCompleted():
             run["status"] = "completed"
@@ -141,9 +133,7 @@ def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -
 
 
 def on_breached(rows: RowChanges, event: st.WindowBreached, head: Envelope, at: float) -> None:
-    step = rows.change(STEPS, event.run, event.step)
-    if step is not None:
-        step["breached"] = True
+    rows.update(STEPS, event.run, event.step, breached=True)
 
 
 def on_retried(rows: RowChanges, event: st.StepRetried, head: Envelope, at: float) -> None:
@@ -192,9 +182,7 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
     if step is not None:
         step["attempts"] = max(step["attempts"], event.attempt)
         step["requested_at_s"], step["ended_at_s"] = at, None
-    action = rows.change(ACTIONS, event.action) if event.attempt > 1 else None
-    if action is not None:
-        action["attempts"], action["status"] = event.attempt, "requested"
+    if event.attempt > 1 and rows.update(ACTIONS, event.action, attempts=event.attempt, status="requested"):
         return
     present = rows.get(PRESENT, event.module)
     node = rows.get(NODES, present["position"]) if present is not None else None
@@ -221,22 +209,16 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
 
 
 def on_accepted(rows: RowChanges, event: a.ActionAccepted, head: Envelope, at: float) -> None:
-    action = rows.change(ACTIONS, event.action)
-    if action is not None:
-        action["status"], action["accepted_at_s"] = "accepted", at
+    rows.update(ACTIONS, event.action, status="accepted", accepted_at_s=at)
 
 
 def on_reported(rows: RowChanges, event: a.ActionReported, head: Envelope, at: float) -> None:
-    action = rows.change(ACTIONS, event.action)
-    if action is not None:
-        action["status"] = "reported"
+    rows.update(ACTIONS, event.action, status="reported")
 
 
 def on_unknown(rows: RowChanges, event: a.ActionUnknown, head: Envelope, at: float) -> None:
     _set_step_status(rows, event.run, event.step, "unknown", event.why)
-    action = rows.change(ACTIONS, event.action)
-    if action is not None:
-        action["status"], action["effects"], action["error"] = "unknown", "unknown", event.why
+    rows.update(ACTIONS, event.action, status="unknown", effects="unknown", error=event.why)
 
 
 def on_succeeded(rows: RowChanges, event: a.ActionSucceeded, head: Envelope, at: float) -> None:
@@ -274,13 +256,17 @@ def _end(
     step = _set_step_status(rows, event.run, event.step, state, error)
     if step is not None:
         step["ended_at_s"] = at
-    action = rows.change(ACTIONS, event.action)
-    if action is not None:
-        action["status"], action["effects"], action["error"] = status, effects, error
-        action["ended_at_s"], action["ended_position"] = at, head.position
-        ended_ns = getattr(event, "ended_ns", 0)
-        action["device_ended_at_s"] = convert_to_seconds(ended_ns) if ended_ns else None
-    return action
+    ended_ns = getattr(event, "ended_ns", 0)
+    return rows.update(
+        ACTIONS,
+        event.action,
+        status=status,
+        effects=effects,
+        error=error,
+        ended_at_s=at,
+        ended_position=head.position,
+        device_ended_at_s=convert_to_seconds(ended_ns) if ended_ns else None,
+    )
 
 
 def _add_results(
@@ -339,32 +325,3 @@ def _leave(rows: RowChanges, module: str, at: float) -> None:
     node = rows.change(NODES, present["position"]) if present is not None else None
     if node is not None and node["left_at_s"] is None:
         node["left_at_s"] = at
-
-
-HANDLERS: dict[Any, Any] = {
-    p.PlanRecorded: on_plan_recorded,
-    p.PlanStepsRecorded: on_plan_steps_recorded,
-    r.RunSubmitted: on_submitted,
-    r.RunBound: on_bound,
-    r.RunStarted: on_started,
-    r.RunPaused: on_paused,
-    r.RunResumed: on_resumed,
-    r.RunCancelling: on_cancelling,
-    r.RunLeaving: on_leaving,
-    **dict.fromkeys(get_args(r.RunEnd), on_run_ended),
-    st.WindowBreached: on_breached,
-    st.StepRetried: on_retried,
-    st.StepSkipped: on_skipped,
-    st.StepUnexpected: on_unexpected,
-    st.StepRecovering: on_recovering,
-    a.ActionRequested: on_requested,
-    a.ActionAccepted: on_accepted,
-    a.ActionReported: on_reported,
-    a.ActionUnknown: on_unknown,
-    a.ActionSucceeded: on_succeeded,
-    a.ActionFailed: on_failed,
-    a.ActionRejected: on_rejected,
-    a.ActionReconciled: on_reconciled,
-    m.NodeJoined: on_joined,
-    m.NodeLeft: on_left,
-}

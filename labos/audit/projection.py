@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from labos.audit import (
@@ -22,11 +21,9 @@ from labos.audit._touches import list_touched
 from labos.audit._work_tables import EVENTS
 from labos.core import fold
 from labos.core.envelope import Record
-from labos.core.registry import TYPES, Event
+from labos.core.registry import TYPES, Event, list_handlers
 from labos.ports import BlobStore
 from labos.services.log import decode_event
-
-Handler = Callable[..., None]
 
 assert fold  # it registers the events
 
@@ -40,10 +37,9 @@ _KNOWN: dict[type[Event], list[tuple[int, str]]] = {
 
 _SLICES = (*(_work, _bench, _calibrations, _liquids, _people, _campaigns, _approvals, _signatures, _entries),)
 
-_HANDLERS: dict[type[Event], tuple[Handler, ...]] = {
-    kind: tuple(slice_.HANDLERS[kind] for slice_ in _SLICES if kind in slice_.HANDLERS)
-    for kind in TYPES.values()
-}
+_FOUND = [list_handlers(vars(slice_), RowChanges, "on_", ("event", "head", "at")) for slice_ in _SLICES]
+
+_HANDLERS = {kind: [found[kind] for found in _FOUND if kind in found] for kind in TYPES.values()}
 
 
 class Projection:

@@ -8,77 +8,48 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from labos.bootstrap._api import ApiSettings, open_api
-    from labos.bootstrap._drivers import (
-        Drivers,
-        descriptions,
-        find_description_path,
-        import_module_beside,
-        list_installed,
-        load_driver,
-        load_drivers,
-        shape_of,
-        source_of,
-    )
-    from labos.bootstrap._lab import open_lab
-    from labos.bootstrap._node import run_node
-    from labos.bootstrap._node_class import find_own_class
-    from labos.bootstrap._notify import find_contacts, make_notifier
-    from labos.bootstrap._runtime import LabRuntime
-    from labos.bootstrap._secure import Guard
-    from labos.bootstrap._stop import stop_over_bus
-    from labos.bootstrap._thread import LabThread
+    from labos.bootstrap._api import ApiSettings as ApiSettings
+    from labos.bootstrap._api import open_api as open_api
+    from labos.bootstrap._drivers import Drivers as Drivers
+    from labos.bootstrap._drivers import descriptions as descriptions
+    from labos.bootstrap._drivers import find_description_path as find_description_path
+    from labos.bootstrap._drivers import import_module_beside as import_module_beside
+    from labos.bootstrap._drivers import list_installed as list_installed
+    from labos.bootstrap._drivers import load_driver as load_driver
+    from labos.bootstrap._drivers import load_drivers as load_drivers
+    from labos.bootstrap._drivers import shape_of as shape_of
+    from labos.bootstrap._drivers import source_of as source_of
+    from labos.bootstrap._lab import open_lab as open_lab
+    from labos.bootstrap._node import run_node as run_node
+    from labos.bootstrap._node_class import find_own_class as find_own_class
+    from labos.bootstrap._notify import find_contacts as find_contacts
+    from labos.bootstrap._notify import make_notifier as make_notifier
+    from labos.bootstrap._runtime import LabRuntime as LabRuntime
+    from labos.bootstrap._secure import Guard as Guard
+    from labos.bootstrap._stop import stop_over_bus as stop_over_bus
+    from labos.bootstrap._thread import LabThread as LabThread
 
-_HOME = {
-    "ApiSettings": "_api",
-    "Drivers": "_drivers",
-    "Guard": "_secure",
-    "LabRuntime": "_runtime",
-    "LabThread": "_thread",
-    "find_description_path": "_drivers",
-    "descriptions": "_drivers",
-    "find_contacts": "_notify",
-    "list_installed": "_drivers",
-    "load_driver": "_drivers",
-    "load_drivers": "_drivers",
-    "import_module_beside": "_drivers",
-    "open_api": "_api",
-    "open_lab": "_lab",
-    "find_own_class": "_node_class",
-    "run_node": "_node",
-    "shape_of": "_drivers",
-    "source_of": "_drivers",
-    "make_notifier": "_notify",
-    "stop_over_bus": "_stop",
+_HOMES = {
+    "_api": ("ApiSettings", "open_api"),
+    "_drivers": (
+        *("Drivers", "descriptions", "find_description_path", "import_module_beside", "list_installed"),
+        *("load_driver", "load_drivers", "shape_of", "source_of"),
+    ),
+    "_lab": ("open_lab",),
+    "_node": ("run_node",),
+    "_node_class": ("find_own_class",),
+    "_notify": ("find_contacts", "make_notifier"),
+    "_runtime": ("LabRuntime",),
+    "_secure": ("Guard",),
+    "_stop": ("stop_over_bus",),
+    "_thread": ("LabThread",),
 }
-
-__all__ = [
-    "ApiSettings",
-    "Drivers",
-    "Guard",
-    "LabRuntime",
-    "LabThread",
-    "descriptions",
-    "find_contacts",
-    "find_description_path",
-    "find_own_class",
-    "import_module_beside",
-    "list_installed",
-    "load_driver",
-    "load_drivers",
-    "make_notifier",
-    "open_api",
-    "open_lab",
-    "run_node",
-    "shape_of",
-    "source_of",
-    "stop_over_bus",
-]
 
 
 def __getattr__(name: str) -> Any:
     from importlib import import_module
 
-    if name not in _HOME:
+    home = next((home for home, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(name)
-    return getattr(import_module(f"labos.bootstrap.{_HOME[name]}"), name)
+    return getattr(import_module(f"labos.bootstrap.{home}"), name)

@@ -129,7 +129,7 @@ class _Lab:
         kinds = {"module": "modules", "station": "stations"}
         found = {kind: _shorten_names([item["name"] for item in state[many]]) for kind, many in kinds.items()}
         found |= {
-            kind: _list_ids(state[many])
+            kind: [str(item["id"]) for item in state[many]]
             for kind, many in (("labware",) * 2, ("intervention", "interventions"))
         }
         return {**found, "workcell": list(state["lab"]["workcells"])}
@@ -156,7 +156,3 @@ def _shorten_names(names: list[str]) -> list[str]:
 
     many = Counter(map(local, names))
     return [local(name) if many[local(name)] == 1 else name for name in names]
-
-
-def _list_ids(items: list[dict[str, Any]]) -> list[str]:
-    return [str(item["id"]) for item in items]

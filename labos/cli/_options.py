@@ -23,6 +23,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 SPEED_HELP = "Speed-up factor: simulated time divided by real time."
 
 
+def options_together(*options: Callable[[Any], Any]) -> Callable[[F], F]:
+    """Several options as one, in their order."""
+
+    def add(command: F) -> F:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
 def refuse_password(context: click.Context, option: click.Parameter, url: str | None) -> str | None:
     """All users of this computer can read the arguments of a command, so they must not contain a password.
     Raises BadInput."""
@@ -152,61 +163,49 @@ def lab_and_json(command: F) -> F:
     return home_option(json_option(wrap))  # type: ignore[return-value]
 
 
-def lab_options(command: F) -> F:
-    """Options of commands that may run a kernel themselves."""
-    seed = "The seed of the simulated instruments' random durations."
-    for option in reversed(
-        (
-            home_option,
-            database_option,
-            click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP),
-            click.option("--seed", type=int, default=0, help=seed),
-        )
-    ):
-        command = option(command)
-    return command
+lab_options = options_together(
+    home_option,
+    database_option,
+    click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP),
+    click.option(
+        "--seed", type=int, default=0, help="The seed of the simulated instruments' random durations."
+    ),
+)
+"""Options of commands that may run a kernel themselves."""
 
 
 def web_options(about: str) -> Callable[[F], F]:
     """Options of commands that serve HTTP: TLS, a proxy, and the names of the server (``about``). The
     parameters have the names of the settings."""
-
-    def add(command: F) -> F:
-        for option in reversed(
-            (
-                click.option(
-                    "--tls-cert",
-                    "tls_certificate",
-                    type=click.Path(dir_okay=False),
-                    default="",
-                    help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
-                ),
-                click.option(
-                    "--tls-key",
-                    type=click.Path(dir_okay=False),
-                    default="",
-                    help="The private key of --tls-cert, a PEM file.",
-                ),
-                click.option(
-                    "--behind-proxy",
-                    is_flag=True,
-                    help=f"A proxy provides TLS for {about} and sends X-Forwarded-For: "
-                    "nobody else may reach its port.",
-                ),
-                click.option(
-                    "--name",
-                    "names",
-                    multiple=True,
-                    metavar="HOST",
-                    help=f"A name under which browsers reach {about}, such as lab.example.org; may be given "
-                    "several times.",
-                ),
-            )
-        ):
-            command = option(command)
-        return command
-
-    return add
+    return options_together(
+        click.option(
+            "--tls-cert",
+            "tls_certificate",
+            type=click.Path(dir_okay=False),
+            default="",
+            help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
+        ),
+        click.option(
+            "--tls-key",
+            type=click.Path(dir_okay=False),
+            default="",
+            help="The private key of --tls-cert, a PEM file.",
+        ),
+        click.option(
+            "--behind-proxy",
+            is_flag=True,
+            help=f"A proxy provides TLS for {about} and sends X-Forwarded-For: "
+            "nobody else may reach its port.",
+        ),
+        click.option(
+            "--name",
+            "names",
+            multiple=True,
+            metavar="HOST",
+            help=f"A name under which browsers reach {about}, such as lab.example.org; may be given "
+            "several times.",
+        ),
+    )
 
 
 def find_user(user: str | None) -> str:

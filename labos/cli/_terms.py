@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 
 import click
 
+from labos.cli._options import options_together
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _OPTIONS = (
@@ -57,10 +59,7 @@ def terms_options(command: F) -> F:
         wanted = {name: value for name, value in terms.items() if value is not None}
         return command(*args, terms_wanted=wanted, **options)
 
-    wrapped: Any = wrap
-    for option in reversed(_OPTIONS):
-        wrapped = option(wrapped)
-    return wrapped  # type: ignore[no-any-return]
+    return options_together(*_OPTIONS)(wrap)  # type: ignore[return-value]
 
 
 def seconds_of(text: str) -> float:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
 from labos.cli._bookings import describe_booking, show_bookings
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
-from labos.cli._options import Asker, asker_options, lab_and_json
+from labos.cli._options import Asker, asker_options, lab_and_json, options_together
 from labos.cli._out import show_json
 from labos.errors import BadInput
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 _booking = click.argument("booking", metavar="BOOKING")
 _from = click.option("--from", "begins", metavar="TIME", help="The start: 'tomorrow 09:00', 'mon 9:00'.")
@@ -33,12 +30,10 @@ _force = click.option("--force", is_flag=True, help="Book even if others have bo
 _why = click.option("--why", metavar="TEXT", help="The reason.")
 
 
-def _booking_options(function: F) -> F:
-    """For whom and when: the options of ``add`` and ``change``."""
-    times = (_from, _to, _for, _maintenance, _every, _rule, _last, _zone, _why, _force)
-    for option in reversed((*times, asker_options)):
-        function = option(function)
-    return function
+_booking_options = options_together(
+    *(_from, _to, _for, _maintenance, _every, _rule, _last, _zone, _why, _force), asker_options
+)
+"""For whom and when: the options of ``add`` and ``change``."""
 
 
 class _Booking(Suggesting):

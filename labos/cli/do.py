@@ -2,52 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._options import find_user, json_option, lab_options, user_option, wait_option
+from labos.cli._options import (
+    find_user,
+    json_option,
+    lab_options,
+    options_together,
+    user_option,
+    wait_option,
+)
 from labos.errors import BadInput
 
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _options(command: F) -> F:
-    """The options of the three commands."""
-    for option in reversed(
-        (
-            click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),
-            click.option(
-                "--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated."
-            ),
-            click.option(
-                "--place",
-                "placed",
-                multiple=True,
-                metavar="STATION=TYPE",
-                help="Labware that stands there before the action, such as `hidex.default=plate96`.",
-            ),
-            user_option,
-            click.option(
-                "--priority",
-                type=int,
-                default=0,
-                show_default=True,
-                help="Runs with a higher priority go first.",
-            ),
-            wait_option(
-                "Wait for its end; otherwise queue it in the running lab and print the run's id.",
-                default=True,
-            ),
-            lab_options,
-            json_option,
-            click.option("--quiet", is_flag=True, help="Print only the end."),
-        )
-    ):
-        command = option(command)
-    return command
+_options = options_together(
+    click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),
+    click.option(
+        "--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated."
+    ),
+    click.option(
+        "--place",
+        "placed",
+        multiple=True,
+        metavar="STATION=TYPE",
+        help="Labware that stands there before the action, such as `hidex.default=plate96`.",
+    ),
+    user_option,
+    click.option(
+        "--priority",
+        type=int,
+        default=0,
+        show_default=True,
+        help="Runs with a higher priority go first.",
+    ),
+    wait_option(
+        "Wait for its end; otherwise queue it in the running lab and print the run's id.",
+        default=True,
+    ),
+    lab_options,
+    json_option,
+    click.option("--quiet", is_flag=True, help="Print only the end."),
+)
+"""The options of the three commands."""
 
 
 @click.command("do")

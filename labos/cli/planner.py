@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, cast
 
 import click
+import msgspec
 
 from labos.cli._options import find_user, user_option
 from labos.cli._orders import ask_order_setting
@@ -135,10 +136,12 @@ def _suggest(
     watch.note(state, cell, waiting, order, now_ns())
     if order is None:
         return True
-    steps = [{"run": one.run, "step": one.step, "start": one.start} for one in order.steps]
+    steps = [msgspec.to_builtins(one) for one in order.steps]
     taken = client.suggest_order(cell, steps, order.until, order.position, by=asker)
     if not steps:
-        click.echo(f"{cell}: the last order is withdrawn. Without it all runs would end sooner.")
+        click.echo(f"{cell}: the last order is withdrawn. The lab is at least as good without it.")
+    elif all(one.outside for one in order.steps):
+        click.echo(f"{cell}: {taken} runs wait outside, so that they do not block others.")
     else:
         click.echo(f"{cell}: an order for {taken} steps of {len({one.run for one in order.steps})} runs.")
     return True

@@ -43,6 +43,14 @@ def in_path(name: str, parts: int = 1) -> str:
 _NO_NAME = re.compile(r"[\x00-\x1f\x7f\\\ud800-\udfff]")
 
 
+def fill_path(path: str, values: dict[str, Any]) -> str:
+    """A path with the values of the names in braces, which are taken out of ``values``. The name of a module
+    may have a slash: ``rpl/sealer``. Raises BadInput."""
+    return re.sub(
+        r"\{(\w+)\}", lambda found: in_path(values.pop(found[1]), 2 if found[1] == "module" else 1), path
+    )
+
+
 def make_plain(value: Any) -> Any:
     """Convert objects that behave like a list, table or text, and numbers and arrays of numpy. Raises
     BadInput."""
@@ -75,15 +83,17 @@ class Calls(ABC):
     def _post(
         self,
         path: str,
-        body: Any,
+        values: Mapping[str, Any],
         *,
-        request: str = "",
-        user: str = "",
+        once: bool = False,
         repeat: bool = False,
+        as_user: bool = False,
         timeout_s: float | None = None,
     ) -> dict[str, Any]:
-        """Send ``body`` as JSON. With a ``request`` key the request is carried out once, however often it is
-        sent; ``repeat`` marks a request that may be carried out twice. Raises as ``_get``."""
+        """Send a method's parameters, ``locals()``, as JSON: those in braces in the ``path``, all others in
+        the body. With ``once`` the request has a key (the parameter ``request``, or a new one), and is
+        carried out once, however often it is sent; ``repeat`` marks a request that may be carried out twice.
+        With ``as_user`` the parameter ``user`` is sent as a header. Raises as ``_get``."""
 
     @abstractmethod
     def _fetch(self, path: str, **params: Any) -> bytes:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
 from labos.client._answers import LabUnreachable, answer_of, decode_problem, make_cannot_write_error
-from labos.client._calls import LONG_POLL_S, Calls, check_given_up, make_plain
+from labos.client._calls import LONG_POLL_S, Calls, check_given_up, fill_path, make_plain
 from labos.client._token import find_token, find_trusted, place_of
 from labos.clock import Uuid7Ids
 from labos.settings import Settings, find_kernel
@@ -83,13 +84,17 @@ class Transport(Calls):
     def _post(
         self,
         path: str,
-        body: Any,
+        values: Mapping[str, Any],
         *,
-        request: str = "",
-        user: str = "",
+        once: bool = False,
         repeat: bool = False,
+        as_user: bool = False,
         timeout_s: float | None = None,
     ) -> dict[str, Any]:
+        body = {name: value for name, value in values.items() if name != "self"}
+        request = body.pop("request", "") or (self._ids.new() if once else "")
+        user = body.pop("user") if as_user else ""
+        path = fill_path(path, body)
         headers = {"content-type": "application/json"}
         if request:
             headers["idempotency-key"] = request

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.ids import ActionId, ModuleName, RunId, StationName, workcell_of
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 
@@ -308,14 +308,4 @@ def fold_action_discovered(actions: Actions, event: ActionDiscovered, at: int) -
     actions.discovered[event.action] = event.module
 
 
-HANDLERS = {
-    ActionAccepted: fold_action_accepted,
-    ActionReported: fold_action_reported,
-    ActionRejected: fold_action_ended,
-    ActionSucceeded: fold_action_ended,
-    ActionFailed: fold_action_ended,
-    ActionUnknown: fold_action_unknown,
-    ActionReconciled: fold_action_reconciled,
-    ActionEvidence: fold_action_evidence,
-    ActionDiscovered: fold_action_discovered,
-}
+HANDLERS = list_handlers(globals(), Actions)

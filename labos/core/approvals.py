@@ -9,7 +9,7 @@ dangerous steps (``RunApproved``).
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 import msgspec
 
@@ -27,7 +27,7 @@ from labos.core.experiments import ExperimentCancelled, ExperimentClosing, Exper
 from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.open_experiments import Experiments
 from labos.core.policy import Policy, PolicyApplied
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.runs import RunEnd, RunEvent, Runs, requeue
 from labos.core.structs import make_from
 from labos.core.words import Words
@@ -224,19 +224,7 @@ def fold_experiment_ended(
         approvals.alike.pop(event.experiment, None)
 
 
-HANDLERS = {
-    PolicyApplied: fold_policy_applied,
-    ApprovalRequested: fold_approval_requested,
-    ApprovalGiven: fold_approval_given,
-    ApprovalRefused: fold_approval_refused,
-    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
-    CampaignCancelled: fold_campaign_ended,
-    CampaignStopped: fold_campaign_ended,
-    CampaignCompleted: fold_campaign_ended,
-    ExperimentCancelled: fold_experiment_ended,
-    ExperimentClosing: fold_experiment_ended,
-    ExperimentEnded: fold_experiment_ended,
-}
+HANDLERS = list_handlers(globals(), Approvals)
 
 # -- what waits ----------------------------------------------------------------------------------
 
@@ -263,11 +251,7 @@ def fold_approval_given_into_runs(runs: Runs, event: ApprovalGiven, at: int) -> 
         run.priority = run.priority if event.priority is None else event.priority
 
 
-RUN_HANDLERS = {
-    RunApproved: fold_run_approved,
-    ApprovalRequested: fold_approval_requested_into_runs,
-    ApprovalGiven: fold_approval_given_into_runs,
-}
+RUN_HANDLERS = list_handlers(globals(), Runs)
 
 
 def fold_approval_requested_into_campaigns(campaigns: Campaigns, event: ApprovalRequested, at: int) -> None:
@@ -284,10 +268,7 @@ def fold_approval_given_into_campaigns(campaigns: Campaigns, event: ApprovalGive
         note_due(campaigns, campaign)
 
 
-CAMPAIGN_HANDLERS = {
-    ApprovalRequested: fold_approval_requested_into_campaigns,
-    ApprovalGiven: fold_approval_given_into_campaigns,
-}
+CAMPAIGN_HANDLERS = list_handlers(globals(), Campaigns)
 
 
 def fold_approval_requested_into_experiments(
@@ -304,7 +285,4 @@ def fold_approval_given_into_experiments(experiments: Experiments, event: Approv
         experiment.priority = experiment.priority if event.priority is None else event.priority
 
 
-EXPERIMENT_HANDLERS = {
-    ApprovalRequested: fold_approval_requested_into_experiments,
-    ApprovalGiven: fold_approval_given_into_experiments,
-}
+EXPERIMENT_HANDLERS = list_handlers(globals(), Experiments)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 
@@ -48,7 +48,7 @@ from labos.core.labware import (
     WasteEmptied,
 )
 from labos.core.model import StationSpec
-from labos.core.registry import Event
+from labos.core.registry import Event, list_handlers
 from labos.core.topics import LostLabware, Unexpected
 from labos.core.wells import add_doses, draw_doses
 
@@ -511,28 +511,4 @@ def _remove_from_owner(bench: Bench, labware: Labware) -> None:
         del bench.by_owner[labware.owner]
 
 
-HANDLERS = {
-    WorkcellApplied: fold_workcell_applied,
-    InterventionRequested: fold_intervention_requested,
-    InterventionResolved: fold_intervention_resolved,
-    StationsApplied: fold_stations_applied,
-    StationDeclared: fold_station_declared,
-    WasteEmptied: fold_waste_emptied,
-    StationLoaded: fold_station_loaded,
-    StationUnloaded: fold_station_unloaded,
-    LabwarePlaced: fold_labware_placed,
-    LabwareMoved: fold_labware_moved,
-    LabwareRemoved: fold_labware_removed,
-    LabwareUncertain: fold_labware_uncertain,
-    LabwareObserved: fold_labware_observed,
-    StationObserved: fold_station_observed,
-    LabwareChanged: fold_labware_changed,
-    LabwareHandedOver: fold_labware_handed_over,
-    BarcodeRead: fold_barcode_read,
-    SamplesRegistered: fold_samples_registered,
-    LiquidTransferred: fold_liquid_transferred,
-    LiquidDrawn: fold_liquid_drawn,
-    ActionRequested: fold_action_requested,
-    ActionDiscovered: fold_action_discovered,
-    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
-}
+HANDLERS = list_handlers(globals(), Bench)

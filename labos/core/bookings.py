@@ -13,7 +13,7 @@ import msgspec
 
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.recurrence import DAY_NS, list_times_between
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.structs import make_from
 from labos.core.words import Words
 
@@ -299,12 +299,4 @@ def _count(handler: Callable[[Bookings, Any, int], None]) -> Callable[[Bookings,
     return count
 
 
-HANDLERS = {
-    BookingMade: _count(fold_booking_made),
-    BookingChanged: _count(fold_booking_changed),
-    BookingCancelled: _count(fold_booking_cancelled),
-    BookingSkipped: _count(fold_booking_skipped),
-    BookingNeared: _count(fold_booking_neared),
-    BookingBegan: _count(fold_booking_began),
-    BookingEnded: _count(fold_booking_ended),
-}
+HANDLERS = {kind: _count(fold) for kind, fold in list_handlers(globals(), Bookings).items()}

@@ -8,7 +8,7 @@ one of few.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 
@@ -17,7 +17,7 @@ from labos.core.conditions import holds
 from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, CampaignId, RunId
 from labos.core.model import Condition
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import (
     REQUESTS_KEPT,
@@ -456,22 +456,4 @@ def note_due(campaigns: Campaigns, campaign: Campaign) -> None:
         campaigns.due.pop(campaign.id, None)
 
 
-HANDLERS = {
-    CampaignSubmitted: fold_campaign_submitted,
-    CampaignPaused: fold_campaign_paused,
-    CampaignResumed: fold_campaign_resumed,
-    CampaignAmended: fold_campaign_amended,
-    CampaignRowRefused: fold_campaign_row_refused,
-    CampaignStopped: fold_campaign_stopped,
-    CampaignCancelled: fold_campaign_cancelled,
-    CampaignCompleted: fold_campaign_completed,
-    CampaignArchived: fold_campaign_archived,
-    CampaignUnarchived: fold_campaign_unarchived,
-    RunSubmitted: fold_run_submitted,
-    RunStarted: fold_run_started,
-    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
-    ActionRequested: fold_action_requested,
-    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
-    StepUnexpected: fold_step_unexpected,
-    ResourceConsumed: fold_resource_consumed,
-}
+HANDLERS = list_handlers(globals(), Campaigns)

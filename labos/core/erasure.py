@@ -3,12 +3,9 @@ log."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import msgspec
 
-from labos.core.registry import TYPES, Event, event
+from labos.core.registry import TYPES, Event, event, list_handlers
 from labos.core.words import PREFIX, find_fields_of_words, list_references
 
 REASONS = {
@@ -104,12 +101,8 @@ def fold_asked(erasures: Erasures, event: ErasureAsked, at: int) -> None:
     erasures.open[event.erasure] = Erasure(event.because, event.by, event.records, event.user, at)
 
 
-def fold_ended(erasures: Erasures, event: ErasureEvent, at: int) -> None:
+def fold_ended(erasures: Erasures, event: ErasureRefused | WordsErased, at: int) -> None:
     erasures.open.pop(event.erasure, None)
 
 
-HANDLERS: dict[Any, Callable[..., None]] = {
-    ErasureAsked: fold_asked,
-    ErasureRefused: fold_ended,
-    WordsErased: fold_ended,
-}
+HANDLERS = list_handlers(globals(), Erasures)

@@ -13,7 +13,7 @@ from labos.core.days import day_of
 from labos.core.effects import Consumes
 from labos.core.ids import ModuleName
 from labos.core.model import PlanStep
-from labos.core.resources import Level, Lot, sum_needed
+from labos.core.resources import Level, Lot, sum_by_supply, sum_needed
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
@@ -34,8 +34,7 @@ def check_in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> W
             if isinstance(effect, Consumes):
                 amounts[step.module, effect.resource] = sum_needed(step.effects, effect.resource)
     else:
-        for _, module, resource, amount in state.runs.plans[run.plan].uses_up:
-            amounts[module, resource] = amounts.get((module, resource), 0.0) + amount
+        amounts = sum_by_supply(state.runs.plans[run.plan].uses_up)
     for (module, resource), amount in amounts.items():
         level = state.resources.find(module, resource)
         if level is None or not any(lot.expires for lot in level.lots):

@@ -12,6 +12,7 @@ from labos.core.ids import ModuleName
 from labos.core.interventions import InterventionRequested
 from labos.core.lab import KernelStarted
 from labos.core.modules import Failure, Module, ModulePutBack, Modules, NodeJoined, NodeLeft
+from labos.core.registry import list_handlers
 from labos.core.steps import StepRetried
 from labos.core.topics import DeviceWaits, PlannedWork
 
@@ -79,13 +80,4 @@ def _note_failure(module: Module, failure: Failure) -> None:
     del module.failures[:-FAILURES_KEPT]
 
 
-HANDLERS = {
-    KernelStarted: fold_kernel_started,
-    NodeJoined: fold_node_joined,
-    NodeLeft: fold_node_left,
-    ActionFailed: fold_action_failed,
-    ActionUnknown: fold_action_failed,
-    StepRetried: fold_step_retried,
-    ModulePutBack: fold_module_put_back,
-    InterventionRequested: fold_intervention_requested,
-}
+HANDLERS = list_handlers(globals(), Modules)

@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.ids import InterventionId, LabwareId
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.structs import make_from
 from labos.core.topics import AnyTopic, Choice, Topic
 from labos.core.words import Words
@@ -150,8 +150,4 @@ def fold_intervention_overdue(interventions: Interventions, event: InterventionO
     interventions.open[event.intervention].overdue = True
 
 
-HANDLERS = {
-    InterventionRequested: fold_intervention_requested,
-    InterventionResolved: fold_intervention_resolved,
-    InterventionOverdue: fold_intervention_overdue,
-}
+HANDLERS = list_handlers(globals(), Interventions)

@@ -7,7 +7,7 @@ import msgspec
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import LabId, StationName
 from labos.core.model import LabwareSpec, ModuleSpec, StationSpec, TransferWay
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.words import Words
 
 
@@ -181,14 +181,4 @@ def fold_experiment_ended(lab: Lab, event: ExperimentEnded, at: int) -> None:
     lab.paused.pop(event.experiment, None)
 
 
-HANDLERS = {
-    LabCreated: fold_lab_created,
-    KernelStarted: fold_kernel_started,
-    WorkcellApplied: fold_workcell_applied,
-    AccessRequested: fold_access_requested,
-    AccessGranted: fold_access_granted,
-    AccessEnded: fold_access_ended,
-    StartsPaused: fold_starts_paused,
-    StartsResumed: fold_starts_resumed,
-    ExperimentEnded: fold_experiment_ended,
-}
+HANDLERS = list_handlers(globals(), Lab)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 
@@ -23,7 +23,7 @@ from labos.core.effects import AnyEffect, find_types_at, list_places
 from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ModuleSpec
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.structs import make_from
 from labos.core.words import Words
 
@@ -510,21 +510,4 @@ def find_unproven(
     return tuple(found)
 
 
-HANDLERS = {
-    WorkcellApplied: fold_workcell_applied,
-    NodeJoined: fold_node_joined,
-    NodeLeft: fold_node_left,
-    NodeStateChanged: fold_node_state_changed,
-    VariableSet: fold_variable_set,
-    SetpointClaimed: fold_setpoint_claimed,
-    SetpointReleased: fold_setpoint_released,
-    ModuleTakenOut: fold_module_taken_out,
-    ModulePutBack: fold_module_put_back,
-    EmergencyStopped: fold_emergency_stopped,
-    LocationTaught: fold_location_taught,
-    ModuleCalibrated: fold_module_calibrated,
-    ActionRequested: fold_action_requested,
-    ActionReported: fold_action_reported,
-    ActionUnknown: fold_action_unknown,
-    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
-}
+HANDLERS = list_handlers(globals(), Modules)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 
@@ -16,6 +16,7 @@ from labos.core.experiments import (
     ExperimentStarted,
 )
 from labos.core.ids import ExperimentId, RunId, StationName
+from labos.core.registry import list_handlers
 from labos.core.runs import REQUESTS_KEPT, RunEnd, RunSubmitted
 from labos.core.structs import make_from
 
@@ -105,12 +106,4 @@ def fold_run_ended(experiments: Experiments, event: RunEnd, at: int) -> None:
         experiment.runs.pop(event.run, None)
 
 
-HANDLERS = {
-    ExperimentStarted: fold_experiment_started,
-    ExperimentCancelled: fold_experiment_cancelled,
-    ExperimentClosing: fold_experiment_closing,
-    ExperimentEnded: fold_experiment_ended,
-    ExperimentNoted: fold_experiment_noted,
-    RunSubmitted: fold_run_submitted,
-    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
-}
+HANDLERS = list_handlers(globals(), Experiments)

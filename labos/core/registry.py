@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Callable, Mapping
+from types import FunctionType
+from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
 import msgspec
 
@@ -45,6 +46,34 @@ def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
         return cls
 
     return register
+
+
+Handlers = dict[Any, Callable[..., None]]
+
+
+def list_handlers(
+    names: Mapping[str, Any],
+    first: type | None,
+    prefix: str = "fold_",
+    after: tuple[str, ...] = ("event", "at"),
+) -> Handlers:
+    """The handlers among the ``names`` of a module or class, by the type of their event: its functions with
+    this ``prefix`` whose first parameter is a ``first`` (None: ``self``) and that have exactly these
+    parameters ``after`` it. Raises TypeError if an event has two."""
+    home = names.get("__name__") or names["__module__"]
+    found: Handlers = {}
+    for name, function in names.items():
+        if not name.startswith(prefix) or not isinstance(function, FunctionType):
+            continue
+        slice_, *others = function.__code__.co_varnames[: function.__code__.co_argcount]
+        if function.__module__ != home or tuple(others) != after:
+            continue
+        hints = get_type_hints(function)
+        for kind in get_args(hints["event"]) or (hints["event"],) if hints.get(slice_) is first else ():
+            if kind in found:
+                raise TypeError(f"{name} and {found[kind].__name__} are both for {kind.__name__}")
+            found[kind] = function
+    return found
 
 
 _ENCODED_KEPT = 16

@@ -10,7 +10,7 @@ from labos.core.effects import AnyEffect, Consumes, Replaces
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleEvent
-from labos.core.registry import event
+from labos.core.registry import event, list_handlers
 
 
 @event("resource.level_set")
@@ -100,6 +100,16 @@ def list_used_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str,
     return tuple(used)
 
 
+def sum_by_supply(
+    uses_up: Iterable[tuple[int, ModuleName, str, float]],
+) -> dict[tuple[ModuleName, str], float]:
+    """How much of each resource of a module a plan's steps use up together."""
+    total: dict[tuple[ModuleName, str], float] = {}
+    for _, module, resource, amount in uses_up:
+        total[module, resource] = total.get((module, resource), 0.0) + amount
+    return total
+
+
 def list_charges(
     resources: Resources, module: ModuleName, resource: str, amount: float
 ) -> list[tuple[str, float]]:
@@ -148,8 +158,4 @@ def fold_resource_consumed(resources: Resources, event: ResourceConsumed, at: in
             level.lots.remove(lot)
 
 
-HANDLERS = {
-    LevelSet: fold_level_set,
-    ResourceReplenished: fold_resource_replenished,
-    ResourceConsumed: fold_resource_consumed,
-}
+HANDLERS = list_handlers(globals(), Resources)

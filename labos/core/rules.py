@@ -8,6 +8,7 @@ first reason to wait. Whether a start could cause a deadlock is not checked here
 from __future__ import annotations
 
 from collections.abc import Collection
+from math import inf
 
 from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
@@ -22,6 +23,7 @@ from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.modules import ModuleStatus
 from labos.core.quotas import check_quota
+from labos.core.resources import sum_by_supply
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_anchor
 from labos.core.state import LabState
 from labos.core.together import check_left_out
@@ -275,17 +277,20 @@ def _check_supplies(state: LabState, run: RunState) -> Wait | None:
     a person comes."""
     if run.has_started:
         return None
-    total: dict[tuple[ModuleName, str], float] = {}
-    for _, module, resource, amount in state.runs.plans[run.plan].uses_up:
-        total[module, resource] = total.get((module, resource), 0.0) + amount
-    for (module, resource), amount in total.items():
-        level = state.resources.find(module, resource)
-        if level is None:
-            continue
-        left = find_unreserved(state, module, resource)
-        if left is not None and left - _sum_to_come(state, module, resource) < min(amount, level.capacity):
+    for (module, resource), amount in sum_by_supply(state.runs.plans[run.plan].uses_up).items():
+        spare, capacity = find_spare(state, module, resource)
+        if spare < min(amount, capacity):
             return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None
+
+
+def find_spare(state: LabState, module: ModuleName, resource: str) -> tuple[float, float]:
+    """The amount that a run that is let in finds besides the needs of the runs under way, and the amount with
+    which the module is full; both endless if the amount was never declared."""
+    level, left = state.resources.find(module, resource), find_unreserved(state, module, resource)
+    if level is None or left is None:
+        return inf, inf
+    return left - _sum_to_come(state, module, resource), level.capacity
 
 
 def _sum_to_come(state: LabState, module: ModuleName, resource: str) -> float:

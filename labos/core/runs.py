@@ -21,7 +21,7 @@ from labos.core.plans import (
     plan_steps_recorded,
     release_plan,
 )
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.structs import make_from
 from labos.core.topics import ClosingWaits
 from labos.core.words import Words
@@ -591,19 +591,4 @@ def fold_experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
         release_plan(runs.plans, event.closing)
 
 
-HANDLERS = {
-    PlanRecorded: fold_plan_recorded,
-    PlanStepsRecorded: fold_plan_steps_recorded,
-    RunBound: fold_run_bound,
-    RunStarted: fold_run_started,
-    RunPaused: fold_run_paused,
-    RunResumed: fold_run_resumed,
-    RunCancelling: fold_run_cancelling,
-    RunLeaving: fold_run_leaving,
-    RunCompleted: fold_run_ended,
-    RunFailed: fold_run_ended,
-    RunCancelled: fold_run_ended,
-    InterventionRequested: fold_intervention_requested,
-    ExperimentStarted: fold_experiment_started,
-    ExperimentEnded: fold_experiment_ended,
-}
+HANDLERS = list_handlers(globals(), Runs)

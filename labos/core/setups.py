@@ -34,6 +34,3 @@ class Setup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return next(
             (c.takes_s for c in self.changes if c.before == before and c.after == after), self.takes_s
         )
-
-
-__all__ = ["Setup", "SetupChange"]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 import msgspec
 
 from labos.core.actions import ActionEnd, ActionRequested
 from labos.core.ids import ActionId, RunId
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import RunEnd, RunStarted, RunSubmitted
 from labos.core.users import GroupAdded, GroupRemoved, MemberAdded, MemberRemoved
@@ -294,16 +292,4 @@ def _add_consumed(week: Week, day: int, kind: str, amount: float) -> None:
     kinds[kind] = kinds.get(kind, 0.0) + amount
 
 
-HANDLERS = {
-    SharesApplied: fold_shares_applied,
-    GroupAdded: fold_group_added,
-    GroupRemoved: fold_group_removed,
-    MemberAdded: fold_member_added,
-    MemberRemoved: fold_member_removed,
-    RunSubmitted: fold_run_submitted,
-    RunStarted: fold_run_started,
-    **dict.fromkeys(get_args(RunEnd), fold_run_ended),
-    ActionRequested: fold_action_requested,
-    **dict.fromkeys(get_args(ActionEnd), fold_action_ended),
-    ResourceConsumed: fold_resource_consumed,
-}
+HANDLERS = list_handlers(globals(), Shares)

@@ -11,7 +11,7 @@ import msgspec
 from labos.core.actions import ActionDiscovered
 from labos.core.effects import AnyEffect, Move, Needs, list_places
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, workcell_of
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 from labos.core.words import Words
 
 STATIONS_PER_EVENT = 400
@@ -125,9 +125,4 @@ def fold_bench_compared(shorter: Shorter, event: BenchCompared, at: int) -> None
         setattr(shorter, field, getattr(fresh, field))
 
 
-HANDLERS = {
-    LogFoundShorter: fold_log_found_shorter,
-    ActionDiscovered: fold_action_discovered,
-    StationsChecked: fold_stations_checked,
-    BenchCompared: fold_bench_compared,
-}
+HANDLERS = list_handlers(globals(), Shorter)

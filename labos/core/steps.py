@@ -13,7 +13,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.ids import RunId
-from labos.core.registry import event
+from labos.core.registry import event, list_handlers
 from labos.core.runs import (
     DONE,
     FAILED,
@@ -162,18 +162,4 @@ def _mark(runs: Runs, name: RunId, step: int, status: StepStatus) -> RunState | 
     return run
 
 
-HANDLERS = {
-    WindowBreached: fold_window_breached,
-    StepRetried: fold_step_retried,
-    StepSkipped: fold_step_skipped,
-    StepRecovering: fold_step_recovering,
-    StepUnexpected: fold_step_unexpected,
-    ActionRequested: fold_action_requested,
-    ActionAccepted: fold_action_under_way,
-    ActionReported: fold_action_under_way,
-    ActionRejected: fold_action_rejected,
-    ActionFailed: fold_action_failed,
-    ActionUnknown: fold_action_unknown,
-    ActionSucceeded: fold_action_succeeded,
-    ActionReconciled: fold_action_reconciled,
-}
+HANDLERS = list_handlers(globals(), Runs)

@@ -8,18 +8,19 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 
 MOST_STEPS = 600
 """The most steps of a suggestion."""
 
 
-class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A step of a run should start at ``start`` (UTC ns)."""
+class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False, omit_defaults=True):
+    """A step of a run should start at ``start`` (UTC ns). ``outside``: the run waits outside until then."""
 
     run: RunId
     step: int
     start: int
+    outside: bool = False
 
 
 @event("order.suggested")
@@ -41,9 +42,14 @@ class Suggestions(msgspec.Struct):
 
     orders: dict[str, OrderSuggested] = {}
 
+    def find(self, cell: str, now: int) -> OrderSuggested | None:
+        """The suggestion that is valid now (UTC ns); None if it was withdrawn or is over."""
+        order = self.orders.get(cell)
+        return order if order is not None and order.steps and order.until > now else None
+
 
 def fold_suggested(suggestions: Suggestions, event: OrderSuggested, at: int) -> None:
     suggestions.orders[event.workcell] = event
 
 
-HANDLERS = {OrderSuggested: fold_suggested}
+HANDLERS = list_handlers(globals(), Suggestions)

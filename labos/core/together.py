@@ -48,6 +48,3 @@ def check_left_out(state: LabState, run: RunState, step: PlanStep, others: Colle
             why = reasons.InsideToo(str(labware), str(place), f"run:{owner}", step.action)
             return Wait(why, (station_key(place), module_key(step.module), run_key(owner)))
     return None
-
-
-__all__ = ["check_left_out", "find_together", "list_inside"]

@@ -11,7 +11,7 @@ from typing import Literal
 import msgspec
 
 from labos.core.lab import WHOLE_LAB
-from labos.core.registry import Event, event
+from labos.core.registry import Event, event, list_handlers
 
 Kind = Literal["person", "service"]
 """A service account is a program or an agent. It may act on behalf of a person."""
@@ -213,10 +213,4 @@ def fold_role_revoked(users: Users, event: RoleRevoked, at: int) -> None:
         del users.roles[event.subject]
 
 
-HANDLERS = {
-    UserAdded: fold_user_added,
-    UserDisabled: fold_user_disabled,
-    UserEnabled: fold_user_enabled,
-    RoleGranted: fold_role_granted,
-    RoleRevoked: fold_role_revoked,
-}
+HANDLERS = list_handlers(globals(), Users)

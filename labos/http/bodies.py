@@ -214,6 +214,7 @@ class SuggestedStep(msgspec.Struct, forbid_unknown_fields=True):
     run: Annotated[Name, says("a run's id")]
     step: Annotated[int, msgspec.Meta(ge=0, le=100_000, description="which of its steps, counted from 0")]
     start: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1, description="when it should start (UTC ns)")]
+    outside: Annotated[bool, says("the run waits outside until then, and does not block others")] = False
 
 
 class OrderSuggestion(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

@@ -299,10 +299,9 @@ def make_lab_view(
 
 def _make_lab_info(state: LabState, simulated: bool) -> LabInfo:
     access = {
-        cell: AccessView(
-            by=access.by,
-            why=access.why,
-            granted=access.granted,
+        cell: make_from(
+            AccessView,
+            access,
             moving=list(list_in_motion(state, cell)),
             perhaps_moving=list(list_perhaps_in_motion(state, cell)),
         )

@@ -86,6 +86,3 @@ class Gathering:
     def _decide(self, group: _Group, why: str) -> None:
         del self._groups[group.names]
         group.decided.set_result(why)
-
-
-__all__ = ["GATHER_S", "Gathering"]

@@ -38,6 +38,17 @@ class Score(msgspec.Struct, frozen=True, order=True):
     avoidable_s: float
     cost_s: float
 
+    def is_better_than(self, other: Score, gain: float, least_s: float = 0.0) -> bool:
+        """Whether this is better, where times that differ by at most this part of the other's, or by at most
+        so many seconds (of wall time), count as equal."""
+        if (self.stays, self.missed) != (other.stays, other.missed):
+            return (self.stays, self.missed) < (other.stays, other.missed)
+        pairs = zip(self._list_times(), other._list_times(), strict=True)
+        return next((mine < its for mine, its in pairs if abs(mine - its) > max(gain * its, least_s)), False)
+
+    def _list_times(self) -> tuple[float, ...]:
+        return self.overdue_s, *self.first_s, self.avoidable_s, self.cost_s
+
 
 class Rated(msgspec.Struct, frozen=True):
     """The facts about a run before any play. ``rank``: 0 for runs of the lowest class. ``deadline`` is that

@@ -6,7 +6,7 @@ than with the previous suggestion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from msgspec.structs import replace
 
@@ -16,14 +16,20 @@ from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import Suggested
+from labos.planner.lengths import SPREAD
 from labos.planner.problem import SchedulingProblem, choose_runs, problem_of
-from labos.planner.rehearsal import DRAWN, OrderRehearsal
+from labos.planner.rehearsal import DRAWN, OrderRehearsal, Way
 from labos.planner.solve import Schedule, solve
+from labos.planning.suggested import GRACE_S
 
 Solver = Callable[[SchedulingProblem, float, dict[int, float]], Schedule | None]
 
 STAYS_GOOD_S = 3600.0
 """A suggestion is valid for at most so long after its last start (lab seconds)."""
+
+LEAST_OUTSIDE_S = 600.0
+"""A run waits outside if it would otherwise stand where it comes in for so long (lab seconds), in the way of
+all that come later. For a shorter time, few come."""
 
 
 class Planner:
@@ -71,15 +77,24 @@ class Planner:
             searches=self._searches,
         )
         best = without = rehearsal.go(None)
-        if rehearsal.order is not None:
-            before = rehearsal.go(rehearsal.order)
+        present = rehearsal.order
+        if present is not None and not all(step.outside for step in present.steps):
+            before = rehearsal.go(present)
             best = without if rehearsal.is_better(without, before) else before
-        found = self._search(state, cell, problem, now, rehearsal.list_starts(best))
-        if found is not None and rehearsal.is_better(rehearsal.go(found), best):
-            return found
-        if rehearsal.order is None or best is not without:
+        if rehearsal.may_be_better(_list_ends(state, problem, now, _list_earliest_starts(problem)), best):
+            found = self._search(state, cell, problem, now, rehearsal, best)
+            if found is not None and rehearsal.is_better(rehearsal.go(found), best):
+                return found
+        if best is not without:
             return None
-        return SuggestOrder(cell, self.name, now, (), state.position)
+        outside = () if self.exact else tuple(_list_outside(state, problem, now, rehearsal.list_starts(best)))
+        if outside and present is not None and _are_alike(state, present.steps, outside):
+            return None
+        if outside:
+            waits = SuggestOrder(cell, self.name, outside[-1].start + 1, outside, state.position)
+            if rehearsal.is_as_good(rehearsal.go(waits), without):
+                return waits
+        return SuggestOrder(cell, self.name, now, (), state.position) if present is not None else None
 
     def _search(
         self,
@@ -87,11 +102,12 @@ class Planner:
         cell: str,
         problem: SchedulingProblem,
         now: int,
-        known: dict[tuple[RunId, int], int],
+        rehearsal: OrderRehearsal,
+        best: Way,
     ) -> SuggestOrder | None:
-        """The order that is found. The search begins with the order without a suggestion (``known`` starts,
-        UTC ns)."""
-        pace = state.lab.pace
+        """The order that is found, if it is better in the model of the search. The search begins with the
+        best way so far."""
+        pace, known = state.lab.pace, rehearsal.list_starts(best)
         hint = {
             number: max(0.0, (known[task.run, task.step] - now) / 1e9 * pace)
             for number, task in enumerate(problem.tasks)
@@ -100,13 +116,11 @@ class Planner:
         found = self._solve(problem, self.seconds, hint)
         if found is None:
             return None
-        starts = {
-            (task.run, task.step): now + convert_lab_s(state, start)
-            for task, start in zip(problem.tasks, found.starts_s, strict=True)
-        }
+        if not rehearsal.may_be_better(_list_ends(state, problem, now, found.starts_s), best):
+            return None
         steps = tuple(
-            Suggested(task.run, task.step, starts[task.run, task.step])
-            for task in problem.tasks
+            Suggested(task.run, task.step, now + convert_lab_s(state, start))
+            for task, start in zip(problem.tasks, found.starts_s, strict=True)
             if not task.runs
         )
         if not steps:
@@ -114,6 +128,58 @@ class Planner:
         until = max(step.start for step in steps) + convert_lab_s(state, STAYS_GOOD_S)
         ordered = tuple(sorted(steps, key=lambda step: step.start))
         return SuggestOrder(cell, self.name, until, ordered, state.position)
+
+
+def _list_outside(
+    state: LabState, problem: SchedulingProblem, now: int, known: Mapping[tuple[RunId, int], int]
+) -> list[Suggested]:
+    """The starts of waiting runs that would stand where they came in before they can go on (``known`` starts,
+    UTC ns): each as late as possible, less what the times until then may vary by."""
+    found: list[Suggested] = []
+    for first in problem.line:
+        task, *others = problem.tasks[first : first + 2]
+        second = others[0] if others and others[0].run == task.run else None
+        if second is None or second.after != (first,) or second.lags:
+            continue
+        at, goes_on = (known.get((each.run, each.step)) for each in (task, second))
+        if at is None or goes_on is None:
+            continue
+        latest = goes_on - convert_lab_s(state, task.duration_s)
+        start = latest - int(SPREAD * (latest - now))
+        if start > at + convert_lab_s(state, LEAST_OUTSIDE_S):
+            found.append(Suggested(task.run, task.step, start, outside=True))
+    return sorted(found, key=lambda step: step.start)
+
+
+def _are_alike(state: LabState, before: Sequence[Suggested], after: Sequence[Suggested]) -> bool:
+    """Whether the same runs start at about the same times."""
+    starts = {one.run: one.start for one in before}
+    most = convert_lab_s(state, GRACE_S)
+    return starts.keys() == {one.run for one in after} and all(
+        abs(starts[one.run] - one.start) < most for one in after
+    )
+
+
+def _list_earliest_starts(problem: SchedulingProblem) -> list[float]:
+    """When each task could start (lab seconds from now) if it waited for nothing but its own run."""
+    starts, before = [0.0] * len(problem.tasks), list[float]()
+    while starts != before:  # a task may have a lower number than one that ends before it
+        before = list(starts)
+        for number, task in enumerate(problem.tasks):
+            for other in task.after:
+                starts[number] = max(starts[number], starts[other] + problem.tasks[other].duration_s)
+    return starts
+
+
+def _list_ends(
+    state: LabState, problem: SchedulingProblem, now: int, starts_s: Sequence[float]
+) -> dict[RunId, int]:
+    """When each run ends (UTC ns) if its tasks start at these times (lab seconds from now)."""
+    ends: dict[RunId, int] = {}
+    for task, start in zip(problem.tasks, starts_s, strict=True):
+        end = now + convert_lab_s(state, start + task.duration_s)
+        ends[task.run] = max(ends.get(task.run, end), end)
+    return ends
 
 
 def _is_one_line(problem: SchedulingProblem) -> bool:

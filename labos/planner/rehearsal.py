@@ -6,7 +6,7 @@ course of the lab without it, and is sent only if it is better.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 
@@ -22,10 +22,15 @@ from labos.core.suggestions import OrderSuggested
 from labos.planner.lengths import draw, estimate_at_level
 from labos.planner.measure import Score, judge, rate_runs
 from labos.planning.own_order import OwnOrder
+from labos.planning.suggested import GRACE_S
 from labos.planning.virtual import Lasts, Play, VirtualLab
 
 DRAWN = 3
 """The number of additional plays with drawn durations, if there are windows."""
+
+GAIN = 0.01
+"""A way is better than another if it is better by this part, and by more than the time for which a step waits
+for another one in vain: less than that is lost as soon as durations vary."""
 
 Order = SuggestOrder | OrderSuggested
 
@@ -41,8 +46,8 @@ class Way(msgspec.Struct):
 class OrderRehearsal:
     """Continues copies of a workcell with these runs; other waiting runs are left out. ``level`` is the
     quantile of durations for planning. ``drawn`` is the number of plays with drawn durations, if there are
-    windows. The end of all counts ``end_weight`` times as much as the mean of all ends. ``searches``: the lab
-    looks for an order of its own where none is suggested."""
+    windows; 0: durations are exact, so any gain counts. The end of all counts ``end_weight`` times as much as
+    the mean of all ends. ``searches``: the lab looks for an order of its own where none is suggested."""
 
     def __init__(
         self,
@@ -64,10 +69,10 @@ class OrderRehearsal:
         for name in [name for name in copy.runs.queued if name not in known]:
             evolve(copy, RunCancelled(name), copy.position + 1, copy.recorded_at)
         copy.recorded_at = max(copy.recorded_at, now)
-        order = copy.suggestions.orders.get(cell)
-        self.order = order if order is not None and order.steps and order.until > now else None
+        self.order = copy.suggestions.find(cell, now)
         windowed = any(state.runs.plans[run.plan].windowed for run in runs)
         self._most = 1 + drawn * windowed
+        self._gain = (GAIN, GRACE_S / copy.lab.pace) if drawn else (0.0, 0.0)
         self._rated = rate_runs(copy, runs, now)
         self._base = encode_picture(copy)
 
@@ -81,17 +86,28 @@ class OrderRehearsal:
         """When steps would start (UTC ns)."""
         return way.plays[0].begun
 
+    def may_be_better(self, ends: Mapping[RunId, int], other: Way) -> bool:
+        """Whether a way in which the runs end at these times (UTC ns) would be better than another one, with
+        the durations of the plan."""
+        ideal = judge([Play(ends=dict(ends))], self._rated, self.now, self.end_weight)
+        return ideal.is_better_than(self._compute_score(other, 1), *self._gain)
+
     def is_better(self, one: Way, other: Way) -> bool:
-        """Whether one way is better than another: with the durations of the plan, and if there are windows
-        also with drawn ones, one play after the other. The comparison ends with the first play that shows the
-        contrary."""
-        for plays in range(1, self._most + 1):
-            for way in (one, other):
-                if len(way.plays) < plays:
-                    self._play(way)
-            if not self._compute_score(one, plays) < self._compute_score(other, plays):
-                return False
-        return True
+        """Whether one way is clearly better than another: with the durations of the plan, and if there are
+        windows also with drawn ones, one play after the other. The comparison ends with the first play that
+        shows the contrary."""
+        return all(self._compare(one, other, plays) for plays in range(1, self._most + 1))
+
+    def is_as_good(self, one: Way, other: Way) -> bool:
+        """Whether one way is not clearly worse than another, in the same plays."""
+        return not any(self._compare(other, one, plays) for plays in range(1, self._most + 1))
+
+    def _compare(self, one: Way, other: Way, plays: int) -> bool:
+        """Whether one way is clearly better in so many plays."""
+        for way in (one, other):
+            if len(way.plays) < plays:
+                self._play(way)
+        return self._compute_score(one, plays).is_better_than(self._compute_score(other, plays), *self._gain)
 
     def _compute_score(self, way: Way, plays: int) -> Score:
         return judge(way.plays[:plays], self._rated, self.now, self.end_weight)

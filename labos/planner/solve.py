@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import msgspec
+from msgspec.structs import replace
 
 from labos.errors import SystemFailed
 from labos.planner.measure import GOES_ON
@@ -30,12 +31,13 @@ BOOKED_UNIT_S = 10.0
 
 class Schedule(msgspec.Struct, frozen=True):
     """The start of each task (lab seconds from now), and the length of the whole. ``bound_s``: no schedule is
-    shorter; ``proven``: this one is the best."""
+    shorter; ``proven``: this one is the best. ``cost`` is what the search made as small as it could."""
 
     starts_s: tuple[float, ...]
     makespan_s: float
     bound_s: float
     proven: bool
+    cost: float = 0.0
 
 
 def expect_solver() -> None:
@@ -53,13 +55,42 @@ def solve(
     hint: Mapping[int, float] | None = None,
     *,
     counted: bool = False,
-    may_miss: bool = False,
 ) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
-    the starts (lab seconds) in a known schedule, by task; the search begins there. Windows are kept if that
-    is possible. If the schedule of ``hint`` keeps all of them, a schedule that misses some is looked for only
-    if no other is possible, or with ``may_miss``. ``counted``: the seconds are measured by the work done, as
-    on a computer that does nothing else; then the same problem gives the same schedule."""
+    the starts (lab seconds) in a known schedule, by task. One search begins there; a schedule that misses
+    windows is looked for only if the known one misses some, or if no other is possible. With windows, this
+    search stays near the known schedule. So if its result is not proven to be the best, a second search
+    begins anew, each has half of the time, and the better result is kept. ``counted``: the seconds are
+    measured by the work done, as on a computer that does nothing else; then the same problem gives the same
+    schedule."""
+    limit, found = seconds * (1 - TIDY), None
+    windowed = any(lag.within_s is not None for task in problem.tasks for lag in task.lags)
+    if hint:
+        limit /= 1 + windowed
+        found = _search(problem, limit, hint, counted=counted)
+    if not hint or (windowed and (found is None or not found.proven)):
+        anew = _search(problem, limit, {}, counted=counted)
+        if found is None or (anew is not None and anew.cost < found.cost):
+            found = anew
+    if found is None:
+        return None
+    best = _search(problem, seconds * TIDY, dict(enumerate(found.starts_s)), counted=counted, tidy=True)
+    if best is None:
+        return found
+    return replace(found, starts_s=best.starts_s, makespan_s=best.makespan_s)
+
+
+def _search(
+    problem: SchedulingProblem,
+    limit: float,
+    hint: Mapping[int, float],
+    *,
+    counted: bool,
+    may_miss: bool = False,
+    tidy: bool = False,
+) -> Schedule | None:
+    """One search that begins at ``hint``, if that is not empty. ``tidy``: each run's end counts too, their
+    mean as much as the end of all, or less."""
     from ortools.sat.python import cp_model
 
     tasks = problem.tasks
@@ -81,16 +112,16 @@ def solve(
     end: list[cp_model.LinearExprT] = [start + time for start, time in zip(begin, length, strict=True)]
     changes: dict[int, cp_model.IntVar] = {}
     for costs in problem.setups:
-        changes.update(_add_setups(model, costs, begin, length, unit, hint or {}))
+        changes.update(_add_setups(model, costs, begin, length, unit, hint))
     for number in changes:
         end[number] = model.new_int_var(0, 2 * horizon, f"e{number}")
     whole = model.new_int_var(0, 2 * horizon, "makespan")
     late: list[cp_model.IntVar] = []
-    keeps_all = bool(hint) and not may_miss and not _misses_any(hint or {}, tasks)
+    keeps_all = bool(hint) and not may_miss and not _misses_any(hint, tasks)
     using: dict[str, list[cp_model.IntervalVar]] = {}
     for number, task in enumerate(tasks):
         model.add(whole >= end[number])
-        if hint and number in hint:
+        if number in hint:
             model.add_hint(begin[number], round(hint[number] / unit))
         takes = length[number] + changes[number] if number in changes else length[number]
         interval = model.new_interval_var(begin[number], takes, end[number], f"i{number}")
@@ -109,7 +140,7 @@ def solve(
                 missed = model.new_bool_var(f"late{number}")
                 late.append(missed)
                 latest = anchor + math.floor(lag.within_s / unit)
-                if hint and number in hint:
+                if number in hint:
                     model.add_hint(missed, _is_late(hint, number, lag, tasks))
                 model.add(begin[number] <= latest).only_enforce_if(~missed)
     for intervals in using.values():
@@ -154,27 +185,23 @@ def solve(
         + sum(own_overdue)
         + 4 * horizon * sum(late)
     )
-    model.minimize(cost)
+    model.minimize(problem.end_weight * len(over) * cost + sum(over) if tidy else cost)
     solver = cp_model.CpSolver()
     solver.parameters.num_workers = 2
     solver.parameters.interleave_search = counted
-    _set_limit(solver, seconds * (1 - TIDY), counted=counted)
+    _set_limit(solver, limit, counted=counted)
     status = solver.solve(model)
     if status == cp_model.INFEASIBLE and keeps_all:  # times are rounded: a window that was just kept is not
-        return solve(problem, seconds, hint, counted=counted, may_miss=True)
+        return _search(problem, limit, hint, counted=counted, may_miss=True, tidy=tidy)
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return None
-    proven, bound = status == cp_model.OPTIMAL, solver.best_objective_bound
-    starts, makespan = [solver.value(start) for start in begin], max(map(solver.value, end), default=0)
-    # From here on, each run's end counts too: their mean as much as the end of all, or less.
-    model.minimize(problem.end_weight * len(over) * cost + sum(over))
-    model.clear_hints()
-    for start, value in zip(begin, starts, strict=True):
-        model.add_hint(start, value)
-    _set_limit(solver, seconds * TIDY, counted=counted)
-    if solver.solve(model) in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-        starts, makespan = [solver.value(start) for start in begin], max(map(solver.value, end), default=0)
-    return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
+    return Schedule(
+        tuple(solver.value(start) * unit for start in begin),
+        max(map(solver.value, end), default=0) * unit,
+        solver.best_objective_bound * unit,
+        status == cp_model.OPTIMAL,
+        solver.objective_value,
+    )
 
 
 def _add_setups(

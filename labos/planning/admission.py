@@ -70,7 +70,7 @@ class Admission:
 
     def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
         """Who of a bundle is next."""
-        first = self._room.find_first(state, bundle, partial(self._ranking.make_turn_key, state, now))
+        first = self._ranking.find_first(state, self._room.list_heads(state, bundle), now)
         if first is None or not self._adviser.has_orders(state) or self._room.is_overtaken(state, first):
             return first
         if self._adviser.own.find(state.runs.plan_of(first).workcell) is not None:
@@ -86,8 +86,9 @@ class Admission:
             isinstance(wait.reason, reasons.AfterElder) for wait in possible.waits
         ):
             # Somebody older than the elder need not wait with the others.
-            run = self._room.find_oldest(state, bundle) or run
-            possible = self._find_start(state, run, now)
+            oldest = self._room.find_oldest(state, bundle)
+            if oldest is not None and oldest is not run:
+                run, possible = oldest, self._find_start(state, oldest, now)
         return self._look_ahead(state, run, possible, now)
 
     def explain(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
@@ -112,7 +113,7 @@ class Admission:
         if own.find(cell) is None and not 0 < len(self._room.list_in_cell(cell)) <= MOST_WAITING:
             return False
         inside = state.runs.list_inside(cell)
-        if len(inside) > MOST_INSIDE or cell in state.suggestions.orders:
+        if len(inside) > MOST_INSIDE or state.suggestions.find(cell, now) is not None:
             return own.drop(cell)
         waiting = self._list_waiting(state, cell, now)
         runs = [*inside, *waiting] if waiting is not None else []
@@ -170,7 +171,7 @@ class Admission:
         if not goes_first and self._adviser.own.is_too_early(state, cell):
             until = self._adviser.own.goes_on_at(cell)
             return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
-        if goes_first or not stands or self._adviser.has_order(state, cell):
+        if goes_first or not stands or self._adviser.has_order(state, cell, now):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not are_different(
@@ -238,4 +239,4 @@ class Admission:
 
     def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
         """The rank of a waiting run without its age."""
-        return -run.priority, *self._ranking.make_turn_key(state, now, run)[:-1]
+        return -run.priority, *self._ranking.rank_waiting(state, run, now)

@@ -45,6 +45,10 @@ class Alarms(Generic[Name]):
             heapq.heappush(self._heap, entry)
         return list(dict.fromkeys(name for _, _, name in found))
 
+    def list_all(self) -> list[Name]:
+        """The names that have a time."""
+        return list(self._at)
+
     def clear(self) -> None:
         self._at.clear()
         self._heap.clear()

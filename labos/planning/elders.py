@@ -22,8 +22,8 @@ class Elders:
         self._room = room
         self._safety = safety
         self._reservations = reservations
-        self._hopeless: dict[tuple[RunId, str], bool] = {}
-        self._known_at: int | None = None
+        self._able: dict[tuple[RunId, str], bool] = {}
+        self._known_at: tuple[int, int] | None = None
 
     def find_protected(self, state: LabState, run: RunState, now: int) -> str:
         """The elder run that this run has to stay out for; empty if there is none."""
@@ -42,23 +42,24 @@ class Elders:
     def _is_next(self, state: LabState, elder: RunState, now: int, windowed: bool) -> bool:
         """Whether a run would come in next, with the plan that it has here, if nobody else was let in."""
         first = state.runs.plans[elder.plan].starts[0]
-        found = examine(state, elder, first, now)
-        if isinstance(found, Wait) and found.blocked:
-            return False  # it waits for a person: nobody has to wait with it
-        if self._is_hopeless(state, elder):
-            return False  # a later step of it does, or what it waits for no run inside moves away
+        if not self._is_able(state, elder, first, now):
+            return False
         if state.bookings.open and booked.check_start(state, elder, first, now) is not None:
             return False  # it waits until somebody else's booking is over
         # It may wait for a time: who reserves nothing does not put it off.
         return windowed or self._reservations.check_start(state, elder, first, now, self._safety) is None
 
-    def _is_hopeless(self, state: LabState, elder: RunState) -> bool:
-        """Whether a run could not come to its end in an empty workcell either."""
-        if self._known_at != state.position:
-            self._known_at = state.position
-            self._hopeless.clear()
-        known = self._hopeless.get((elder.id, elder.plan))
+    def _is_able(self, state: LabState, elder: RunState, first: int, now: int) -> bool:
+        """Whether neither the first step of a run nor a later one waits for a person, and no labware that
+        nobody moves is in its way. Worked out once for each position of the log."""
+        if self._known_at != (state.position, now):
+            self._known_at = state.position, now
+            self._able.clear()
+        known = self._able.get((elder.id, elder.plan))
         if known is None:
-            known = find_block(state, elder) is not None or bool(find_obstacle(self._safety, state, elder))
-            self._hopeless[elder.id, elder.plan] = known
+            found = examine(state, elder, first, now)
+            waits_for_person = isinstance(found, Wait) and found.blocked
+            known = self._able[elder.id, elder.plan] = not (
+                waits_for_person or find_block(state, elder) or find_obstacle(self._safety, state, elder)
+            )
         return known

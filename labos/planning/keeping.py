@@ -32,7 +32,7 @@ from labos.planning.punctual import PunctualOrders
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
-from labos.planning.suggested import find_order, find_suggested_times
+from labos.planning.suggested import find_order, find_suggested_order, find_suggested_times
 from labos.planning.touch import cell_key, window_key
 
 SEARCH_LIMIT = 24
@@ -193,11 +193,11 @@ class Windows:
         """To do as somebody has suggested: everybody inside goes on, each step at its time; with a planner's
         order those come in, too, whose time it is. Like any other advice it counts only if a rehearsal shows
         that it keeps the windows."""
-        times = find_suggested_times(state, find_order(state, self._own, cell), now)
+        times = find_suggested_times(state, find_order(state, self._own, cell, now), now)
         if not times:
             return None
         goes_on = {run.id for run in _list_inside(state, cell) if not run.paused and not run.is_ending}
-        if cell in state.suggestions.orders:
+        if find_suggested_order(state, cell, now) is not None:
             goes_on |= {run for (run, _), at in times.items() if at <= now}
         return Advice(
             not_before={(str(run), step): at for (run, step), at in times.items()},
@@ -336,7 +336,7 @@ class Windows:
                 plan.advice = suggested
                 _, plan.outcome = self._search(state, trial, safety, limit=1)
                 if not trial.list_newly_late(plan.outcome) and plan.outcome.tangle is None:
-                    plan.as_suggested = cell in state.suggestions.orders
+                    plan.as_suggested = find_suggested_order(state, cell, now) is not None
                     return plan
                 plan.advice = before
             plan.advice, plan.outcome = self._search(state, trial, safety)

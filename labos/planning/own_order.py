@@ -16,7 +16,7 @@ were tried: a forecast that goes on from the same state finds the same order.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 import msgspec
@@ -167,9 +167,8 @@ class OwnOrders:
         """Find an order for these runs, or a better one; whether it is another one than before."""
         runs = frozenset(run.id for run in (*inside, *waiting))
         known = self._known.get(cell)
-        is_new = known is None or not runs <= known.runs
-        if known is not None and now < known.seen:
-            known.seen = now  # the clock was set back: nobody waits until it has caught up
+        # If the clock was set back, the times of what was found count no more.
+        is_new = known is None or not runs <= known.runs or now < known.seen
         if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
             return False
         if not are_enough(state, [*inside, *waiting]):
@@ -195,7 +194,7 @@ class OwnOrders:
         names = [run.id for run in outline.runs]
         steps = tuple(Suggested(names[who], step, time) for time, who, step in sorted(found.starts))
         until = found.last + convert_lab_s(state, STALE_S)
-        was = known.due if known is not None else {}
+        was = known.due if known is not None and known.seen <= now else {}
         due = {(one.run, one.step): was.get((one.run, one.step), now) for one in steps if one.start <= now}
         barred = any(now - since > convert_lab_s(state, STALE_S) for since in due.values())
         order = OrderSuggested(cell, OWN, until, steps)
@@ -243,20 +242,26 @@ def _play_by_age(state: LabState, outline: Outline) -> tuple[tuple[EquallyOld, .
     if any(left > 0 for left in play.left):
         return None
     ends = dict(zip((run.id for run in outline.runs), play.ends, strict=True))
-    groups: list[list[RunState]] = []
-    for run in sorted(outline.runs, key=lambda run: (run.user, run.submitted_at)):
-        first = groups[-1][0] if groups else None
-        apart = run.submitted_at - first.submitted_at if first is not None and first.user == run.user else FAR
-        if apart <= convert_lab_s(state, EQUALLY_OLD_S):
-            groups[-1].append(run)
-        else:
-            groups.append([run])
+    groups = group_equally_old(state, outline.runs)
     by_age = tuple(
         EquallyOld(frozenset(run.id for run in group), tuple(sorted(ends[run.id] for run in group)))
         for group in groups
     )
     last = max(play.ends)
     return by_age, last - int(GAIN * (last - outline.now))
+
+
+def group_equally_old(state: LabState, runs: Iterable[RunState]) -> list[list[RunState]]:
+    """Runs of which those are together that one user submitted within ``EQUALLY_OLD_S``, the oldest first."""
+    groups: list[list[RunState]] = []
+    for run in sorted(runs, key=lambda run: (run.user, run.submitted_at, run.position)):
+        first = groups[-1][0] if groups else None
+        apart = run.submitted_at - first.submitted_at if first is not None and first.user == run.user else FAR
+        if apart <= convert_lab_s(state, EQUALLY_OLD_S):
+            groups[-1].append(run)
+        else:
+            groups.append([run])
+    return groups
 
 
 class FoundOrder(msgspec.Struct, frozen=True):

@@ -35,12 +35,16 @@ NOT_OVERTAKEN = (
 )
 """Waits that no other run's start makes longer: for a time, or for the run itself."""
 
+MOST_SHAPES = 4096
+"""The keys of plans of so many shapes are remembered."""
+
 
 class OvertakeCounts:
     """How many younger runs have overtaken each run inside. Counts only; they begin anew with the kernel."""
 
     def __init__(self) -> None:
         self._overtaken: dict[RunId, dict[RunId, bool]] = {}
+        self._keys: dict[str, frozenset[str]] = {}
 
     def is_over(self, run: RunId) -> bool:
         """Whether a run inside was overtaken too often."""
@@ -70,6 +74,21 @@ class OvertakeCounts:
         """A run has ended."""
         self._overtaken.pop(run, None)
 
+    def forget_keys(self) -> None:
+        """The bench of a workcell is another than it was."""
+        self._keys.clear()
+
+    def _list_all_keys(self, state: LabState, run: RunState) -> frozenset[str]:
+        """The keys of all that the steps of a run need."""
+        shape, steps = state.runs.plans[run.plan].shape, state.runs.plan_of(run).steps
+        found = self._keys.get(shape)
+        if found is None:
+            if len(self._keys) >= MOST_SHAPES:
+                self._keys.clear()
+            keys = (key for step in steps for key in (module_key(step.module), *list_keys(state, step)))
+            found = self._keys[shape] = frozenset(keys)
+        return found
+
     def find_run_that_goes_first(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
         """The run inside for whose sake this one is not let in; None if there is none. Where nothing moves
         nobody is kept out: what the elder waits for may come from the one that waits."""
@@ -77,16 +96,14 @@ class OvertakeCounts:
         flying = state.actions.list_in_cell(plan.workcell) if self._overtaken else ()
         if all(action.status == ActionStatus.UNKNOWN for action in flying):
             return None
-        mine: set[str] = set()
+        mine: frozenset[str] = frozenset()
         for elder in state.runs.list_inside(plan.workcell):
             if elder.position >= run.position or not self.is_over(elder.id) or find_holds(elder):
                 continue
             waiting = _list_overtakable(sleepers, elder.id)
             if not waiting:
                 continue
-            mine = mine or {
-                key for step in plan.steps for key in (module_key(step.module), *list_keys(state, step))
-            }
+            mine = mine or self._list_all_keys(state, run)
             steps = state.runs.plan_of(elder).steps
             left = [step for step, at in zip(steps, elder.steps, strict=True) if at.status not in SETTLED]
             theirs = {module_key(step.module) for step in left}.union(

@@ -42,8 +42,8 @@ class PunctualOrders:
     def find_starts(self, state: LabState, cell: str, now: int) -> dict[Step, int] | None:
         """When each step starts (UTC ns) that an order names, if it keeps all windows and all goes as
         suggested; None if not, or if none of its runs has windows."""
-        order = state.suggestions.orders.get(cell)
-        if order is None or order.until <= now:
+        order = state.suggestions.find(cell, now)
+        if order is None:
             return None
         known = self._known.get(cell)
         if known is None or known.order is not order:

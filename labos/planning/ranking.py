@@ -4,17 +4,20 @@ The rules are listed in ``docs/scheduling.md`` (*Which step goes first*)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import msgspec
 
+from labos.core.ids import RunId
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.planning.due import UNDATED, DueDates
+from labos.planning.own_order import group_equally_old
 from labos.planning.patience import OvertakeCounts
 from labos.planning.reservations import Reservations
 from labos.planning.setup_order import SetupOrder
 from labos.planning.suggested import LAST, Adviser
 from labos.planning.urgency import is_urgent
-from labos.planning.waiting import Turn
 from labos.planning.work_behind import WorkBehind
 
 
@@ -62,19 +65,58 @@ class Ranking:
 
     def sort(self, state: LabState, spots: list[Spot], patience: OvertakeCounts, now: int) -> list[Spot]:
         """What may start, in the order in which it is tried."""
-        return sorted(spots, key=lambda spot: self._rank(state, spot, patience, now))
+        turns = self._swap_turns(state, [spot for spot in spots if not spot.bundle])
+        return sorted(spots, key=lambda spot: self._rank(state, spot, patience, now, turns))
 
-    def make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
-        """What orders waiting runs of the same needs and priority."""
-        own = self._rank_own(state, run, None)
-        return (
-            not is_urgent(state, run, now),
-            *self._find_share_used(state, now, run.user),
-            *own,
-            run.position,
-        )
+    def _swap_turns(self, state: LabState, spots: Sequence[Spot]) -> dict[RunId, int]:
+        """Which place in the line some runs inside take that have another place by age. Runs of one plan that
+        are equally old do the same, so which of them ends first makes no difference: the one that is furthest
+        behind goes first."""
+        runs = {spot.run.id: spot.run for spot in spots}
+        turns: dict[RunId, int] = {}
+        if len(runs) < 2:
+            return turns
+        behind: dict[RunId, float] = {}
+        for spot in spots:
+            left = self.behind.measure(state, spot.run.plan, spot.step)
+            behind[spot.run.id] = max(left, behind.get(spot.run.id, 0.0))
+        for group in group_equally_old(state, runs.values()):
+            alike: dict[str, list[RunState]] = {}
+            for run in group:
+                alike.setdefault(run.plan, []).append(run)
+            for members in alike.values():
+                by_age = sorted(run.position for run in members)
+                by_work = sorted(members, key=lambda run: (-behind[run.id], run.position))
+                turns.update(zip([run.id for run in by_work], by_age, strict=True))
+        return turns
 
-    def _rank(self, state: LabState, spot: Spot, patience: OvertakeCounts, now: int) -> Rank:
+    def find_first(self, state: LabState, runs: Sequence[RunState], now: int) -> RunState | None:
+        """Who goes first among waiting runs of the same needs and priority; of equal ones the oldest."""
+        groups = [self._rank_group(state, run, now) for run in runs]
+        least = min(groups, default=None)
+        first = [run for run, group in zip(runs, groups, strict=True) if group == least]
+        if len(first) < 2:
+            return first[0] if first else None
+        return min(first, key=lambda run: (self._rank_own(state, run, None), run.position))
+
+    def rank_waiting(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
+        """The rank of a waiting run among those of the same needs and priority, without its age. The least
+        goes first."""
+        return *self._rank_group(state, run, now), *self._rank_own(state, run, None)
+
+    def _rank_group(self, state: LabState, run: RunState, now: int) -> tuple[bool, float, float]:
+        """Runs of urgent campaigns (False) go first, then by the share that the group has had, and the user
+        within it."""
+        return not is_urgent(state, run, now), *self._find_share_used(state, now, run.user)
+
+    def _rank(
+        self,
+        state: LabState,
+        spot: Spot,
+        patience: OvertakeCounts,
+        now: int,
+        turns: Mapping[RunId, int],
+    ) -> Rank:
         run, waits = spot.run, bool(spot.bundle)
         step = None if waits else spot.step
         deadline = self._reservations.find_latest_start(state, run, step, now)
@@ -94,7 +136,7 @@ class Ranking:
             self._find_share_used(state, now, run.user),
             due,
             change,
-            run.position,
+            turns.get(run.id, run.position),
             behind,
         )
 

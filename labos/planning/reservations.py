@@ -14,6 +14,7 @@ there is no room for a margin, is the plan in ``keeping``: what that has start n
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -23,9 +24,9 @@ from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.booked import find_begun_booking
 from labos.core.effects import list_carried
-from labos.core.ids import RunId
+from labos.core.ids import RunId, StationName, workcell_of
 from labos.core.rules import convert_lab_s
-from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, find_holds
+from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
 from labos.core.waits import Wait, module_key, zone_key
@@ -233,9 +234,9 @@ class Reservations:
             for resource in {need.resource: True for need in mine.needs}:
                 flying = _list_needs_in_flight(state, resource, now)
                 theirs = [job for found in others for job in _list_jobs(found, resource, now)]
-                ours = _list_jobs(mine, resource, now)
-                together = _count_late([*flying, *theirs, *ours])
-                if together <= _count_late([*flying, *theirs]) + _count_late(ours):
+                ours, room = _list_jobs(mine, resource, now), _find_room(state, resource)
+                together = _count_late([*flying, *theirs, *ours], room)
+                if together <= _count_late([*flying, *theirs], room) + _count_late(ours, room):
                     continue
                 if self._helps_reservation(state, run, step, now, safety, reservations):
                     return None
@@ -389,15 +390,30 @@ def _list_taken(state: LabState, action: Action) -> list[str]:
     return [module_key(action.module), *map(zone_key, zones)]
 
 
-def _count_late(jobs: Sequence[Need]) -> int:
-    """How many of these are late at best, one after the other: by deadline, or as they come."""
+def _find_room(state: LabState, resource: str) -> int:
+    """How many may have a resource at the same time: at a place less those that do not leave it next."""
+    kind, _, name = resource.partition(":")
+    station = state.bench.stations[StationName(name)] if kind == "station" else None
+    if station is None or station.spec.capacity < 2:
+        return 1
+    leaving = 0
+    for run in state.runs.list_inside(workcell_of(station.spec.name)):
+        steps = state.runs.plan_of(run).steps
+        for step, at in zip(steps, run.steps, strict=True):
+            if at.status not in SETTLED and all(run.steps[before].status in SETTLED for before in step.after):
+                leaving += any(what.emptied == station.spec.name for what in list_carried(step.effects))
+    return max(1, station.spec.capacity - max(0, station.count - leaving))
+
+
+def _count_late(jobs: Sequence[Need], room: int) -> int:
+    """How many of these are late at best, so many at a time: by deadline, or as they come."""
 
     def count(order: list[Need]) -> int:
-        time = late = 0
+        free_at, late = [0] * room, 0
         for job in order:
-            time = max(time, job.release)
+            time = max(heapq.heappop(free_at), job.release)
             late += time > job.latest
-            time += job.length
+            heapq.heappush(free_at, time + job.length)
         return late
 
     by_deadline = sorted(jobs, key=lambda job: job.latest)

@@ -44,6 +44,7 @@ from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import find_block, find_questions
 from labos.planning.suggested import Adviser
+from labos.planning.supplies import Spares
 from labos.planning.touch import (
     BEGUN,
     BENCH,
@@ -102,6 +103,9 @@ class Scheduler:
         self.elders = Elders(self.room, self.safety, self.reservations)
         self.admission = Admission(self.room, self.reservations, self.ranking, self.adviser, self.check_start)
         self._cells: dict[str, str] = {}
+        self._seen: dict[Kind, list[Wait]] = {}
+        self._seen_at = (0, 0)
+        self._spares = Spares()
         self._fresh = True
         self._touched = sort_keys([EVERYTHING])
 
@@ -145,11 +149,16 @@ class Scheduler:
         next place is not free soon."""
         if run is None:
             return Wait(reasons.Gone())
+        is_alone = run.has_started or run.choices or len(state.runs.plans[run.plan].starts) > 1
+        bundle = "" if is_alone or only_asking else self.room.find_bundle(state, run)
+        for known in self._find_waits_at_start(state, bundle, run, now) if bundle else ():
+            return known
         self.evaluations += 1
         companions = find_companions(state, run, step, now)
-        found = examine(state, run, step, now, [other.id for other, _ in companions])
-        if isinstance(found, Wait):
-            return found
+        if not bundle:
+            found = examine(state, run, step, now, [other.id for other, _ in companions])
+            if isinstance(found, Wait):
+                return found
         wait = self._check_time(state, run, step, now)
         if wait is None:
             outside = self._list_plans_outside(state, state.runs.plan_of(run).workcell)
@@ -267,6 +276,7 @@ class Scheduler:
             self.admission.pilot.forget(cell)
             self.adviser.own.forget(cell)
             self.window_orders.forget(cell)
+            self.patience.forget_keys()
             self.room.refill(state, cell)
         for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
@@ -295,10 +305,7 @@ class Scheduler:
                 names |= self.sleepers.find_waiting(cell_key(cell))  # others may go first now
         for cell in self._order_windows(state, now):
             names |= self._list_all(state, cell)
-        seen: dict[Kind, list[Wait]] = {}
-        return [
-            spot for spot in (self._look_again(state, name, now, seen) for name in names) if spot is not None
-        ]
+        return [spot for spot in (self._look_again(state, name, now) for name in names) if spot is not None]
 
     def _list_cells(self, state: LabState, names: Iterable[Name]) -> list[str]:
         """The workcells in which these are."""
@@ -344,11 +351,8 @@ class Scheduler:
             return touched
         return sort_keys([*keys, *(key for cell in left for key in _list_keys_of(cell))])
 
-    def _look_again(
-        self, state: LabState, name: tuple[str, int], now: int, seen: dict[Kind, list[Wait]]
-    ) -> Spot | None:
-        """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once. ``seen``
-        keeps what was found for bundles of the same kind."""
+    def _look_again(self, state: LabState, name: tuple[str, int], now: int) -> Spot | None:
+        """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once."""
         who, step = name
         active = state.runs.active.get(RunId(who))
         if active is not None:
@@ -359,14 +363,26 @@ class Scheduler:
         run = self.room.find_any_run(state, who)
         if run is None:
             return None
-        kind = self.room.find_kind(who)
-        waits = seen.get(kind)
-        if waits is None:
-            waits = seen[kind] = self._list_waits_at_start(state, run, now)
+        waits = self._find_waits_at_start(state, who, run, now)
         for wait in waits:
             self.sleepers.sleep(name, wait)
         first = self.admission.find_first(state, who, now) if not waits else None
         return Spot(first, 0, who) if first is not None else None
+
+    def _find_waits_at_start(self, state: LabState, bundle: str, run: RunState, now: int) -> list[Wait]:
+        """What each first step of a run of a bundle has to wait for by the rules; nothing if one of them is
+        possible. As long as nothing happens, what was found for one serves for all of the same kind."""
+        if self._seen_at != (state.position, now):
+            self._seen_at = state.position, now
+            self._seen.clear()
+            self._spares.forget()
+        kind = self.room.find_kind(bundle)
+        if all(self._spares.are_enough(state, needs) for needs in kind.needs):
+            kind = Kind(kind.starts)
+        waits = self._seen.get(kind)
+        if waits is None:
+            waits = self._seen[kind] = self._list_waits_at_start(state, run, now)
+        return waits
 
     def _list_waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
         """What each first step of a run has to wait for; nothing if one of them is possible."""
@@ -404,7 +420,7 @@ class Scheduler:
             yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
             if option.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
-            if not self.adviser.has_orders(state):
+            if not self.adviser.has_order(state, state.runs.plan_of(option).workcell, now):
                 yield from self._start_first_steps(state, option.id, now)
             run = self.admission.find_first(state, bundle, now)
 

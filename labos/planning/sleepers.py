@@ -20,6 +20,7 @@ class Sleepers:
         self._waits: dict[str, dict[int, list[Wait]]] = {}
         self._by_key: dict[str, dict[Name, bool]] = {}
         self._alarms: Alarms[Name] = Alarms()
+        self._asked_at = 0
 
     def list_among(self, names: Mapping[RunId, bool]) -> list[str]:
         """Those of these runs that have a waiting step, sorted. The time it takes follows the smaller of the
@@ -62,8 +63,10 @@ class Sleepers:
         return self._by_key.get(key, {})
 
     def list_due(self, now: int) -> list[Name]:
-        """Who waits for a time that has come (UTC ns)."""
-        return self._alarms.list_due(now)
+        """Who waits for a time that has come (UTC ns). If the clock was set back since this was asked last,
+        all who wait for a time: it may have been counted from a time that is far away now."""
+        before, self._asked_at = self._asked_at, now
+        return self._alarms.list_due(now) if before <= now else self._alarms.list_all()
 
     def find_first(self) -> int | None:
         """The earliest time that somebody waits for (UTC ns)."""

@@ -7,11 +7,15 @@ it. So that bad advice does little harm, a step waits for another only
 - while something moves in the workcell: where nothing does, nobody waits for advice;
 - until that other should have started, and ``GRACE_S`` after that;
 - for ``MOST_S`` in all, whatever is suggested meanwhile;
-- if its own run is not urgent, of a higher priority, or overtaken too often.
+- if its own run is not urgent, of a higher priority, or overtaken too often;
+- if it is named in the order as well, or would not free what it takes before the other's time.
 
 A step that starts a clock waits until its own time as well: what has to follow it was given its time by the
 same plan. With the lab's own order where clocks run (``window_order``) so does a run that is to be let in.
 So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
+
+A run that a planner lets wait outside (``Suggested.outside``) waits for its start in the same way, so that it
+does not stand in others' way. An order of nothing but such starts orders nothing else.
 """
 
 from __future__ import annotations
@@ -23,14 +27,14 @@ import msgspec
 from labos.core import reasons
 from labos.core.effects import list_carried
 from labos.core.ids import RunId
-from labos.core.model import MAIN, PlanStep
+from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.recurrence import in_zone
 from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.waits import Wait, station_key
-from labos.planning.forecast import find_deadline, is_pending
+from labos.planning.forecast import find_deadline, find_usual_time, is_pending
 from labos.planning.own_order import OWN, OwnOrders
 from labos.planning.taken import list_taken
 from labos.planning.touch import cell_key
@@ -50,13 +54,15 @@ LAST = 2**62
 class OrderLookup(msgspec.Struct):
     """A suggestion, ready to be asked: when each step should start; by resource (the key of a module or
     station) the steps that take it, the earliest first; and by group of runs that wait in line, whose turn it
-    should be in it. ``least`` is the lowest priority of its runs."""
+    should be in it. ``least`` is the lowest priority of its runs; ``kept_out`` are those that wait outside
+    until their time."""
 
     order: OrderSuggested
     starts: dict[tuple[RunId, int], int]
     by_resource: dict[str, list[Suggested]]
     lines: dict[str, list[Suggested]]
     least: float = float("inf")
+    kept_out: frozenset[RunId] = frozenset()
 
 
 class Adviser:
@@ -81,7 +87,8 @@ class Adviser:
 
     def is_time(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step should have started by now, by what was suggested."""
-        return self.has_orders(state) and self.start_of(state, run, step, now) <= now
+        advice = self._find_advice(state, state.runs.plan_of(run).workcell, now)
+        return advice is not None and self.start_of(state, run, step, now) <= now
 
     def wake_in_time(self, state: LabState, run: RunState, step: int, wait: Wait, now: int) -> Wait:
         """The same wait, but until the time at which the step should start: no event marks that time."""
@@ -118,16 +125,17 @@ class Adviser:
         is_own = advice.order.by in (OWN, OWN_WINDOWS)
         if advice.order.by == OWN_WINDOWS and _has_clock(state, run):
             return None
-        waits_outside = advice.order.by == OWN_WINDOWS and not run.has_started
+        waits_outside = not run.has_started and (advice.order.by == OWN_WINDOWS or run.id in advice.kept_out)
         if now < mine < LAST and not goes_first and (waits_outside or _starts_clock(state, run, step)):
-            if is_own and self._has_waited_enough(state, run, step, now):
+            if (is_own or waits_outside) and self._has_waited_enough(state, run, step, now):
                 return None
-            later = reasons.LaterHere if is_own else reasons.ClockLater
+            later = reasons.LaterHere if is_own or waits_outside else reasons.ClockLater
             why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
             return Wait(why_later, (cell_key(plan.workcell),), mine)
         for resource in _list_resources(state, plan.steps[step]):
+            before = mine if mine < LAST else _find_release(state, plan, step, resource, now)
             for one in advice.by_resource.get(resource, ()):
-                if one.start >= mine:
+                if one.start >= before:
                     break
                 until = min(one.start + convert_lab_s(state, GRACE_S), advice.order.until)
                 if one.run == run.id or until < now:
@@ -153,21 +161,26 @@ class Adviser:
 
     def _has_waited_enough(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step has waited for so long that no order counts for it any more."""
-        return self._since.setdefault((run.id, step), now) + convert_lab_s(state, MOST_S) < now
+        since = self._since[run.id, step] = min(self._since.get((run.id, step), now), now)
+        return since + convert_lab_s(state, MOST_S) < now
 
-    def has_order(self, state: LabState, cell: str) -> bool:
+    def has_order(self, state: LabState, cell: str, now: int) -> bool:
         """Whether there is an order for a workcell."""
-        return self._find_order(state, cell) is not None
+        return self._find_order(state, cell, now) is not None
 
     def has_orders(self, state: LabState) -> bool:
         """Whether there is an order for any workcell."""
         return bool(state.suggestions.orders or self.own or self._windowed)
 
-    def _find_order(self, state: LabState, cell: str) -> OrderSuggested | None:
-        return find_order(state, self._windowed, cell) or self.own.find(cell)
+    def _find_order(self, state: LabState, cell: str, now: int) -> OrderSuggested | None:
+        return find_order(state, self._windowed, cell, now) or self.own.find(cell)
+
+    def _find_starts(self, state: LabState, cell: str, now: int) -> OrderSuggested | None:
+        """What a planner suggests, be it only when runs should start."""
+        return state.suggestions.find(cell, now) or self._find_order(state, cell, now)
 
     def _find_advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
-        order = self._find_order(state, cell)
+        order = self._find_starts(state, cell, now)
         if order is None or order.until <= now:
             return None
         known = self._known.get(cell)
@@ -177,9 +190,17 @@ class Adviser:
         return known
 
 
-def find_order(state: LabState, windowed: Mapping[str, OrderSuggested], cell: str) -> OrderSuggested | None:
+def find_order(
+    state: LabState, windowed: Mapping[str, OrderSuggested], cell: str, now: int
+) -> OrderSuggested | None:
     """The order of a workcell: the one that a planner suggests, else the lab's own where clocks run."""
-    return state.suggestions.orders.get(cell) or windowed.get(cell)
+    return find_suggested_order(state, cell, now) or windowed.get(cell)
+
+
+def find_suggested_order(state: LabState, cell: str, now: int) -> OrderSuggested | None:
+    """What a planner suggests, if that is more than when runs should start."""
+    order = state.suggestions.find(cell, now)
+    return order if order is not None and not all(one.outside for one in order.steps) else None
 
 
 def find_suggested_times(
@@ -200,6 +221,19 @@ def _has_clock(state: LabState, run: RunState) -> bool:
     """Whether a clock of a run runs."""
     windowed = state.runs.plans[run.plan].windowed if run.has_started else ()
     return any(is_pending(run, i) and find_deadline(state, run, i) is not None for i in windowed)
+
+
+def _find_release(state: LabState, plan: Plan, step: int, resource: str, now: int) -> int:
+    """When a step that starts now frees a resource again (UTC ns): a place that it fills, once a later step
+    of its run has emptied it."""
+    release = now
+    for later in plan.steps[step:]:
+        release += find_usual_time(state, later)
+        filled = (station_key(what.filled) for what in list_carried(plan.steps[step].effects) if what.filled)
+        emptied = (station_key(what.emptied) for what in list_carried(later.effects) if what.emptied)
+        if resource in emptied or resource not in filled:
+            break
+    return release
 
 
 def _starts_clock(state: LabState, run: RunState, step: int) -> bool:
@@ -224,6 +258,7 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:
             advice.lines.setdefault(queue_key(state.runs.find_shape(run), run), []).append(one)
         for resource in _list_resources(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)
+    advice.kept_out = frozenset(one.run for one in order.steps if one.outside)
     return advice
 
 

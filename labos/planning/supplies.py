@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 
 from labos.core.effects import list_carried
+from labos.core.ids import ModuleName
+from labos.core.rules import find_spare
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.planning.forecast import is_pending
+
+SupplyNeeds = tuple[tuple[tuple[ModuleName, str], float], ...]
+"""How much a run uses up in all: of which module, of what."""
 
 
 def are_enough(state: LabState, runs: Iterable[RunState]) -> bool:
@@ -37,3 +43,26 @@ def are_enough(state: LabState, runs: Iterable[RunState]) -> bool:
         if station.spec.kind == "waste" and brought > station.spec.capacity - station.count:
             return False
     return True
+
+
+class Spares:
+    """What a run that is let in finds of each supply. ``forget`` it once anything has happened."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[ModuleName, str], tuple[float, float]] = {}
+
+    def forget(self) -> None:
+        self._known.clear()
+
+    def are_enough(self, state: LabState, needs: SupplyNeeds) -> bool:
+        """Whether a run that uses up so much of each supply may start as far as that goes. Also False where
+        packs may be too old for it."""
+        for supply, amount in needs:
+            known = self._known.get(supply)
+            if known is None:
+                level = state.resources.find(*supply)
+                may_be_old = level is not None and any(lot.expires for lot in level.lots)
+                known = self._known[supply] = (-inf, inf) if may_be_old else find_spare(state, *supply)
+            if known[0] < min(amount, known[1]):
+                return False
+        return True

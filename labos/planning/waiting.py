@@ -10,7 +10,7 @@ serves for a whole bundle, and only when somebody of it may start does it matter
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import msgspec
@@ -29,9 +29,11 @@ from labos.core.ids import (
 )
 from labos.core.model import Plan
 from labos.core.plans import PlanState
+from labos.core.resources import sum_by_supply
 from labos.core.runs import RunState, find_holds, list_clocks, list_options, queue_key
 from labos.core.state import LabState
 from labos.planning.layout import find_destination, list_labware_in
+from labos.planning.supplies import SupplyNeeds
 
 PATIENCE = 8
 """After so many younger runs were let in before it, the oldest run of a bundle is protected: no
@@ -41,12 +43,13 @@ PRIORITY_WEIGHT = 10
 """So many runs of a higher priority, or of an urgent campaign, count as one: these go before age, but not for
 ever."""
 
-Kind = tuple[Any, ...]
 
-Turn = tuple[bool, float, float, float, int, int]
-"""Who goes first among runs of the same priority: runs of urgent campaigns (False), then by the share that
-the group has had, the user within it, then those that are due soonest, for which least has to be set up, then
-by age. The least goes first."""
+class Kind(msgspec.Struct, frozen=True):
+    """What decides whether the first steps of a bundle's runs are possible: ``starts``; and, where there may
+    be too little, ``needs``, what a run uses up in all with each of its plans."""
+
+    starts: tuple[Any, ...]
+    needs: tuple[SupplyNeeds, ...] = ()
 
 
 class WaitingRoom:
@@ -107,6 +110,10 @@ class WaitingRoom:
         bundle = self._enter(state, group)
         return bundle if len(self._classes[bundle]) == 1 else ""
 
+    def find_bundle(self, state: LabState, run: RunState) -> str:
+        """The bundle of a waiting run; empty if it is in none."""
+        return self._bundle_of.get(queue_key(state.runs.find_shape(run), run), "")
+
     def find_cell(self, bundle: str) -> str:
         """The workcell in which a bundle waits; empty for one that is gone."""
         return self._cell_of.get(bundle, "")
@@ -158,8 +165,7 @@ class WaitingRoom:
         return bundle in self._classes
 
     def find_kind(self, bundle: str) -> Kind:
-        """What decides whether the first steps of a bundle's runs are possible: bundles of one kind
-        have the same answer as long as nothing happens."""
+        """Bundles of one kind have the same answer as long as nothing happens."""
         return self._kinds[bundle]
 
     # -- who is next -------------------------------------------------------------------------
@@ -181,10 +187,6 @@ class WaitingRoom:
             for group in [group for group in groups if group not in queue]:
                 self._leave(group)
         return heads
-
-    def find_first(self, state: LabState, bundle: str, turn: Callable[[RunState], Turn]) -> RunState | None:
-        """Whose turn it is in a bundle."""
-        return min(self.list_heads(state, bundle), key=turn, default=None)
 
     def find_oldest(self, state: LabState, bundle: str) -> RunState | None:
         """Who has waited longest in a bundle."""
@@ -273,7 +275,10 @@ class WaitingRoom:
         self._cell_of[bundle] = cell
         self._in_cell.setdefault(cell, {})[bundle] = True
         self._oldest.pop(bundle, None)
-        self._kinds[bundle] = (*map(_encode_starts, plans), find_holds(run), *clocks, *stake)
+        self._kinds[bundle] = Kind(
+            (*map(_encode_starts, plans), find_holds(run), *clocks, *stake),
+            tuple(tuple(sum_by_supply(known.uses_up).items()) for known in plans),
+        )
         self._bundle_of[group] = bundle
         for owner in owners:
             self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True
@@ -325,10 +330,11 @@ def _list_booked(state: LabState, run: RunState, cell: str) -> str:
 
 
 def _encode_starts(plan: PlanState) -> bytes:
-    """What decides whether a run with this plan may start: its first steps, and what all steps use up."""
+    """What decides whether a run with this plan may start, besides what all its steps use up: the first
+    steps."""
     steps = [plan.plan.steps[index] for index in plan.starts]
     first = [(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps]
-    return msgspec.json.encode((first, plan.uses_up))
+    return msgspec.json.encode(first)
 
 
 def _list_stations(state: LabState, plan: Plan) -> frozenset[StationName]:

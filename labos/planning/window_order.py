@@ -148,7 +148,7 @@ class WindowOrders:
     ) -> bool:
         """See to it that the order of a workcell fits what is inside and waits (the first one first); returns
         whether it is another one. ``passed`` tells how often a run was passed over."""
-        if cell in state.suggestions.orders:
+        if state.suggestions.find(cell, now) is not None:
             self.drop(cell)
             return False
         inside = state.runs.list_inside(cell)

@@ -39,6 +39,7 @@ from labos.core.ids import ActionId, ModuleName
 from labos.core.interventions import InterventionRequested
 from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.texts import LONGEST_NAME, cut
 from labos.core.topics import PlannedWork
 from labos.errors import BusError, LabosError, StoreError, Unreadable
@@ -435,18 +436,6 @@ class Dispatcher:
 
 def make_start(event: ActionRequested, lab: str, position: int) -> Start:
     """The message to a node for a committed request."""
-    start = Start(
-        lab=lab,
-        epoch=event.epoch,
-        journal=event.journal,
-        action=event.action,
-        attempt=event.attempt,
-        position=position,
-        name=event.name,
-        args=event.args,
-        files=event.files,
-        effects=tuple(e for e in event.effects if isinstance(e, Carrying | Needs)),
-    )
-    if not event.together:
-        return start
-    return JointStart(**msgspec.structs.asdict(start), together=tuple(event.together))
+    effects = tuple(e for e in event.effects if isinstance(e, Carrying | Needs))
+    kind = JointStart if event.together else Start
+    return make_from(kind, event, lab=lab, position=position, effects=effects)

@@ -67,7 +67,7 @@ def list_campaign_histories(log: Log) -> dict[str, CampaignHistory]:
             histories[event.campaign].archived = isinstance(event, CampaignArchived)
         handler = HANDLERS.get(type(event))
         if handler is not None:
-            handler(folded, event, head.recorded_at)  # type: ignore[operator]
+            handler(folded, event, head.recorded_at)
         if isinstance(event, CampaignSubmitted):
             histories[event.campaign] = CampaignHistory(folded.open[event.campaign], event.visibility)
     return histories

@@ -62,6 +62,3 @@ def _show_about(seconds: float) -> str:
         return f"{max(1, round(seconds))} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
-
-
-__all__ = ["describe_due", "describe_margin"]

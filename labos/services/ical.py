@@ -58,6 +58,3 @@ def _make_event(state: LabState, booking: Booking) -> Event:
 
 def _to_datetime(at: int, zone: str) -> datetime:
     return datetime.fromtimestamp(at // 1_000_000_000, zone_or_utc(zone))
-
-
-__all__ = ["encode_ical"]

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import structlog
 from sqlalchemy import Connection, delete, insert, select, update
@@ -64,7 +63,7 @@ class SqlEventStore(LogReader):
             else:
                 with self._transaction() as connection:
                     row = connection.execute(_HEAD.with_for_update()).one()
-        return _make_head(row)
+        return Head(LabId(row.lab), row.position, row.hash, row.epoch, row.recorded_at)
 
     @property
     def known_position(self) -> int:
@@ -343,10 +342,6 @@ class SqlEventStore(LogReader):
             raise StoreUnavailable(
                 f"The {self.name} was opened for reading only.", remedy="Open it for writing."
             )
-
-
-def _make_head(row: Any) -> Head:
-    return Head(LabId(row.lab), row.position, row.hash, row.epoch, row.recorded_at)
 
 
 def rows_of(expected: Head, records: Sequence[Record]) -> list[Row]:

@@ -68,7 +68,7 @@ def read_words(connection: Connection, references: Iterable[str]) -> dict[str, K
 def read_all_words(connection: Connection, after: str, limit: int) -> list[StoredWords]:
     """The next words after a reference, in the order of their references."""
     query = select(words).where(words.c.reference > after).order_by(words.c.reference).limit(limit)
-    return [_make_stored(row) for row in connection.execute(query)]
+    return [StoredWords(_read_kept(row), row.position, row.erased_at) for row in connection.execute(query)]
 
 
 def read_words_by(connection: Connection, user: str) -> list[tuple[int, str]]:
@@ -92,10 +92,6 @@ def read_erased(connection: Connection) -> dict[str, int]:
 def row_of(each: StoredWords) -> Row:
     """The row for restored words."""
     return each.words.reference, each.position, each.words.salt, each.words.text, each.erased_at
-
-
-def _make_stored(row: Any) -> StoredWords:
-    return StoredWords(_read_kept(row), row.position, row.erased_at)
 
 
 def _read_kept(row: Any) -> Kept:

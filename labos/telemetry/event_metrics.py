@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -12,7 +12,6 @@ from labos.core import fold
 from labos.core import runs as r
 from labos.core.actions import (
     ActionEnd,
-    ActionEvent,
     ActionFailed,
     ActionReconciled,
     ActionRequested,
@@ -24,7 +23,7 @@ from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import WorkcellApplied
 from labos.core.modules import NodeJoined
 from labos.core.plans import PlanRecorded
-from labos.core.registry import TYPES
+from labos.core.registry import TYPES, list_handlers
 from labos.core.resources import ResourceConsumed
 from labos.core.state import LabState
 from labos.telemetry.bounded import BoundedNames
@@ -169,20 +168,7 @@ class EventMetrics(MetricGroup):
         self._drivers: dict[ModuleName, str] = {}
         self._busy: dict[ModuleName, _Busy] = {}
         self._questions: dict[InterventionId, tuple[str, int]] = {}
-        self._handlers: dict[type, Callable[[Any, int], None]] = {
-            PlanRecorded: self._on_plan,
-            WorkcellApplied: self._on_workcell,
-            NodeJoined: self._on_joined,
-            r.RunSubmitted: self._on_submitted,
-            r.RunStarted: self._on_started,
-            **dict.fromkeys(get_args(r.RunEnd), self._on_run_ended),
-            ActionRequested: self._on_requested,
-            **dict.fromkeys(get_args(ActionEnd), self._on_ended),
-            ActionUnknown: self._on_unknown,
-            ResourceConsumed: self._on_consumed,
-            InterventionRequested: self._on_asked,
-            InterventionResolved: self._on_answered,
-        }
+        self._handlers = list_handlers(vars(EventMetrics), None, "_on_")
 
     # -- called by the kernel ------------------------------------------------------------------
 
@@ -192,7 +178,7 @@ class EventMetrics(MetricGroup):
             self.events.add((event.TYPE,))
             handler = self._handlers.get(type(event))
             if handler is not None:
-                handler(event, entry.record.head.recorded_at)
+                handler(self, event, entry.record.head.recorded_at)
 
     def on_reopened(self) -> None:
         """Start again from the present state, because events of a commit in doubt were not reported."""
@@ -254,7 +240,7 @@ class EventMetrics(MetricGroup):
             self._open[event.action] = _Open(event.name, at, event.run, event.exclusive)
             self._take_up(event.module, at, event.exclusive)
 
-    def _on_ended(self, event: ActionEvent, at: int) -> None:
+    def _on_ended(self, event: ActionEnd, at: int) -> None:
         known = self._open.pop(event.action, None)
         if known is None:
             return

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -31,6 +31,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.ids import ActionId, RunId, local
+from labos.core.registry import list_handlers
 from labos.core.state import LabState
 
 if TYPE_CHECKING:
@@ -94,19 +95,7 @@ class SpanRecorder:
         self._lab = ""
         self._runs: dict[RunId, _OpenRun] = {}
         self._actions: dict[ActionId, _OpenAction] = {}
-        self._handlers: dict[type, Callable[[Any, int, int], None]] = {
-            r.RunSubmitted: self._on_submitted,
-            r.RunStarted: self._on_started,
-            **dict.fromkeys(get_args(r.RunEnd), self._on_run_ended),
-            ActionRequested: self._on_requested,
-            ActionAccepted: self._on_accepted,
-            ActionReported: self._on_reported,
-            ActionSucceeded: self._on_ended,
-            ActionFailed: self._on_ended,
-            ActionRejected: self._on_ended,
-            ActionUnknown: self._on_ended,
-            ActionReconciled: self._on_reconciled,
-        }
+        self._handlers = list_handlers(vars(SpanRecorder), None, "_on_", ("event", "at", "durable_at"))
 
     # -- called by the kernel ------------------------------------------------------------------
 
@@ -115,7 +104,7 @@ class SpanRecorder:
         for entry in entries:
             handler = self._handlers.get(type(entry.event))
             if handler is not None:
-                handler(entry.event, entry.record.head.recorded_at, durable_at)
+                handler(self, entry.event, entry.record.head.recorded_at, durable_at)
 
     def on_reopened(self) -> None:
         self.begin_with(self._state())
@@ -209,7 +198,12 @@ class SpanRecorder:
         if action is not None:
             action.device_ended_at = event.ended_ns
 
-    def _on_ended(self, event: ActionEvent, at: int, durable_at: int) -> None:
+    def _on_ended(
+        self,
+        event: ActionSucceeded | ActionFailed | ActionRejected | ActionUnknown,
+        at: int,
+        durable_at: int,
+    ) -> None:
         action = self._actions.pop(event.action, None)
         if action is None:
             return

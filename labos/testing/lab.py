@@ -20,7 +20,7 @@ from labos.core.modules import ModuleStatus
 from labos.core.runs import RunState
 from labos.core.state import LabState, hash_state
 from labos.planning.safety import Safety
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.services.truth import list_differences
 from labos.store import write_segment
 from labos.testing.faults import FaultRates, Faults
@@ -74,7 +74,7 @@ class SimulatedLab(People):
         stops: Sequence[tuple[str, float]] = (),
         still_s: float = 0.0,
         meddles: Sequence[Meddle] = (),
-        plan_with: Callable[[], Scheduler] = Scheduler,
+        plan_with: Callable[[], Scheduler] = make_searching_scheduler,
         make_faults: Callable[[FaultRates, random.Random], Faults] = Faults,
         pace: float = 1.0,
         lease_s: float = 1e9,

@@ -23,7 +23,7 @@ from labos.node.journal import Journal
 from labos.node.node import Node, Setup
 from labos.node.server import NodeServer
 from labos.node.world import World
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.ports import Bus
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel
@@ -78,7 +78,7 @@ class Conditions(msgspec.Struct, frozen=True):
 
     dead: Sequence[str] = ()
     mended: Mapping[str, float] = {}
-    plan_with: Callable[[], Scheduler] = Scheduler
+    plan_with: Callable[[], Scheduler] = make_searching_scheduler
     make_faults: Callable[[FaultRates, random.Random], Faults] = Faults
     pace: float = 1.0
     lease_s: float = 1e9

@@ -27,7 +27,7 @@ from labos.core.ids import ActionId, StationName, local
 from labos.core.model import ModuleSpec, Workcell
 from labos.core.state import LabState
 from labos.errors import StoreError
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.ports import EventStore, Head
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
@@ -152,7 +152,7 @@ def random_run(rng: random.Random, users: int = 20) -> SubmitRun:
 async def still_lab(
     seed: int = 0,
     dead: Sequence[str] = (),
-    plan_with: Callable[[], Scheduler] = Scheduler,
+    plan_with: Callable[[], Scheduler] = make_searching_scheduler,
     cell: Workcell | None = CELL.workcell,
 ) -> AsyncIterator[StillLab]:
     """A lab with one workcell, or with none (``cell=None``) for those who furnish it themselves."""

@@ -64,15 +64,6 @@ class Field(NamedTuple):
     def declared(self) -> str:
         return f"{self.parameter}: {self.type}" + (f" = {self.default}" if self.default is not None else "")
 
-    @property
-    def value(self) -> str:
-        """What of it is sent."""
-        if self.type == "bool" and self.place == "query":
-            return f"int({self.parameter})"
-        if self.is_empty_table:
-            return f"{self.parameter} or {{}}"
-        return self.parameter
-
 
 # -- types ---------------------------------------------------------------------------------------
 
@@ -183,36 +174,49 @@ def method_of(operation: Operation) -> str:
 
 def _write_call(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[str]]:
     method = operation.client
-    path = re.sub(r"\{(\w+)\}", r"{in_path(\1)}", operation.path)
-    # The name of a module may have a slash: `rpl/sealer`.
-    path = path.replace("in_path(module)", "in_path(module, 2)")
-    asked = [f'f"{path}"' if "{" in path else f'"{path}"']
-    said = {field.sent: field.value for field in fields if field.place in ("query", "body")}
-    said |= {name: repr(value) for name, value in method.fixed.items()}
+    left_out = [f"{field.parameter} = {field.parameter} or {{}}" for field in fields if field.is_empty_table]
     if operation.method == "GET":
-        asked += [f"{name}={value}" for name, value in said.items()]
-        ask = "_fetch" if operation.media != (JSON,) else "_get"
+        ask, asked = "_get" if operation.media == (JSON,) else "_fetch", list(_write_query(operation, fields))
     else:
-        asked.append("{" + ", ".join(f'"{name}": {value}' for name, value in said.items()) + "}")
-        asked += _options(method, fields)
-        ask = "_post"
+        options = _options(method, fields)
+        ask, asked = "_post", [f'"{operation.path}"', _write_said(operation, fields), *options]
     call = f"self.{ask}({', '.join(asked)})"
     if ask == "_fetch":
         return "bytes", [f"return {call}"]
     if method.take is None:
-        return "None", [call]
+        return "None", [*left_out, call]
     if not method.take:
-        return "dict[str, Any]", [f"return {call}"]
+        return "dict[str, Any]", [*left_out, f"return {call}"]
     kind = {f.encode_name: f.type for f in msgspec.structs.fields(operation.shape.answer)}[method.take]
     result = find_answer_type(kind)
-    return result, [f'return {call}["{method.take}"]']
+    return result, [*left_out, f'return {call}["{method.take}"]']
+
+
+def _write_query(operation: Operation, fields: Sequence[Field]) -> Iterator[str]:
+    """The path with its names, and what is asked for."""
+    path = re.sub(r"\{(\w+)\}", r"{in_path(\1)}", operation.path)
+    # The name of a module may have a slash: `rpl/sealer`.
+    path = path.replace("in_path(module)", "in_path(module, 2)")
+    yield f'f"{path}"' if "{" in path else f'"{path}"'
+    for field in fields:
+        if field.place == "query":
+            yield f"{field.sent}=" + (f"int({field.parameter})" if field.type == "bool" else field.parameter)
+    yield from (f"{name}={value!r}" for name, value in operation.client.fixed.items())
+
+
+def _write_said(operation: Operation, fields: Sequence[Field]) -> str:
+    """All that the method was told, by the names that it has in the request."""
+    fixed = [f'"{name}": {value!r}' for name, value in operation.client.fixed.items()]
+    if any(field.parameter != field.sent for field in fields):
+        return "{" + ", ".join([*(f'"{field.sent}": {field.parameter}' for field in fields), *fixed]) + "}"
+    return "locals()" + (f" | {{{', '.join(fixed)}}}" if fixed else "")
 
 
 def _options(method: Method, fields: Sequence[Field]) -> Iterator[str]:
     if method.key:
-        yield "request=" + ("request or self._ids.new()" if method.key == "given" else "self._ids.new()")
+        yield "once=True"
     if any(field.place == "user" for field in fields):
-        yield "user=user"
+        yield "as_user=True"
     if method.repeat:
         yield "repeat=True"
     if method.timeout_s is not None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from labos.core.decide.runs import SubmitRun
 from labos.core.state import LabState
 from labos.node.node import Node
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.spec import compile_workflow, parse_workcell, parse_workflow
 from labos.spec.workcell import CompiledWorkcell
 from labos.testing.faults import QUIET, FaultRates
@@ -63,7 +63,7 @@ class Corner:
         runs: Sequence[SubmitRun],
         seed: int,
         limit_s: float = 4 * 3600.0,
-        plan_with: Callable[[], Scheduler] = Scheduler,
+        plan_with: Callable[[], Scheduler] = make_searching_scheduler,
     ) -> tuple[list[str], list[str]]:
         """What crashes when the same runs go as far as they can, and where the log is wrong about it."""
         lab = SimulatedLab(self.stand, seed, QUIET, plan_with=plan_with)

@@ -13,7 +13,7 @@ from labos.core import binding, effects
 from labos.core.effects import Carrying
 from labos.core.ids import StationName
 from labos.core.waits import Wait
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET, FaultRates
@@ -93,7 +93,7 @@ def jobs() -> list[Job]:
 
 
 def laboratory(
-    seed: int, rates: FaultRates = QUIET, plan_with: Callable[[], Scheduler] = Scheduler
+    seed: int, rates: FaultRates = QUIET, plan_with: Callable[[], Scheduler] = make_searching_scheduler
 ) -> SimulatedLab:
     stock = tuple((s.station, s.labware, s.count) for s in STOCK)
     return SimulatedLab(Stand(CELL.workcell, stock, NODES), seed, rates, plan_with=plan_with)
@@ -112,7 +112,7 @@ def test_lids_come_off_and_on_and_nobody_works_on_them(rates: FaultRates, seeds:
             lab.close()
 
 
-def crashes(seed: int, plan_with: Callable[[], Scheduler] = Scheduler) -> list[str]:
+def crashes(seed: int, plan_with: Callable[[], Scheduler] = make_searching_scheduler) -> list[str]:
     """What went to pieces on the bench, whatever became of the runs."""
     lab = laboratory(seed, plan_with=plan_with)
     try:

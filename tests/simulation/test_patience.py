@@ -11,7 +11,7 @@ from labos.core.ids import RunId
 from labos.core.runs import RunCompleted, RunState, RunSubmitted
 from labos.core.state import LabState
 from labos.planning.patience import OvertakeCounts
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
 from labos.testing.faults import QUIET
@@ -80,5 +80,5 @@ steps:
 @pytest.mark.slow
 def test_a_plate_inside_is_overtaken_for_so_long_and_no_longer() -> None:
     # One may be at the reader when its turn has come, and one on its way there.
-    assert count_overtaken(Scheduler) <= PATIENCE + 2
+    assert count_overtaken(make_searching_scheduler) <= PATIENCE + 2
     assert count_overtaken(by_priority) >= YOUNGER - 2

@@ -16,7 +16,7 @@ from labos.core.topics import LateStep
 from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
-from labos.planning.scheduler import Scheduler
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.mixes import make_dosed_and_read, make_hurried, stand
@@ -41,7 +41,10 @@ def careless() -> Scheduler:
 
 
 def live_through(
-    jobs: list[Job], seed: int, rates: FaultRates = QUIET, plan_with: Callable[[], Scheduler] = Scheduler
+    jobs: list[Job],
+    seed: int,
+    rates: FaultRates = QUIET,
+    plan_with: Callable[[], Scheduler] = make_searching_scheduler,
 ) -> tuple[Counter[str], list[Event]]:
     """One seed to its end; the bench and the log agree in every plate. Counts events by type and
     keeps what was asked and how runs failed."""
@@ -147,7 +150,7 @@ def test_a_run_is_in_time_after_a_run_before_it(seeds: range) -> None:
     """The second run of an experiment waits twenty minutes from a step of the first; others want the
     reader meanwhile. It is in time only where room is kept for it."""
     late = Counter[str]()
-    for name, plan_with in (("reserved", Scheduler), ("careless", careless)):
+    for name, plan_with in (("reserved", make_searching_scheduler), ("careless", careless)):
         for seed in seeds:
             others = [job for job in make_hurried(seed) if "timed" not in job.runs[0].plan.workflow]
             jobs = [make_dosed_and_read("x", "ada", after_s=600.0), *others]

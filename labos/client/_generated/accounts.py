@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.client._calls import Calls, in_path
+from labos.client._calls import Calls
 
 
 class GeneratedAccounts(Calls):
@@ -18,10 +18,7 @@ class GeneratedAccounts(Calls):
         refused. ``user``: the user's id. ``password``: the password. ``label``: what the token is for.
         ``scope``: the highest role that the token allows. ``days``: the number of days for which the token is
         valid. Returns ``user``, ``until``, ``token``. Raises Refused."""
-        return self._post(
-            "/login",
-            {"user": user, "password": password, "label": label, "scope": scope, "days": days, "token": True},
-        )
+        return self._post("/login", locals() | {"token": True})
 
     def begin_sign_in(self, port: int, *, device: bool = False) -> dict[str, Any]:
         """Begin to sign in with an identity provider: get the address of its page. For a command line. The
@@ -30,7 +27,7 @@ class GeneratedAccounts(Calls):
         after ten minutes. ``port``: the local port to which the browser returns. ``device``: there is no
         browser on this computer: get a code for a browser elsewhere. Returns ``address``, ``state``, ``key``,
         ``code``, ``wait_s``. Raises NotFound, Refused."""
-        return self._post("/login/provider", {"port": port, "device": device})
+        return self._post("/login/provider", locals())
 
     def finish_sign_in(
         self,
@@ -52,24 +49,12 @@ class GeneratedAccounts(Calls):
         with which the browser returned. ``label``: what the token is for. ``scope``: the highest role that
         the token allows. ``days``: the number of days for which the token is valid; the lab may allow fewer.
         Returns ``user``, ``until``, ``token``, ``wait_s``. Raises NotFound, Refused."""
-        return self._post(
-            "/login/provider/finish",
-            {
-                "state": state,
-                "key": key,
-                "code": code,
-                "iss": iss,
-                "error": error,
-                "label": label,
-                "scope": scope,
-                "days": days,
-            },
-        )
+        return self._post("/login/provider/finish", locals())
 
     def sign_out(self) -> None:
         """Sign out. The session of the cookie ends, or the token of the request is revoked. Their open
         streams end too."""
-        self._post("/logout", {})
+        self._post("/logout", locals())
 
     def identity(self) -> dict[str, Any]:
         """Show the user who asks, and the user's rights. Returns ``user``, ``how``, ``scope``, ``kind``,
@@ -89,11 +74,11 @@ class GeneratedAccounts(Calls):
         ``scope``: the highest role that it allows. ``days``: the number of days for which it is valid.
         ``user``: the owner; only admins may name another user. Returns ``token``, ``secret``. Raises
         NotFound, Refused."""
-        return self._post("/tokens", {"label": label, "scope": scope, "days": days, "user": user})
+        return self._post("/tokens", locals())
 
     def revoke_token(self, token: str) -> None:
         """Revoke a token. The token is invalid from now on; streams that were opened with it end."""
-        self._post(f"/tokens/{in_path(token)}/revoke", {}, repeat=True)
+        self._post("/tokens/{token}/revoke", locals(), repeat=True)
 
     def people(self) -> list[dict[str, Any]]:
         """List the names of users."""
@@ -103,21 +88,21 @@ class GeneratedAccounts(Calls):
         """Change a user's password. All sessions of the user end; tokens stay. ``password``: the new
         password, at least 10 characters. ``present``: the present password; required from users who change
         their own."""
-        self._post(f"/users/{in_path(user)}/password", {"password": password, "present": present})
+        self._post("/users/{user}/password", locals())
 
     def set_person(self, user: str, *, name: str | None = None, mail: str | None = None) -> None:
         """Change the name and address of a user. They are stored beside the log, which contains only the ids
         of users. ``name``: the user's name. ``mail``: an address."""
-        self._post(f"/users/{in_path(user)}/person", {"name": name, "mail": mail}, repeat=True)
+        self._post("/users/{user}/person", locals(), repeat=True)
 
     def erase_person(self, user: str) -> None:
         """Erase a user's name, address and means of signing in. The name, the address, the password and all
         tokens and sessions are deleted. Events remain and contain the id. A further event records the
         erasure."""
-        self._post(f"/users/{in_path(user)}/erase", {}, repeat=True)
+        self._post("/users/{user}/erase", locals(), repeat=True)
 
     def link_identity(self, user: str, issuer: str, subject: str) -> None:
         """Link a user to an account at an identity provider. The account with this ``subject`` at the
         identity provider belongs to this user. ``issuer``: the identity provider, as
         ``https://login.example.org``. ``subject``: the provider's id of the user (the claim ``sub``)."""
-        self._post(f"/users/{in_path(user)}/identity", {"issuer": issuer, "subject": subject}, repeat=True)
+        self._post("/users/{user}/identity", locals(), repeat=True)

@@ -53,29 +53,13 @@ class GeneratedApprovals(Calls):
         limit. ``consumables``: the largest amounts, by kind of consumable. ``alike``: for a run of an
         experiment: further runs of its workflow there need no approval. Returns the digest. Raises
         Refused."""
-        return self._post(
-            f"/approvals/{in_path(subject)}/approve",
-            {
-                "by": by,
-                "digest": digest,
-                "comment": comment,
-                "priority": priority,
-                "deadline": deadline,
-                "runs": runs,
-                "lab_time_s": lab_time_s,
-                "consumables": consumables,
-                "alike": alike,
-            },
-            repeat=True,
-        )["digest"]
+        return self._post("/approvals/{subject}/approve", locals(), repeat=True)["digest"]
 
     def refuse(self, subject: str, by: str, *, comment: str = "") -> str:
         """Refuse a submission. The submission is cancelled. If it is a change of a campaign, the campaign
         continues unchanged. ``comment``: a reason or comment for the log. Returns the digest. Raises
         Refused."""
-        return self._post(
-            f"/approvals/{in_path(subject)}/refuse", {"by": by, "comment": comment}, repeat=True
-        )["digest"]
+        return self._post("/approvals/{subject}/refuse", locals(), repeat=True)["digest"]
 
     def policy(self) -> dict[str, Any]:
         """Show the policy: which submissions need an approval, and the highest priority. Returns ``applied``,

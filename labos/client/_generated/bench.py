@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labos.client._calls import Calls, in_path
+from labos.client._calls import Calls
 
 
 class GeneratedBench(Calls):
@@ -14,33 +14,26 @@ class GeneratedBench(Calls):
     def resolve(self, intervention: str, choice: str, by: str, note: str = "", result: Any = None) -> None:
         """Answer a question. ``choice``: the name of one of its answers. ``note``: a comment. ``result``: the
         measured result of the completed step; required if later steps read it. Raises Refused."""
-        self._post(
-            f"/interventions/{in_path(intervention)}",
-            {"choice": choice, "by": by, "note": note, "result": result},
-        )
+        self._post("/interventions/{intervention}", locals())
 
     def place(self, station: str, labware: str, by: str) -> str:
         """Report that labware was put on an empty station. ``station``: the station. ``labware``: its type.
         Returns the labware. Raises NotFound, Refused."""
-        return self._post("/stations/place", {"station": station, "labware": labware, "by": by})["labware"]
+        return self._post("/stations/place", locals())["labware"]
 
     def load(self, station: str, labware: str, by: str, *, count: int = 1, lot: str = "") -> list[str]:
         """Report that labware was loaded. The labware is on top of a stack, or in free slots. It is refused
         if the station does not accept it or has no room. ``station``: the station. ``labware``: its type.
         ``count``: the number of pieces; 1 if left out. ``lot``: their lot, which each piece keeps as its
         variable ``lot``. Returns the labware. Raises NotFound, Refused."""
-        return self._post(
-            "/stations/load", {"station": station, "labware": labware, "by": by, "count": count, "lot": lot}
-        )["labware"]
+        return self._post("/stations/load", locals())["labware"]
 
     def unload(self, station: str, by: str, *, labware: str = "", count: int | None = None) -> dict[str, Any]:
         """Report that labware was taken away. The labware has left the bench. It is refused for labware of a
         run or an experiment that has not ended. ``station``: the station. ``labware``: one piece, by its id
         or barcode. ``count``: or this number of pieces from the top; everything if neither is given. Returns
         ``labware``, ``nameless``. Raises NotFound, Refused."""
-        return self._post(
-            "/stations/unload", {"station": station, "by": by, "labware": labware, "count": count}
-        )
+        return self._post("/stations/unload", locals())
 
     def observe(self, station: str, what: str, by: str) -> dict[str, Any]:
         """Report what stands at a station. The report narrows down uncertain places. If it contradicts the
@@ -48,7 +41,7 @@ class GeneratedBench(Calls):
         ``station``: the station. ``what``: ``empty``, a number, labware by its id or barcode, or a labware
         type; left out: something. Returns ``station``, ``found``, ``gone``, ``uncertain``, ``answered``,
         ``asked``. Raises NotFound, Refused."""
-        return self._post("/stations/observe", {"station": station, "what": what, "by": by})
+        return self._post("/stations/observe", locals())
 
     def declare(
         self,
@@ -62,9 +55,8 @@ class GeneratedBench(Calls):
         declared, or none. ``stations``: types of labware by station. ``workcell``: the workcell for
         ``empty``, if the lab has several. ``empty``: all stations that were not reported are empty. Returns
         the declared. Raises NotFound, Refused."""
-        return self._post(
-            "/stations/declare", {"stations": stations or {}, "by": by, "workcell": workcell, "empty": empty}
-        )["declared"]
+        stations = stations or {}
+        return self._post("/stations/declare", locals())["declared"]
 
     def round(self) -> dict[str, Any]:
         """Show what has to be reported of the bench after the log lost its end. The evidence that the log has
@@ -88,32 +80,21 @@ class GeneratedBench(Calls):
         to top: ids, or types if the log has no id. ``as_recorded``: stations that are as recorded.
         ``finish``: ``true``: answer the intervention if no station is left. Returns ``said``, ``refused``,
         ``left``, ``answered``, ``why_not``."""
-        return self._post(
-            "/round",
-            {"by": by, "stations": stations or {}, "as_recorded": as_recorded, "finish": finish},
-            repeat=True,
-        )
+        stations = stations or {}
+        return self._post("/round", locals(), repeat=True)
 
     def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
         """Record the barcode of labware. It is refused if other labware on the bench has this barcode.
         ``barcode``: the text of the barcode. ``replace``: replace another barcode, because the label was
         changed. Raises Refused."""
-        self._post(
-            f"/labware/{in_path(labware)}/barcode",
-            {"barcode": barcode, "by": by, "replace": replace},
-            repeat=True,
-        )
+        self._post("/labware/{labware}/barcode", locals(), repeat=True)
 
     def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:
         """Give labware to another owner. It is refused while a run uses the labware, while it is being moved
         or processed, and if it does not belong to ``by``. ``to``: ``user:NAME``, ``experiment:E3`` or
         ``shared``. ``force``: for operators: the labware belongs to somebody else. ``note``: a reason or
         comment; required with ``force``. Raises Refused."""
-        self._post(
-            f"/labware/{in_path(labware)}/owner",
-            {"to": to, "by": by, "force": force, "note": note},
-            repeat=True,
-        )
+        self._post("/labware/{labware}/owner", locals(), repeat=True)
 
     def _register_sheet(
         self,
@@ -129,15 +110,4 @@ class GeneratedBench(Calls):
         lists the places of all faults. ``text``: the sheet, CSV. ``name``: the name of the sheet in error
         messages. ``labware``: the plate, if the sheet does not name it. ``station``: or where it stands.
         ``replace``: replace an earlier sheet. Returns the plates. Raises NotFound, Refused, BadInput."""
-        return self._post(
-            "/samples",
-            {
-                "text": text,
-                "by": by,
-                "name": name,
-                "labware": labware,
-                "station": station,
-                "replace": replace,
-            },
-            repeat=True,
-        )["plates"]
+        return self._post("/samples", locals(), repeat=True)["plates"]

@@ -42,23 +42,7 @@ class GeneratedBookings(Calls):
         ``force``: override bookings of others; only for admins. Returns ``id``, ``target``, ``begins_at``,
         ``ends_at``, ``user``, ``group``, ``maintenance``, ``why``, ``zone``, ``rule``, ``last_at``, ``by``,
         ``now``, ``next_begins_at``, ``next_ends_at``, ``skipped_at``, ``over``. Raises NotFound, Refused."""
-        return self._post(
-            "/bookings",
-            {
-                "target": target,
-                "begins_at": begins_at,
-                "ends_at": ends_at,
-                "by": by,
-                "whom": whom,
-                "maintenance": maintenance,
-                "why": why,
-                "zone": zone,
-                "rule": rule,
-                "last_at": last_at,
-                "force": force,
-            },
-            request=self._ids.new(),
-        )
+        return self._post("/bookings", locals(), once=True)
 
     def booking(self, booking: str) -> dict[str, Any]:
         """A booking. Returns ``id``, ``target``, ``begins_at``, ``ends_at``, ``user``, ``group``,
@@ -92,32 +76,13 @@ class GeneratedBookings(Calls):
         of others; only for admins. Returns ``id``, ``target``, ``begins_at``, ``ends_at``, ``user``,
         ``group``, ``maintenance``, ``why``, ``zone``, ``rule``, ``last_at``, ``by``, ``now``,
         ``next_begins_at``, ``next_ends_at``, ``skipped_at``, ``over``. Raises Refused."""
-        return self._post(
-            f"/bookings/{in_path(booking)}/change",
-            {
-                "by": by,
-                "begins_at": begins_at,
-                "ends_at": ends_at,
-                "whom": whom,
-                "maintenance": maintenance,
-                "why": why,
-                "zone": zone,
-                "rule": rule,
-                "last_at": last_at,
-                "force": force,
-            },
-            repeat=True,
-        )
+        return self._post("/bookings/{booking}/change", locals(), repeat=True)
 
     def cancel_booking(self, booking: str, by: str, *, begins_at: int = 0, why: str = "") -> None:
         """Cancel a booking, or one time of it. Everybody may then use that time, also if it has begun.
         ``begins_at``: for a repeated booking: cancel only the time that begins then (UTC nanoseconds).
         ``why``: the reason. Raises Refused."""
-        self._post(
-            f"/bookings/{in_path(booking)}/cancel",
-            {"by": by, "begins_at": begins_at, "why": why},
-            request=self._ids.new(),
-        )
+        self._post("/bookings/{booking}/cancel", locals(), once=True)
 
     def calendar(self, since: int = 0, until: int = 0, target: str = "") -> dict[str, Any]:
         """List the booked times. Each time of each booking, also of repeated ones. ``since``: the beginning

@@ -35,20 +35,8 @@ class GeneratedCampaigns(Calls):
         campaign file uses. ``dry_run``: only check it. ``propose``: wait for an approval, also if the policy
         does not require one. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused,
         BadInput."""
-        return self._post(
-            "/campaigns",
-            {
-                "text": text,
-                "workflow": workflow,
-                "user": user,
-                "name": name,
-                "files": files or {},
-                "dry_run": dry_run,
-                "propose": propose,
-            },
-            request=request or self._ids.new(),
-            timeout_s=900.0,
-        )
+        files = files or {}
+        return self._post("/campaigns", locals(), once=True, timeout_s=900.0)
 
     def campaign(self, campaign: str) -> dict[str, Any]:
         """Show the progress and the terms of a campaign that has not been completed. Returns ``id``,
@@ -60,18 +48,16 @@ class GeneratedCampaigns(Calls):
     def pause_campaign(self, campaign: str, by: str, *, why: str = "") -> None:
         """Pause a campaign: no further row is submitted. Its waiting runs are paused; runs that have started
         continue. ``why``: a reason or comment for the log. Raises Refused."""
-        self._post(f"/campaigns/{in_path(campaign)}/pause", {"by": by, "why": why}, repeat=True)
+        self._post("/campaigns/{campaign}/pause", locals(), repeat=True)
 
     def resume_campaign(self, campaign: str, by: str) -> None:
         """Resume a paused campaign. Raises Refused."""
-        self._post(f"/campaigns/{in_path(campaign)}/resume", {"by": by}, repeat=True)
+        self._post("/campaigns/{campaign}/resume", locals(), repeat=True)
 
     def cancel_campaign(self, campaign: str, by: str, *, why: str = "", stay: bool = False) -> None:
         """Cancel a campaign. No further row is submitted, and its runs are cancelled. ``why``: a reason or
         comment for the log. ``stay``: labware of its runs stays where it is. Raises Refused."""
-        self._post(
-            f"/campaigns/{in_path(campaign)}/cancel", {"by": by, "why": why, "stay": stay}, repeat=True
-        )
+        self._post("/campaigns/{campaign}/cancel", locals(), repeat=True)
 
     def _amend_campaign(
         self,
@@ -95,21 +81,7 @@ class GeneratedCampaigns(Calls):
         consumable. ``tags``: its tags; they replace the present ones. ``until``: the stop rule; empty for
         none. ``stop_after``: the number of failed runs at which the campaign stops; 0 for no limit. Returns
         ``campaign``, ``terms``, ``approval``. Raises Refused."""
-        return self._post(
-            f"/campaigns/{in_path(campaign)}/amend",
-            {
-                "by": by,
-                "priority": priority,
-                "deadline": deadline,
-                "runs": runs,
-                "lab_time_s": lab_time_s,
-                "consumables": consumables,
-                "tags": tags,
-                "until": until,
-                "stop_after": stop_after,
-            },
-            repeat=True,
-        )
+        return self._post("/campaigns/{campaign}/amend", locals(), repeat=True)
 
     def _clone_a_campaign(
         self,
@@ -141,31 +113,12 @@ class GeneratedCampaigns(Calls):
         the name of the new campaign; empty: the name of the original. ``visibility``: who sees it: lab, group
         or private. ``dry_run``: only check it. ``propose``: wait for an approval, also if the policy does not
         require one. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused, BadInput."""
-        return self._post(
-            f"/campaigns/{in_path(campaign)}/clone",
-            {
-                "by": by,
-                "priority": priority,
-                "deadline": deadline,
-                "runs": runs,
-                "lab_time_s": lab_time_s,
-                "consumables": consumables,
-                "tags": tags,
-                "until": until,
-                "stop_after": stop_after,
-                "name": name,
-                "visibility": visibility,
-                "dry_run": dry_run,
-                "propose": propose,
-            },
-            request=request or self._ids.new(),
-            timeout_s=900.0,
-        )
+        return self._post("/campaigns/{campaign}/clone", locals(), once=True, timeout_s=900.0)
 
     def archive_campaign(self, campaign: str, by: str, *, undo: bool = False) -> None:
         """Hide a campaign that has ended from lists. Nothing is deleted. ``undo``: show it in lists again.
         Raises NotFound, Refused."""
-        self._post(f"/campaigns/{in_path(campaign)}/archive", {"by": by, "undo": undo}, repeat=True)
+        self._post("/campaigns/{campaign}/archive", locals(), repeat=True)
 
     def shares(self) -> list[dict[str, Any]]:
         """Show each user's share of the lab, and the use so far. Returns the accounts."""

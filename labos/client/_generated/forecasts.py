@@ -40,22 +40,8 @@ class GeneratedForecasts(Calls):
         for an approval, also if the policy does not require one. ``due``: the time by which the run should
         end: a time, or a duration from now (``12h``); empty: none. Returns ``forecast``, ``warnings``. Raises
         NotFound, Refused, BadInput."""
-        return self._post(
-            "/runs/forecast",
-            {
-                "workflow": workflow,
-                "user": user,
-                "payload": payload or {},
-                "workcell": workcell,
-                "priority": priority,
-                "experiment": experiment,
-                "place": place,
-                "propose": propose,
-                "due": due,
-            },
-            repeat=True,
-            timeout_s=180.0,
-        )
+        payload = payload or {}
+        return self._post("/runs/forecast", locals(), repeat=True, timeout_s=180.0)
 
     def _forecast_campaign_file(
         self,
@@ -75,17 +61,5 @@ class GeneratedForecasts(Calls):
         the table file of the campaign, in base64, by the name that the campaign file uses. ``dry_run``: only
         check it. ``propose``: wait for an approval, also if the policy does not require one. Returns
         ``estimate``, ``forecast``. Raises NotFound, Refused, BadInput."""
-        return self._post(
-            "/campaigns/forecast",
-            {
-                "text": text,
-                "workflow": workflow,
-                "user": user,
-                "name": name,
-                "files": files or {},
-                "dry_run": dry_run,
-                "propose": propose,
-            },
-            repeat=True,
-            timeout_s=900.0,
-        )
+        files = files or {}
+        return self._post("/campaigns/forecast", locals(), repeat=True, timeout_s=900.0)

@@ -44,18 +44,14 @@ class GeneratedLab(Calls):
         workcell, or ``lab``. ``why``: for a pause or a cancellation: a reason for the log. ``stay``:
         ``true``: labware of the cancelled runs stays where it is. Returns ``kind``, ``target``, ``runs``,
         ``already``, ``noted``. Raises NotFound, Refused."""
-        return self._post(
-            "/control/pause", {"target": target, "by": by, "why": why, "stay": stay}, repeat=True
-        )
+        return self._post("/control/pause", locals(), repeat=True)
 
     def _resume_target(self, target: str, by: str, *, why: str = "", stay: bool = False) -> dict[str, Any]:
         """Resume a paused run, experiment, module, workcell or lab. ``target``: a run, an experiment, a
         module, a workcell, or ``lab``. ``why``: for a pause or a cancellation: a reason for the log.
         ``stay``: ``true``: labware of the cancelled runs stays where it is. Returns ``kind``, ``target``,
         ``runs``, ``already``, ``noted``. Raises NotFound, Refused."""
-        return self._post(
-            "/control/resume", {"target": target, "by": by, "why": why, "stay": stay}, repeat=True
-        )
+        return self._post("/control/resume", locals(), repeat=True)
 
     def _cancel_target(self, target: str, by: str, *, why: str = "", stay: bool = False) -> dict[str, Any]:
         """Cancel a run, an experiment, or the runs of a module, a workcell or the lab. With a module, the
@@ -65,9 +61,7 @@ class GeneratedLab(Calls):
         workcell, or ``lab``. ``why``: for a pause or a cancellation: a reason for the log. ``stay``:
         ``true``: labware of the cancelled runs stays where it is. Returns ``kind``, ``target``, ``runs``,
         ``already``, ``noted``. Raises NotFound, Refused."""
-        return self._post(
-            "/control/cancel", {"target": target, "by": by, "why": why, "stay": stay}, repeat=True
-        )
+        return self._post("/control/cancel", locals(), repeat=True)
 
     def emergency_stop(self, target: str, by: str = "somebody") -> dict[str, Any]:
         """Stop modules at once, in an emergency. The stop does not wait for the log; it is logged afterwards.
@@ -75,4 +69,4 @@ class GeneratedLab(Calls):
         nanoseconds); ``silent`` are the others. A stopped module is in the state ERROR until a run of its
         action ``reset``, which ``labos reset`` submits. ``target``: a module, a workcell, or ``*`` for
         everything. Returns ``stopped``, ``silent``. Raises NotFound."""
-        return self._post("/estop", {"target": target, "by": by}, repeat=True, timeout_s=5.0)
+        return self._post("/estop", locals(), repeat=True, timeout_s=5.0)

@@ -15,17 +15,19 @@ class GeneratedModules(Calls):
         """Take a module out of service. Actions under way continue to their end; nothing more starts there.
         ``why``: the reason. ``until_ns``: the time at which it is in service again (UTC nanoseconds); 0: when
         a person puts it back. Raises Refused."""
-        self._post(f"/modules/{in_path(module, 2)}/out-of-service", {"why": why, "by": by, "until": until_ns})
+        self._post(
+            "/modules/{module}/out-of-service", {"module": module, "why": why, "by": by, "until": until_ns}
+        )
 
     def put_back(self, module: str, by: str = "somebody") -> None:
         """Put a module back in service. Raises Refused."""
-        self._post(f"/modules/{in_path(module, 2)}/in-service", {"by": by}, repeat=True)
+        self._post("/modules/{module}/in-service", locals(), repeat=True)
 
     def trace(self, module: str, by: str = "somebody", *, on: bool = True) -> str:
         """Start or stop the transcript of a device's links. The module's node records every byte on the links
         to its device, or stops doing so ([links](../links.md)). ``on``: true or left out: start a transcript
         in a new file; false: stop it. Returns the file. Raises Refused."""
-        return self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)["file"]
+        return self._post("/modules/{module}/trace", locals(), repeat=True)["file"]
 
     def replenish(
         self,
@@ -44,18 +46,7 @@ class GeneratedModules(Calls):
         is room for. ``unit``: the unit of the amount, such as ``mL``; the unit of the resource if left out.
         ``lot``: the lot of the new pack. ``expires``: the expiry date, such as ``2027-05-31``. ``instead``:
         the rest of the old packs was taken out; ``false`` if left out. Returns the amount. Raises Refused."""
-        return self._post(
-            f"/modules/{in_path(module, 2)}/replenish",
-            {
-                "resource": resource,
-                "by": by,
-                "amount": amount,
-                "unit": unit,
-                "lot": lot,
-                "expires": expires,
-                "instead": instead,
-            },
-        )["amount"]
+        return self._post("/modules/{module}/replenish", locals())["amount"]
 
     def locations(self, module: str) -> dict[str, dict[str, Any]]:
         """Show the poses of a manipulator by station. Version 0 is the pose of the workcell file. Poses for
@@ -76,11 +67,7 @@ class GeneratedModules(Calls):
         station. ``pose``: the numbers of the pose, as many as in the present pose. ``why``: a comment for the
         log. ``labware_type``: the pose is only for labware of this type; the station needs a pose for all
         types first. Returns the version. Raises Refused."""
-        return self._post(
-            f"/modules/{in_path(module, 2)}/locations",
-            {"station": station, "pose": pose, "by": by, "why": why, "labware_type": labware_type},
-            repeat=True,
-        )["version"]
+        return self._post("/modules/{module}/locations", locals(), repeat=True)["version"]
 
     def calibrate(
         self,
@@ -99,18 +86,7 @@ class GeneratedModules(Calls):
         ``certificate``: the certificate's number. ``report``: the report, in base64; kept with the lab's
         files. ``until``: the last day on which it is valid, such as ``2027-01-01`` (UTC). ``why``: a comment
         for the log. Returns ``module``, ``what``, ``certificate``, ``file``, ``until``. Raises Refused."""
-        return self._post(
-            f"/modules/{in_path(module, 2)}/calibrations",
-            {
-                "by": by,
-                "what": what,
-                "certificate": certificate,
-                "report": report,
-                "until": until,
-                "why": why,
-            },
-            request=self._ids.new(),
-        )
+        return self._post("/modules/{module}/calibrations", locals(), once=True)
 
     def _change_workcell(
         self,
@@ -132,27 +108,16 @@ class GeneratedModules(Calls):
         it uses. ``files``: the other files that it names: tables of drivers (``plc: hatch.yaml``). Returns
         ``workcell``, ``applied``, ``modules``, ``stations``, ``poses``, ``labware``, ``blockers``,
         ``details``, ``findings``, ``transfers``. Raises Refused, BadInput."""
-        return self._post(
-            "/workcells",
-            {
-                "text": text,
-                "by": by,
-                "name": name,
-                "dry_run": dry_run,
-                "labware": labware or {},
-                "files": files or {},
-            },
-            repeat=True,
-        )
+        labware = labware or {}
+        files = files or {}
+        return self._post("/workcells", locals(), repeat=True)
 
     def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
         """Request access to a workcell. Nothing more starts there. ``lab.access`` in the state shows when
         access is ``granted``, and which modules may still be moving because the outcome of their action is
         unknown (``perhaps_moving``). ``why``: what for. ``park``: false: arms stay where they are. Returns
         the parking. Raises Refused."""
-        return self._post(
-            f"/workcells/{in_path(workcell)}/access", {"by": by, "why": why, "park": park}, repeat=True
-        )["parking"]
+        return self._post("/workcells/{workcell}/access", locals(), repeat=True)["parking"]
 
     def _end_workcell_access(
         self, workcell: str, by: str, *, note: str = "", changed: Sequence[Mapping[str, Any]] = ()
@@ -160,4 +125,4 @@ class GeneratedModules(Calls):
         """End the access to a workcell. No person works in the workcell any more, and it continues. ``note``:
         a comment for the log. ``changed``: the stations that were changed, and what stands there now. Raises
         Refused."""
-        self._post(f"/workcells/{in_path(workcell)}/access/end", {"by": by, "note": note, "changed": changed})
+        self._post("/workcells/{workcell}/access/end", locals())

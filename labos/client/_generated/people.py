@@ -23,7 +23,7 @@ class GeneratedPeople(Calls):
         permanently. ``kind``: ``person``, or ``service`` for a program or an agent. ``role``: the first role;
         the first user of a lab is admin in any case. ``scope``: a workcell, or ``*`` for the whole lab.
         Raises Refused."""
-        self._post("/users", {"user": user, "by": by, "kind": kind, "role": role, "scope": scope})
+        self._post("/users", locals())
 
     def user(self, user: str) -> dict[str, Any]:
         """Show a user and the user's roles. Returns ``id``, ``kind``, ``disabled``, ``since``, ``group``,
@@ -33,11 +33,11 @@ class GeneratedPeople(Calls):
     def disable_user(self, user: str, by: str) -> None:
         """Disable a user. The user may no longer do anything. The user's runs continue; the user's campaigns
         are paused. Raises Refused."""
-        self._post(f"/users/{in_path(user)}/disable", {"by": by}, repeat=True)
+        self._post("/users/{user}/disable", locals(), repeat=True)
 
     def enable_user(self, user: str, by: str) -> None:
         """Enable a disabled user. Raises Refused."""
-        self._post(f"/users/{in_path(user)}/enable", {"by": by}, repeat=True)
+        self._post("/users/{user}/enable", locals(), repeat=True)
 
     def groups(self) -> list[dict[str, Any]]:
         """Groups, their members and their roles."""
@@ -46,28 +46,28 @@ class GeneratedPeople(Calls):
     def add_group(self, group: str, by: str) -> None:
         """Add a group. The group has weight 1; a shares file may set another weight. ``group``: its name.
         Raises Refused."""
-        self._post("/groups", {"group": group, "by": by})
+        self._post("/groups", locals())
 
     def remove_group(self, group: str, by: str) -> None:
         """Remove a group. Its members are then in no group, and its roles are removed. The answer lists the
         remaining groups. Raises Refused."""
-        self._post(f"/groups/{in_path(group)}/remove", {"by": by})
+        self._post("/groups/{group}/remove", locals())
 
     def add_member(self, group: str, user: str, by: str) -> None:
         """Add a user to a group. A user can be in only one group. ``user``: a user's id. Raises Refused."""
-        self._post(f"/groups/{in_path(group)}/members", {"user": user, "by": by}, repeat=True)
+        self._post("/groups/{group}/members", locals(), repeat=True)
 
     def remove_member(self, group: str, user: str, by: str) -> None:
         """Take a user out of a group. ``user``: a user's id. Raises Refused."""
-        self._post(f"/groups/{in_path(group)}/members/remove", {"user": user, "by": by}, repeat=True)
+        self._post("/groups/{group}/members/remove", locals(), repeat=True)
 
     def grant_role(self, subject: str, role: str, by: str, *, scope: str = "*") -> None:
         """Give a user or a group a role. It replaces the role that the user or group has there. ``subject``:
         ``user:ID`` or ``group:NAME``. ``role``: ``viewer``, ``submitter``, ``operator`` or ``admin``.
         ``scope``: a workcell, or ``*`` for the whole lab. Raises Refused."""
-        self._post("/roles/grant", {"subject": subject, "role": role, "by": by, "scope": scope}, repeat=True)
+        self._post("/roles/grant", locals(), repeat=True)
 
     def revoke_role(self, subject: str, by: str, *, scope: str = "*") -> None:
         """Take a role away. A user without a role may only look. ``subject``: ``user:ID`` or ``group:NAME``.
         ``scope``: a workcell, or ``*`` for the whole lab. Raises Refused."""
-        self._post("/roles/revoke", {"subject": subject, "by": by, "scope": scope}, repeat=True)
+        self._post("/roles/revoke", locals(), repeat=True)

@@ -30,11 +30,7 @@ class GeneratedPlanning(Calls):
         the steps, in any order; none: withdraw the suggestion. ``until``: the time until which it is valid
         (UTC ns). ``position``: the position of the log from which it was computed. Returns the steps. Raises
         NotFound, Refused."""
-        return self._post(
-            f"/workcells/{in_path(workcell)}/order",
-            {"steps": steps, "until": until, "position": position, "by": by},
-            repeat=True,
-        )["steps"]
+        return self._post("/workcells/{workcell}/order", locals(), repeat=True)["steps"]
 
     def _check_run(
         self,
@@ -58,18 +54,5 @@ class GeneratedPlanning(Calls):
         not require one. ``due``: the time by which the run should end: a time, or a duration from now
         (``12h``); empty: none. Returns ``workflow``, ``workcell``, ``steps``, ``demand``, ``approval``,
         ``refusal``, ``warnings``. Raises NotFound, Refused, BadInput."""
-        return self._post(
-            "/runs/check",
-            {
-                "workflow": workflow,
-                "user": user,
-                "payload": payload or {},
-                "workcell": workcell,
-                "priority": priority,
-                "experiment": experiment,
-                "place": place,
-                "propose": propose,
-                "due": due,
-            },
-            repeat=True,
-        )
+        payload = payload or {}
+        return self._post("/runs/check", locals(), repeat=True)

@@ -43,21 +43,8 @@ class GeneratedRuns(Calls):
         ``propose``: wait for an approval, also if the policy does not require one. ``due``: the time by which
         the run should end: a time, or a duration from now (``12h``); empty: none. Returns ``run``,
         ``warnings``, ``approval``. Raises NotFound, Refused, BadInput."""
-        return self._post(
-            "/runs",
-            {
-                "workflow": workflow,
-                "user": user,
-                "payload": payload or {},
-                "workcell": workcell,
-                "priority": priority,
-                "experiment": experiment,
-                "place": place,
-                "propose": propose,
-                "due": due,
-            },
-            request=request or self._ids.new(),
-        )
+        payload = payload or {}
+        return self._post("/runs", locals(), once=True)
 
     def _submit_runs(
         self,
@@ -89,24 +76,7 @@ class GeneratedRuns(Calls):
         that it has; left out: all of them. ``first``: the number of payloads sent before these; error
         messages count them too. Returns ``runs``, ``warnings``, ``approvals``. Raises NotFound, Refused,
         BadInput."""
-        return self._post(
-            "/runs/batch",
-            {
-                "workflow": workflow,
-                "payloads": payloads,
-                "user": user,
-                "workcell": workcell,
-                "priority": priority,
-                "experiment": experiment,
-                "place": place,
-                "propose": propose,
-                "due": due,
-                "keys": keys,
-                "files": files,
-                "first": first,
-            },
-            request=request or self._ids.new(),
-        )
+        return self._post("/runs/batch", locals(), once=True)
 
     def _get_run(self, run: str, *, wait: float = 0.0) -> dict[str, Any]:
         """Show a run with its steps, or its end. ``wait``: seconds to wait for its end. Returns ``id``,
@@ -119,15 +89,15 @@ class GeneratedRuns(Calls):
         under ``on_cancel``, they then clear its labware away (the status is ``leaving`` during that time);
         otherwise the labware stays where it is. ``stay``: labware stays where it is, even if the workflow has
         steps under ``on_cancel``. ``why``: a reason or comment for the log. Raises Refused."""
-        self._post(f"/runs/{in_path(run)}/cancel", {"by": by, "stay": stay, "why": why}, repeat=True)
+        self._post("/runs/{run}/cancel", locals(), repeat=True)
 
     def pause(self, run: str, by: str = "somebody", *, why: str = "") -> None:
         """Pause a run: no further step starts. ``why``: a reason or comment for the log. Raises Refused."""
-        self._post(f"/runs/{in_path(run)}/pause", {"by": by, "why": why}, repeat=True)
+        self._post("/runs/{run}/pause", locals(), repeat=True)
 
     def resume(self, run: str, by: str = "somebody") -> None:
         """Resume a paused run. Raises Refused."""
-        self._post(f"/runs/{in_path(run)}/resume", {"by": by}, repeat=True)
+        self._post("/runs/{run}/resume", locals(), repeat=True)
 
     def _start_experiment(
         self,
@@ -151,31 +121,19 @@ class GeneratedRuns(Calls):
         ``payload``: values for the closing workflow. ``workcell``: needed if the lab has several.
         ``priority``: of its runs; 0. ``propose``: wait for an approval, also if the policy does not require
         one. Returns ``experiment``, ``approval``. Raises NotFound, Refused, BadInput."""
-        return self._post(
-            "/experiments",
-            {
-                "name": name,
-                "user": user,
-                "closing": closing,
-                "parking": parking,
-                "payload": payload or {},
-                "workcell": workcell,
-                "priority": priority,
-                "propose": propose,
-            },
-            request=request or self._ids.new(),
-        )
+        payload = payload or {}
+        return self._post("/experiments", locals(), once=True)
 
     def resume_experiment(self, experiment: str, name: str, user: str = "") -> None:
         """Resume an experiment. The application was started again and continues its experiment. A question
         whether the experiment should be closed, because its application was silent, is withdrawn. ``name``:
         the experiment's name, as it was started. Raises Refused."""
-        self._post(f"/experiments/{in_path(experiment)}/resume", {"name": name}, user=user, repeat=True)
+        self._post("/experiments/{experiment}/resume", locals(), as_user=True, repeat=True)
 
     def end_experiment(self, experiment: str, why: str = "ended", user: str = "") -> None:
         """End an experiment. The application has ended. A repeated request has no further effect. ``why``: a
         comment. Raises Refused."""
-        self._post(f"/experiments/{in_path(experiment)}/end", {"why": why}, user=user, repeat=True)
+        self._post("/experiments/{experiment}/end", locals(), as_user=True, repeat=True)
 
     def note(
         self,
@@ -191,20 +149,15 @@ class GeneratedRuns(Calls):
         ``compute`` and the like, as events.md says. ``name``: its name. ``facts``: a table of anything.
         ``key``: identifies the call in the application; a second note with the same key is ignored. Raises
         Refused."""
-        self._post(
-            f"/experiments/{in_path(experiment)}/notes",
-            {"kind": kind, "name": name, "facts": facts or {}, "key": key},
-            user=user,
-        )
+        facts = facts or {}
+        self._post("/experiments/{experiment}/notes", locals(), as_user=True)
 
     def keep_file(self, experiment: str, content: bytes, user: str = "") -> str:
         """Store a file of an experiment. Stores a file of an experiment that has not ended, such as the
         result of a computation. ``/files/{sha256}`` returns it. A repeated request has no further effect.
         ``content``: the file, in base64. Returns the sha256. Raises NotFound."""
-        return self._post(
-            f"/experiments/{in_path(experiment)}/files", {"content": content}, user=user, repeat=True
-        )["sha256"]
+        return self._post("/experiments/{experiment}/files", locals(), as_user=True, repeat=True)["sha256"]
 
     def heartbeat(self, experiment: str, user: str = "") -> None:
         """Report that the application is running. The application is running."""
-        self._post(f"/experiments/{in_path(experiment)}/heartbeat", {}, user=user, repeat=True)
+        self._post("/experiments/{experiment}/heartbeat", locals(), as_user=True, repeat=True)

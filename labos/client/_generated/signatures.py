@@ -17,11 +17,7 @@ class GeneratedSignatures(Calls):
         ``why``: a comment, for the log. Returns ``subject``, ``kind``, ``run``, ``by``, ``meaning``, ``why``,
         ``method``, ``at``, ``time``, ``position``, ``runs``, ``records``, ``digest``, ``holds``. Raises
         NotFound, Refused."""
-        return self._post(
-            f"/runs/{in_path(run)}/signatures",
-            {"meaning": meaning, "password": password, "why": why},
-            repeat=True,
-        )
+        return self._post("/runs/{run}/signatures", locals(), repeat=True)
 
     def signatures(self, run: str) -> list[dict[str, Any]]:
         """List the signatures for the record of a run. They are in the order of the log. ``holds``: the
@@ -36,11 +32,7 @@ class GeneratedSignatures(Calls):
         ``reviewed``, ``approved`` or ``rejected``. ``password``: the user's password. ``why``: a comment, for
         the log. Returns ``subject``, ``kind``, ``run``, ``by``, ``meaning``, ``why``, ``method``, ``at``,
         ``time``, ``position``, ``runs``, ``records``, ``digest``, ``holds``. Raises NotFound, Refused."""
-        return self._post(
-            f"/experiments/{in_path(experiment)}/signatures",
-            {"meaning": meaning, "password": password, "why": why},
-            repeat=True,
-        )
+        return self._post("/experiments/{experiment}/signatures", locals(), repeat=True)
 
     def experiment_signatures(self, experiment: str) -> list[dict[str, Any]]:
         """List the signatures for the record of an experiment. They are in the order of the log. ``holds``:
@@ -53,11 +45,7 @@ class GeneratedSignatures(Calls):
         ``approved`` or ``rejected``. ``password``: the user's password. ``why``: a comment, for the log.
         Returns ``subject``, ``kind``, ``run``, ``by``, ``meaning``, ``why``, ``method``, ``at``, ``time``,
         ``position``, ``runs``, ``records``, ``digest``, ``holds``. Raises NotFound, Refused."""
-        return self._post(
-            f"/campaigns/{in_path(campaign)}/signatures",
-            {"meaning": meaning, "password": password, "why": why},
-            repeat=True,
-        )
+        return self._post("/campaigns/{campaign}/signatures", locals(), repeat=True)
 
     def campaign_signatures(self, campaign: str) -> list[dict[str, Any]]:
         """List the signatures for the record of a campaign. They are in the order of the log. ``holds``: the

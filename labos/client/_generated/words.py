@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from labos.client._calls import Calls, in_path
+from labos.client._calls import Calls
 
 
 class GeneratedWords(Calls):
@@ -28,15 +28,15 @@ class GeneratedWords(Calls):
         ``records``: positions of the events whose words are erased. ``user``: erase the words of all events
         of this user. Returns ``erasure``, ``erased``, ``records``, ``position``, ``left``. Raises NotFound,
         Refused."""
-        return self._post("/words/erasures", {"because": because, "by": by, "records": records, "user": user})
+        return self._post("/words/erasures", locals())
 
     def approve_erasure(self, erasure: str, by: str) -> dict[str, Any]:
         """Agree to an erasure, as the second person. The user who asked for the erasure cannot agree to it.
         The present words at these events are erased. Returns ``erasure``, ``erased``, ``records``,
         ``position``, ``left``. Raises Refused."""
-        return self._post(f"/words/erasures/{in_path(erasure)}/approve", {"by": by})
+        return self._post("/words/erasures/{erasure}/approve", locals())
 
     def refuse_erasure(self, erasure: str, by: str) -> str:
         """Refuse an erasure that waits for a second person. Nothing is erased. The user who asked can
         withdraw the request in this way. Raises Refused."""
-        return self._post(f"/words/erasures/{in_path(erasure)}/refuse", {"by": by}, repeat=True)["erasure"]
+        return self._post("/words/erasures/{erasure}/refuse", locals(), repeat=True)["erasure"]

@@ -58,6 +58,7 @@ from labos.core.rules import examine, find_end_by
 from labos.core.runs import RunStarted, RunState, RunStatus, find_results
 from labos.core.shelves import expand_hotels
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import LateResult
 from labos.core.waits import Wait
 from labos.core.watching import list_watched
@@ -308,15 +309,7 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     # A recovery waits for no change of the module's status: it would be tried again without end.
     final = command.final or _is_recovery(state, action)
     events: list[Event] = [
-        ActionRejected(
-            action.id,
-            action.run,
-            action.step,
-            action.module,
-            action.attempt,
-            command.why,
-            final,
-        ),
+        make_from(ActionRejected, action, action=action.id, why=command.why, final=final),
         *put_back_in_place(state, action),
     ]
     if not final and state.modules.by_name[action.module].status == ModuleStatus.IDLE:
@@ -426,25 +419,9 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
     run = state.runs.active.get(action.run)
     if run is not None and run.status == RunStatus.CANCELLING:
         why = "the run was being cancelled and the attempt had not begun"
-        ids = (action.id, action.run, action.step, action.module, action.attempt)
-        return [ActionRejected(*ids, why, False)]
-    return [
-        ActionRequested(
-            action=action.id,
-            run=action.run,
-            step=action.step,
-            module=action.module,
-            attempt=action.attempt + 1,
-            epoch=state.lab.epoch,
-            journal=command.journal,
-            name=action.name,
-            args=action.args,
-            effects=action.effects,
-            exclusive=action.exclusive,
-            files=action.files,
-            together=action.together,
-        )
-    ]
+        return [make_from(ActionRejected, action, action=action.id, why=why, final=False)]
+    attempt = {"attempt": action.attempt + 1, "epoch": state.lab.epoch, "journal": command.journal}
+    return [make_from(ActionRequested, action, action=action.id, **attempt)]
 
 
 @decides(DoubtAction)

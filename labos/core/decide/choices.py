@@ -67,6 +67,3 @@ def compare_plans(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
                 "Name the `module:` of transfers between modules that are chosen.",
             )
     return None
-
-
-__all__ = ["MOST_PLANS", "BindAnew", "bind", "bind_other_plan", "can_change_to", "compare_plans"]

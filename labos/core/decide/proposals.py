@@ -268,12 +268,3 @@ def withdraw_approval_question(
     subject = event.campaign if hasattr(event, "campaign") else event.experiment
     for question in _list_questions(state, subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it has ended")
-
-
-__all__ = [
-    "ApproveProposal",
-    "RefuseProposal",
-    "answer_question",
-    "ask_for_approval",
-    "withdraw_approval_question",
-]

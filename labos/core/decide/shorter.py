@@ -93,13 +93,9 @@ def record_shorter_log(
     if state.shorter.evidence.get(evidence) == knows:
         return []
     events: list[Event] = [LogFoundShorter(evidence, knows, known, ended, workcell)]
-    if not _is_asked(state):
+    if not state.interventions.open_about(ShorterLog):
         events.append(_ask_for_round(state, evidence, knows, ended))
     return events
-
-
-def _is_asked(state: LabState) -> bool:
-    return bool(state.interventions.open_about(ShorterLog))
 
 
 def _ask_for_round(state: LabState, evidence: str, knows: str, ended: int) -> Event:
@@ -283,17 +279,13 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
         wrong = (
             wrong
             or refuse_hotel(state, name)
-            or _refuse_at_work(state, _say_as_recorded(state, name, command.by))
+            or _refuse_at_work(state, SayContents(name, command.by, tuple(list_recorded(state, name))))
         )
     if wrong:
         return wrong
     names = [name for name in dict.fromkeys(command.stations) if name not in state.shorter.said]
     steps = range(0, len(names), STATIONS_PER_EVENT)
     return [StationsChecked(tuple(names[first : first + STATIONS_PER_EVENT]), command.by) for first in steps]
-
-
-def _say_as_recorded(state: LabState, name: StationName, by: str) -> SayContents:
-    return SayContents(name, by, tuple(list_recorded(state, name)))
 
 
 def _refuse_without_round(state: LabState) -> Rejection | None:

@@ -85,6 +85,3 @@ def find_planned_wish(plan: Plan, step: PlanStep) -> bytes | None:
 def _list_files(plan: Plan, args: Mapping[str, Any]) -> dict[str, str]:
     named = [value for value in args.values() if isinstance(value, str)]
     return {name: digest for name, digest in plan.files.items() if name in named}
-
-
-__all__ = ["StartTogether", "find_planned_wish", "find_wish"]

@@ -197,15 +197,8 @@ async def approve_proposal(call: Call, path: OfProposal, body: ApprovalTerms) ->
     submitting user. A program cannot approve."""
     proposal = _find_proposal(call, path)
     priority, terms = _read_changes(call, proposal, body)
-    command = ApproveProposal(
-        subject=proposal.subject,
-        digest=body.digest,
-        by=body.by,
-        why=body.comment,
-        alike=body.alike,
-        priority=priority,
-        terms=terms,
-    )
+    changes = {"priority": priority, "terms": terms}
+    command = make_from(ApproveProposal, body, subject=proposal.subject, why=body.comment, **changes)
     digest = proposal.digest
     await call.kernel.execute(command, body.by)
     return ProposalAnswer(proposal.subject, digest)
@@ -215,13 +208,7 @@ def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[
     """The changes that the operator makes to the requested terms. Raises BadInput."""
     if proposal.kind in ("run", "experiment") and (body.deadline, body.runs, body.lab_time_s) == (None,) * 3:
         return body.priority, None
-    wanted = Amendment(
-        priority=body.priority,
-        deadline=body.deadline,
-        runs=body.runs,
-        lab_time_s=body.lab_time_s,
-        consumables=body.consumables,
-    )
+    wanted = make_from(Amendment, body)
     asked = _find_terms(call.kernel.state, proposal) or Terms()
     terms = amend_terms(asked, wanted, call.kernel.clock.now_ns())
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None

@@ -181,7 +181,7 @@ class SuggestedOrder(msgspec.Struct, frozen=True):
 async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
     """It replaces the previous suggestion. Steps of ended runs are ignored. A suggestion never starts a step
     that could not start without it."""
-    steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
+    steps = tuple(Suggested(RunId(one.run), one.step, one.start, one.outside) for one in body.steps)
     asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
     events = await call.kernel.execute(asked, body.by)
     return StepsLeft(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))

@@ -72,7 +72,7 @@ _DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": 
 )
 async def list_erasures(call: Call) -> Erasures:
     waiting = call.kernel.state.erasures.open
-    found = Erasures([_make_view(name, each) for name, each in waiting.items()])
+    found = Erasures([make_from(ErasureView, each, erasure=name) for name, each in waiting.items()])
     await call.kernel.flush()
     return found
 
@@ -132,10 +132,6 @@ def _find_erasure(call: Call, name: str) -> Erasure:
     if found is None:
         raise NotFound(f"No erasure {name!r} waits for a second person.", remedy="List them: labos erase")
     return found
-
-
-def _make_view(name: str, asked: Erasure) -> ErasureView:
-    return make_from(ErasureView, asked, erasure=name)
 
 
 OPERATIONS = list_operations(globals(), "log")

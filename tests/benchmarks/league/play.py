@@ -73,8 +73,9 @@ class Outcome(msgspec.Struct):
 
 
 class Player:
-    """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way. A planner
-    looks when runs are submitted; where durations scatter also when runs come or go inside, or are late.
+    """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way; a step takes
+    as long whenever it is carried out, so that orders can be compared. A planner looks when runs are
+    submitted; where durations scatter also when runs come or go inside, or are late.
     ``together``: the runs that wait for nothing are submitted in one command, as by ``submit_all``; else one
     after the other, and the first one starts before the next one is known."""
 
@@ -90,7 +91,7 @@ class Player:
         together: bool = True,
     ) -> None:
         self.cell, self.stock, self.jitter = cell, stock, jitter
-        self.random = random.Random(f"league/{seed}")
+        self._seed = seed
         self.loop = VirtualLoop()
         self.clock = VirtualClock(self.loop)
         self._plan_with = plan_with
@@ -143,6 +144,7 @@ class Player:
             batch = numbers[first : first + MOST_RUNS]
             runs = tuple(replace(works[n].runs[0], experiment=experiments[n]) for n in batch)
             names += _list_submitted(self._tell(SubmitRuns(runs)))
+        self.outcome.works.update((name, (n, 0)) for n, name in zip(numbers, names, strict=True))
         return {n: (experiments[n], name) for n, name in zip(numbers, names, strict=True)}
 
     def _start_experiment(self, work: Work) -> ExperimentId:
@@ -222,7 +224,9 @@ class Player:
     def _begin(self, event: ActionRequested, now: float) -> None:
         self._begun[event.run, event.step] = now
         step = self.kernel.state.runs.plan_of(self.kernel.state.runs.active[event.run]).steps[event.step]
-        took = step.duration_s * self.random.uniform(1 - self.jitter, 1 + self.jitter)
+        work, index = self.outcome.works[event.run]
+        drawn = random.Random(f"league/{self._seed}/{work}/{index}/{event.step}")
+        took = step.duration_s * drawn.uniform(1 - self.jitter, 1 + self.jitter)
         done = FinishAction(event.action, event.attempt, True, "all")
         self.loop.call_later(took, self._tell, done)
 

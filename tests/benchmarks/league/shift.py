@@ -55,13 +55,15 @@ steps:
 
 class Result(msgspec.Struct, frozen=True):
     """What came of a shift: runs that ended in it, how long runs waited for their first step (the middle and
-    the mean of all, and the urgent one), when the last one ended (all in seconds), and windows missed."""
+    the mean of all, and the urgent one), the mean time from a run's submission to its end, when the last one
+    ended (all in seconds), and windows missed."""
 
     ended: int
     runs: int
     waited_s: float
     mean_waited_s: float
     urgent_s: float
+    mean_took_s: float
     over_s: float
     missed: int
 
@@ -100,8 +102,9 @@ def play(seed: int, seconds: float) -> Result:
     outcome = Player(CELL.workcell, stock, jitter=JITTER, seed=seed, planner=planned, together=False).play(
         done
     )
-    waits = dict(_waits(outcome, done))
+    submitted = dict(_list_submitted(outcome, done))
     ends = _ends(outcome)
+    waits = {run: start - submitted[run] for run, start in _find_starts(outcome).items()}
     urgent = next(run for run, (work, _) in outcome.works.items() if work == len(done) - 1)
     return Result(
         sum(end <= SHIFT_S for end in ends.values()),
@@ -109,6 +112,7 @@ def play(seed: int, seconds: float) -> Result:
         median(waits.values()),
         mean(waits.values()),
         waits[urgent],
+        mean(ends[run] - at for run, at in submitted.items()),
         max(ends.values()),
         outcome.breaches,
     )
@@ -121,15 +125,18 @@ def _ends(outcome: Outcome) -> dict[RunId, float]:
     return ends
 
 
-def _waits(outcome: Outcome, done: Sequence[Work]) -> Iterator[tuple[RunId, float]]:
-    """How long each run waited for its first step, from its submission on."""
-    ends, names = _ends(outcome), {place: run for run, place in outcome.works.items()}
+def _find_starts(outcome: Outcome) -> dict[RunId, float]:
     starts: dict[RunId, float] = {}
     for step in outcome.steps:
         starts[step.run] = min(starts.get(step.run, step.start_s), step.start_s)
+    return starts
+
+
+def _list_submitted(outcome: Outcome, done: Sequence[Work]) -> Iterator[tuple[RunId, float]]:
+    """When each run was submitted."""
+    ends, names = _ends(outcome), {place: run for run, place in outcome.works.items()}
     for (work, index), run in names.items():
-        submitted = ends[names[work, index - 1]] if index else done[work].after_s
-        yield run, starts[run] - submitted
+        yield run, ends[names[work, index - 1]] if index else done[work].after_s
 
 
 HEADINGS = (
@@ -139,6 +146,7 @@ HEADINGS = (
     "wait, median",
     "wait, mean",
     "urgent waited",
+    "submission to end, mean",
     "all over after",
     "windows missed",
 )
@@ -160,6 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"{r.waited_s:,.0f} s",
                 f"{r.mean_waited_s:,.0f} s",
                 f"{r.urgent_s:,.0f} s",
+                f"{r.mean_took_s:,.0f} s",
                 f"{r.over_s:,.0f} s",
                 str(r.missed),
             )

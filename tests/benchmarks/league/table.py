@@ -104,7 +104,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="families, or parts of names; all if none")
     parser.add_argument("--online", action="store_true", help="without the planner only")
     one_by_one = "runs are submitted one after the other: the first starts before the next is known"
-    search = "the lab looks for an order of its own, as with LABOS_ORDER=search"
+    search = "the lab looks for an order of its own, as a new lab does"
     parser.add_argument("--search", action="store_true", help=search)
     parser.add_argument("--one-by-one", action="store_true", help=one_by_one)
     parser.add_argument(

@@ -20,7 +20,7 @@ def uses_order(home: Path) -> bool:
     return asyncio.run(ask())
 
 
-@pytest.mark.parametrize(("said", "expected"), [("", False), ("age", False), ("search", True)])
+@pytest.mark.parametrize(("said", "expected"), [("", True), ("age", False), ("search", True)])
 def test_a_lab_looks_for_an_order_if_it_is_told_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str, expected: bool
 ) -> None:

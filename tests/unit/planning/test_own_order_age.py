@@ -144,3 +144,13 @@ def test_a_search_goes_on_if_the_clock_is_set_back() -> None:
         now = own.goes_on_at(CELL) or 0
     assert own.known[CELL].tried > tried
     assert now < lab.now
+
+
+def test_an_order_is_held_against_age_as_it_is_after_the_clock_was_set_back() -> None:
+    lab, own = make_lab(0, APART_S), OwnOrders()
+    waiting = sorted(lab.state.runs.queued.values(), key=lambda run: run.position)
+    own.search(lab.state, CELL, [], waiting, lab.now)
+    before, back = own.known[CELL], 8 * 3600 * SECOND
+    own.search(lab.state, CELL, [], waiting, lab.now - back)
+    assert own.known[CELL].limit == before.limit - back
+    assert own.known[CELL].order.until <= before.order.until - back

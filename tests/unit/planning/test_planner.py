@@ -18,7 +18,7 @@ from labos.planner.problem import SchedulingProblem, Task, TimeLag, choose_runs,
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
 from labos.planning.waiting import PATIENCE
-from tests.support.bench import SECOND, Driver, plan, step
+from tests.support.bench import SECOND, Driver, full, plan, step
 from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
 
 
@@ -153,3 +153,63 @@ def test_a_window_that_only_rounding_would_miss_does_not_end_a_search() -> None:
     found = solve(problem, 1.0, {number: 10.4 * number for number in range(4)})
     assert found is not None
     assert found.starts_s == (0.0, 11.0, 22.0, 33.0)
+
+
+def make_hard_problem() -> SchedulingProblem:
+    """Ten runs over three modules, each in its own order. Each step has to start within an hour after the one
+    before."""
+    tasks: list[Task] = []
+    for run in range(10):
+        for place in range(3):
+            number, module = len(tasks), f"m{(run + place * (1 + run % 2)) % 3}"
+            seconds = 60.0 * (1 + (run * 7 + place * 5) % 9)
+            after = (number - 1,) if place else ()
+            lags = tuple(TimeLag(before, 0.0, 0.0, 3600.0) for before in after)
+            tasks.append(Task(RunId(f"R{run}"), place, seconds, (module,), after, lags))
+    ends = tuple((number,) for number in range(2, len(tasks), 3))
+    return SchedulingProblem(tuple(tasks), (), {}, (), ends, (False,) * 10)
+
+
+def test_a_search_that_begins_at_a_bad_order_finds_one_that_is_far_from_it() -> None:
+    """The known schedule carries out one task after the other."""
+    pytest.importorskip("ortools")
+    problem = make_hard_problem()
+    in_line, at = {}, 0.0
+    for number, task in enumerate(problem.tasks):
+        in_line[number] = at
+        at += task.duration_s
+    anew = solve(problem, 0.002, counted=True)
+    found = solve(problem, 0.002, in_line, counted=True)
+    assert anew is not None
+    assert found is not None
+    assert found.makespan_s <= anew.makespan_s < at
+
+
+def test_a_search_is_never_worse_than_the_schedule_at_which_it_begins() -> None:
+    pytest.importorskip("ortools")
+    problem = make_hard_problem()
+    best = solve(problem, 0.1, counted=True)
+    assert best is not None
+    again = solve(problem, 0.001, dict(enumerate(best.starts_s)), counted=True)
+    assert again is not None
+    assert again.makespan_s <= best.makespan_s
+
+
+def test_a_run_that_would_stand_in_the_way_waits_outside() -> None:
+    """The long run has `other`, the next one waits for it on `dev`, and the third would wait in the hall."""
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    lab.submit(visit("other", work_s=3000.0))
+    second = lab.submit(visit("dev", "other", name="next"))
+    while f"{second}#2" not in lab.pump():
+        lab.wait(10.0)
+        for action in [a.id for a in lab.state.actions.open.values() if a.module != full("other")]:
+            lab.finish(action)
+    third = lab.submit(visit("dev", name="third"))
+    order = find_order(Planner(solver=lambda *_: None), lab)
+    assert order is not None
+    assert [(one.run, one.step, one.outside) for one in order.steps] == [(third, 0, True)]
+    assert (order.steps[0].start - lab.now) / SECOND == pytest.approx(0.9 * 3000.0, rel=0.05)
+    lab.do(order)
+    assert find_order(Planner(solver=lambda *_: None), lab) is None, "it waits already"
+    assert find_order(Planner(solver=lambda *_: None, exact=True), lab) is not None, "nothing is in its way"

@@ -80,3 +80,22 @@ def test_of_several_plays_what_is_missed_counts_in_all_and_times_on_average() ->
     found = judge([ends(50, 100, missed=1), ends(70, 120, missed=2)], ALIKE, 0)
     assert found.missed == 3
     assert found.cost_s == 110.0 + 85.0
+
+
+def test_a_gain_that_is_soon_lost_is_none() -> None:
+    one, other = score(ends(1000, 1000)), score(ends(1010, 1010))
+    assert one.is_better_than(other, 0.0)
+    assert not one.is_better_than(other, 0.02)
+    assert not one.is_better_than(other, 0.0, least_s=60.0)
+    assert not other.is_better_than(one, 0.0)
+
+
+def test_a_small_gain_of_who_goes_first_is_not_worth_a_great_loss_of_the_others() -> None:
+    first = {ONE: Rated(1, 0, False), TWO: Rated(0, 0, False)}
+    dear, cheap = score(ends(1000, 9000), first), score(ends(1005, 2000), first)
+    assert dear < cheap
+    assert cheap.is_better_than(dear, 0.01)
+
+
+def test_a_window_that_is_kept_is_never_too_small_a_gain() -> None:
+    assert score(ends(900, 900)).is_better_than(score(ends(50, 60, missed=1)), 0.01, least_s=60.0)

@@ -262,6 +262,33 @@ def test_only_the_head_of_a_class_is_looked_at() -> None:
     assert find_head(lab.state, group).id == "R2"
 
 
+def test_workflows_that_begin_alike_are_looked_at_together() -> None:
+    lab = small()
+    lab.careful = False
+    lab.level("dev", "tips", 90.0)
+    lab.start(lab.submit(LONG))
+    for tips in range(40):
+        lab.submit(plan(step("dev"), step("dev", consumes("tips", float(tips))), name=f"w{tips}"))
+    lab.pump()
+    before = lab.scheduler.evaluations
+    lab.finish("A1")
+    assert lab.pump() == ["R1#1"]
+    assert lab.scheduler.evaluations <= before + 4, "forty bundles wait for the same module"
+
+
+def test_of_workflows_that_begin_alike_only_that_waits_for_which_there_is_too_little() -> None:
+    lab = small()
+    lab.level("dev", "tips", 5.0)
+    lab.start(lab.submit(LONG))
+    for name, tips in (("much", 9.0), ("little", 4.0), ("none", 0.0)):
+        lab.submit(plan(step("dev"), step("dev", consumes("tips", tips)), name=name))
+    lab.pump()
+    assert sequence(lab) == ["R1#1", "R3#0", "R3#1", "R4#0", "R4#1"]
+    found = [wait for _, wait in lab.scheduler.sleepers.list_all()]
+    assert [wait.code for wait in found] == ["used_up"]
+    assert found == [wait for _, wait in lab.scheduler.list_waits(lab.state, lab.run("R2"), lab.now)]
+
+
 def test_a_class_goes_on_with_its_next_head() -> None:
     lab = small()
     for _ in range(3):

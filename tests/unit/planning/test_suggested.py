@@ -270,3 +270,41 @@ def test_where_nothing_moves_no_clock_waits_for_its_time() -> None:
     assert lab.pump() == [f"{run}#0"]
     lab.finish(next(a.id for a in lab.state.actions.open.values() if a.run == run))
     assert lab.pump() == [f"{run}#1"]
+
+
+def test_an_order_keeps_out_no_run_that_it_does_not_name_and_that_is_gone_in_time() -> None:
+    for start_s, comes_in in ((600.0, True), (15.0, False)):
+        lab, (named, stranger) = make_lab(visit("dev"), visit("other", name="stranger"))
+        outside = Suggested(named, 0, lab.now + int(start_s * SECOND), outside=True)
+        lab.do(SuggestOrder("cell", "planner", lab.now + 3600 * SECOND, (outside,)))
+        assert lab.pump() == ([f"{stranger}#0"] if comes_in else []), "the hall has to be free again in time"
+
+
+def test_a_run_waits_outside_until_its_time_and_never_for_ever() -> None:
+    lab, (run,) = make_lab(visit("dev"))
+    outside = Suggested(run, 0, lab.now + 600 * SECOND, outside=True)
+    lab.do(SuggestOrder("cell", "planner", lab.now + 3600 * SECOND, (outside,)))
+    assert lab.pump() == []
+    assert "starts later" in why(lab, run)
+    lab.wait(599.0)
+    assert lab.pump() == []
+    lab.wait(1.0)
+    assert lab.pump() == [f"{run}#0"]
+    lab, (run,) = make_lab(visit("dev"))
+    for _ in range(int(MOST_S / 500) + 1):  # a planner that puts it off again and again
+        outside = Suggested(run, 0, lab.now + 600 * SECOND, outside=True)
+        lab.do(SuggestOrder("cell", "planner", lab.now + 10**15, (outside,)))
+        assert lab.pump() == []
+        lab.wait(500.0)
+    outside = Suggested(run, 0, lab.now + 600 * SECOND, outside=True)
+    lab.do(SuggestOrder("cell", "planner", lab.now + 10**15, (outside,)))
+    assert lab.pump() == [f"{run}#0"]
+
+
+def test_an_order_that_was_withdrawn_or_is_over_is_none() -> None:
+    lab, (run,) = make_lab(visit("dev"))
+    suggest(lab, (run, 0, 600.0), until_s=700.0)
+    assert lab.state.suggestions.find("cell", lab.now) is not None
+    assert lab.state.suggestions.find("cell", lab.now + 701 * SECOND) is None
+    suggest(lab)
+    assert lab.state.suggestions.find("cell", lab.now) is None

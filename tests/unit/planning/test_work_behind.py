@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from labos.core.decide.suggestions import SuggestOrder
 from labos.core.model import Plan
-from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
+from labos.core.suggestions import Suggested
+from tests.support.bench import SECOND, Driver, elsewhere, module, move, plan, station, step, take, workcell
 
 
 def lab() -> Driver:
@@ -62,3 +64,17 @@ def test_all_first_steps_of_a_run_go_before_those_of_the_next_run() -> None:
     driver.submit(both)
     driver.submit(both)
     assert driver.pump() == ["R1#0", "R1#1"]
+
+
+def test_an_order_for_another_workcell_makes_no_difference_to_that() -> None:
+    driver = lab()
+    other = workcell([module("cam"), module("dev")], [station("x")])
+    driver.furnish(elsewhere("other", other))
+    there = driver.submit(elsewhere("other", plan(step("cam"))))
+    until = driver.now + 3600 * SECOND
+    steps = (Suggested(there, 0, driver.now),)
+    driver.do(SuggestOrder("other", "planner", until, steps, driver.state.position))
+    both = plan(step("cam", duration_s=600.0), step("dev"), parallel=True)
+    first, second = driver.submit(both), driver.submit(both)
+    started = [each for each in driver.pump() if not each.startswith(there)]
+    assert started == [f"{first}#0", f"{first}#1"], second
