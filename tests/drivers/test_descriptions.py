@@ -20,10 +20,10 @@ from labos.bootstrap import load_driver
 from labos.spec.describing import (
     apply_model,
     apply_variant,
+    list_places,
     load_description,
     locate_parts,
     locate_places,
-    places,
 )
 from labos.spec.description import BASE, DescriptionFile
 from labos.spec.frames import frame, from_quaternion
@@ -80,7 +80,7 @@ def test_every_driver_describes_its_instrument() -> None:
 
 def test_stations_are_those_of_the_driver(file: DescriptionFile) -> None:
     about = load_driver(file.driver).describe()
-    assert {name: place.kind for name, place in places(file).items()} == {
+    assert {name: place.kind for name, place in list_places(file).items()} == {
         station.name: station.kind for station in about.stations
     }
 
@@ -88,7 +88,7 @@ def test_stations_are_those_of_the_driver(file: DescriptionFile) -> None:
 def test_who_carries_labware_has_a_reach_and_a_hand(file: DescriptionFile) -> None:
     about = load_driver(file.driver).describe()
     assert (file.reach is not None) == about.manipulator
-    assert ("gripper" in places(file)) == about.manipulator
+    assert ("gripper" in list_places(file)) == about.manipulator
 
 
 def test_variants_are_of_models_that_the_driver_serves(file: DescriptionFile) -> None:
@@ -135,7 +135,7 @@ def test_what_stands_still_is_within_footprint_and_height(file: DescriptionFile)
 
 def test_the_hand_stays_within_reach_and_comes_near_its_ends() -> None:
     for name, file in FILES.items():
-        if file.reach is None or "gripper" not in places(file) or name == "operator":
+        if file.reach is None or "gripper" not in list_places(file) or name == "operator":
             continue  # a person's joints are not described
         reach, gripper = file.reach, file.stations["gripper"]
         farthest, lowest, highest = 0.0, 9e9, -9e9
@@ -159,7 +159,7 @@ def test_a_foreign_parser_finds_all_links_and_joints(file: DescriptionFile) -> N
     robot = parse_robot(file)
     assert robot.get_root() == BASE
     assert {link.name for link in robot.links} == {
-        BASE, *file.parts, *(name_station_link(name) for name in places(file))
+        BASE, *file.parts, *(name_station_link(name) for name in list_places(file))
     }  # fmt: skip
     for name, part in file.parts.items():
         joint = robot.joint_map[f"{name}_joint"]

@@ -100,7 +100,7 @@ def test_a_device_that_may_still_work_is_busy(reader: ReaderProcess, tmp_path: P
         assert "restarted" in (await here.status("a1", "interrupted", 40)).why
         assert (await here.kernel.state()).status == "BUSY"
         early = await here.start("a2", "measure", assay="early")
-        assert (early.status, "stand still" in early.why) == ("refused", True)
+        assert (early.status, "waiting for the device to stop" in early.why) == ("refused", True)
         looked = await here.kernel.admin("observe")
         assert (looked.done, "may still be at work" in looked.why) == (False, True)
         # Who resets it has seen that it stands still.

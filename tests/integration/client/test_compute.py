@@ -118,7 +118,7 @@ def test_an_error_of_the_function_is_told_and_not_repeated(experiment: Experimen
 def test_what_cannot_be_sent_is_said(experiment: Experiment) -> None:
     with pytest.raises(BadInput, match="cannot be sent"):
         experiment.compute(work.square, lambda: 1)
-    with pytest.raises(NotFound, match="There are: local, pool"):
+    with pytest.raises(NotFound, match="Known places: local, pool"):
         experiment.compute(work.square, 1, where="moon")
     with pytest.raises(BadInput, match=r"labos-sdl\[parsl\]|Give a parsl"):
         experiment.compute(work.square, 1, where="parsl")

@@ -61,7 +61,7 @@ def test_a_station_by_one_of_its_names(client: LabClient, name: str) -> None:
 def test_a_name_that_two_workcells_give_is_not_guessed(client: LabClient, name: str) -> None:
     with pytest.raises(BadInput, match="the name of several stations") as told:
         client.place(name, "plate96", "ada")
-    assert told.value.remedy == "Write left/press.nest, say."
+    assert told.value.remedy == "Write left/press.nest, for example."
 
 
 @pytest.mark.parametrize("name", ["left/back", "middle/press.nest", "press.hach"])

@@ -136,5 +136,5 @@ def test_a_value_that_does_not_fit_is_not_sent(kind: Any, value: Any) -> None:
 
 def test_bytes_that_are_no_message_are_no_value() -> None:
     messages, feature, elements = echo(Basic("String"))
-    with pytest.raises(ValueError, match="no Say_Parameters"):
+    with pytest.raises(ValueError, match="not a Say_Parameters"):
         messages.decode(feature.package, "Say_Parameters", elements, b"\x0a\xff")
