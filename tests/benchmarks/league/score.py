@@ -69,18 +69,19 @@ def play_case(
     planner: bool = False,
     seconds: float = PLANNER_S,
     together: bool = True,
-    search: bool = False,
+    by_age: bool = False,
 ) -> Outcome:
-    """``search``: the lab looks for an order of its own (``LABOS_ORDER=search``)."""
-    plans = make_planner(seconds) if planner else None
-    plans_with = make_searching_scheduler if search else Scheduler
+    """``by_age``: the lab looks for no order of its own (``LABOS_ORDER=age``)."""
+    plans = make_planner(seconds, searches=not by_age) if planner else None
+    plans_with = Scheduler if by_age else make_searching_scheduler
     return Player(case.cell, case.stock, plans_with, planner=plans, together=together).play(case.works)
 
 
-def make_planner(seconds: float) -> Planner:
+def make_planner(seconds: float, *, searches: bool = True) -> Planner:
     """A planner that finds the same orders on every computer. It knows that durations are exact, and that no
-    other runs follow: the end of all counts more than the mean of all ends."""
-    return Planner(seconds=seconds, solver=partial(solve, counted=True), exact=True, end_weight=END_WEIGHT)
+    other runs follow: the end of all counts more than the mean of all ends. ``searches``: so does its lab."""
+    solver = partial(solve, counted=True)
+    return Planner(seconds=seconds, solver=solver, exact=True, end_weight=END_WEIGHT, searches=searches)
 
 
 def times_of(case: Case, outcome: Outcome) -> Times:
@@ -100,10 +101,10 @@ def score(
     planner: bool = False,
     seconds: float = PLANNER_S,
     together: bool = True,
-    search: bool = False,
+    by_age: bool = False,
 ) -> Score:
     """Play a case. Raises AssertionError if what came of it cannot have happened."""
-    outcome = play_case(case, planner=planner, seconds=seconds, together=together, search=search)
+    outcome = play_case(case, planner=planner, seconds=seconds, together=together, by_age=by_age)
     problem, done = problem_of(case.cell, case.works), times_of(case, outcome)
     wrong = faults(problem, done)
     assert not wrong, f"{case.name}: {wrong[0]}"

@@ -65,9 +65,9 @@ class Keeper:
     where planning has changed."""
 
     def __init__(
-        self, file: Path | None, seconds: float, *, together: bool = True, search: bool = False
+        self, file: Path | None, seconds: float, *, together: bool = True, by_age: bool = False
     ) -> None:
-        self.file, self.seconds, self.together, self.search = file, seconds, together, search
+        self.file, self.seconds, self.together, self.by_age = file, seconds, together, by_age
         self._kept: dict[tuple[str, float], Kept] = {}
         if file is not None and file.exists():
             for line in file.read_text().splitlines():
@@ -79,7 +79,7 @@ class Keeper:
         kept = self._kept.get((case.name, seconds))
         if kept is not None:
             return Score(case, kept.makespan_s, kept.missed, read_best().get(case.key))
-        found = score(case, planner=planner, seconds=self.seconds, together=self.together, search=self.search)
+        found = score(case, planner=planner, seconds=self.seconds, together=self.together, by_age=self.by_age)
         if self.file is not None:
             line = msgspec.json.encode(Kept(case.name, seconds, found.makespan_s, found.missed)).decode()
             with self.file.open("a") as out:
@@ -104,8 +104,8 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="families, or parts of names; all if none")
     parser.add_argument("--online", action="store_true", help="without the planner only")
     one_by_one = "runs are submitted one after the other: the first starts before the next is known"
-    search = "the lab looks for an order of its own, as a new lab does"
-    parser.add_argument("--search", action="store_true", help=search)
+    by_age = "the lab looks for no order of its own, as with LABOS_ORDER=age"
+    parser.add_argument("--by-age", action="store_true", help=by_age)
     parser.add_argument("--one-by-one", action="store_true", help=one_by_one)
     parser.add_argument(
         "--keep", type=Path, metavar="FILE", help="write each result there at once; play no case twice"
@@ -114,7 +114,7 @@ def main() -> None:
         "--seconds", type=float, default=PLANNER_S, help="how long the planner may look each time, counted"
     )
     options = parser.parse_args()
-    keeper = Keeper(options.keep, options.seconds, together=not options.one_by_one, search=options.search)
+    keeper = Keeper(options.keep, options.seconds, together=not options.one_by_one, by_age=options.by_age)
     online: list[Score] = []
     planned: list[Score] = []
     print(_line(*HEADINGS))

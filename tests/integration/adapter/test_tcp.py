@@ -102,7 +102,7 @@ def test_a_device_that_may_still_work_is_busy(reader: ReaderProcess, tmp_path: P
         early = await here.start("a2", "measure", assay="early")
         assert (early.status, "waiting for the device to stop" in early.why) == ("refused", True)
         looked = await here.kernel.admin("observe")
-        assert (looked.done, "may still be at work" in looked.why) == (False, True)
+        assert (looked.done, "may still be carrying out" in looked.why) == (False, True)
         # Who resets it has seen that it stands still.
         assert (await here.kernel.recover("a3")).succeeded
         await here.idle()
