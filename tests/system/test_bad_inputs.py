@@ -134,20 +134,20 @@ BAD: dict[str, tuple[str, tuple[str, ...], str, str, str]] = {
         *(
             ("-p", "minutes=3"),
             "4:61",
-            "holds no 'seconds'",
+            "has no 'seconds'",
             "Give the payload 'seconds': --payload sec",
         ),
     ),
     "misspelt key": (
         workflow(seal("time: payload.seconds")),
-        *(("-p", "second=3"), "4:61", "holds no 'seconds'", "Did you mean 'second'? Give the payload"),
+        *(("-p", "second=3"), "4:61", "has no 'seconds'", "Did you mean 'second'? Give the payload"),
     ),
     "empty payload": (
         workflow(seal("time: payload.seal.time")),
         *(
             (),
             "4:61",
-            "holds no 'seal.time'",
+            "has no 'seal.time'",
             "--payload seal.time=VALUE, or all in a file",
         ),
     ),
@@ -275,7 +275,7 @@ def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
     told = ("payload.seal.tim: The workflow does not use 'seal.tim'", "Did you mean 'seal.time'?")
     check_refused(labos("submit", file, "-p", "seal.tim=3", *lab.home), f"labos: {file}: ", *told)
     check_refused(
-        labos("submit", file, "-p", "seal=3", *lab.home), "takes 'seal' from", "Did you mean 'seal.time'?"
+        labos("submit", file, "-p", "seal=3", *lab.home), "does not use 'seal' of the payload", "Did you mean 'seal.time'?"
     )
     with lab.up.client() as client:
         with pytest.raises(BadInput, match=told[0]):

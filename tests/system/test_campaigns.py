@@ -108,6 +108,7 @@ def test_the_command_line(lab: LabThread, tmp_path: Path) -> None:
     assert (shown["status"], shown["rows"], shown["user"]) == ("paused", 2, "ada")
     assert "most runs" in labos(lab, "campaign", "show", name).output
     assert labos(lab, "campaign", "resume", name).exit_code == 0
+    until(lambda: json.loads(labos(lab, "campaign", "report", name, "--json").output), "a row is submitted")
     amended = labos(lab, "campaign", "amend", name, "--runs", "1", "--lab-time", "2 h", "--json")
     assert json.loads(amended.output)["budget"]["lab_time_s"] == 7200.0
     assert labos(lab, "campaign", "cancel", name).exit_code == 0

@@ -144,7 +144,7 @@ def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner, answer: str) -> Non
         seen = labos("bench", "show", *home).stdout
         assert re.search(r"in the hand of pf400 +P1 \(plate96\)", seen), seen
         (question,) = client.state(waits=False)["interventions"]
-        assert "now P1 was seen at pf400.gripper" in labos("interventions", *home).stdout
+        assert "now P1 was observed at pf400.gripper" in labos("interventions", *home).stdout
         resolved = ("resolve", question["id"], answer)
         told = ("unload", "pf400.gripper", "P1") if answer == "unload" else resolved
         assert labos(*told, *home).returncode == 0

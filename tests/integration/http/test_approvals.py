@@ -166,7 +166,7 @@ def test_what_a_proposal_would_bring_is_shown_before_it_is_approved(people: Peop
     (expected,) = (found for found in told["forecast"]["runs"] if found["run"] == run)
     assert told["forecast"]["new"] == [run]
     assert expected["ends"] is None, "no node is there"
-    assert any("sealer is not there" in conflict for conflict in told["forecast"]["conflicts"])
+    assert any("sealer is unavailable" in conflict for conflict in told["forecast"]["conflicts"])
     assert told["consumables"]["foil"]["needed"] == 1
     shown = people.labos("olga", "approvals", run).output
     for word in (

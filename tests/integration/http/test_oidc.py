@@ -109,7 +109,7 @@ def test_a_way_back_is_good_once_and_for_one_browser(lab: LabThread, browser: ht
         ({"state": "x"}, "the sign-in was not started here"),
         ({"iss": "https://evil.example"}, "the answer is from"),
         ({"iss": ""}, "the answer is from"),
-        ({"code": ""}, "says 'nothing'"),
+        ({"code": ""}, "answers 'nothing'"),
         ({"code": "x"}, "invalid_grant"),
         ({"error": "access_denied"}, "access_denied"),
     ],

@@ -198,7 +198,7 @@ def test_a_code_that_was_caught_is_good_for_nobody_else(anybody: LabClient) -> N
     [
         ({"iss": "https://evil.example"}, "the answer is from"),
         ({"iss": ""}, "the answer is from"),
-        ({"code": ""}, "says 'nothing'"),
+        ({"code": ""}, "answers 'nothing'"),
         ({"code": "x"}, "invalid_grant"),
         ({"error": "access_denied"}, "access_denied"),
     ],
@@ -217,12 +217,12 @@ def test_a_browsers_sign_in_and_a_command_lines_are_no_other(
         back = sign_in_at_provider(browser, answer, "bob", "/login/oidc/callback")
         sent, cookie = dict(back.params), browser.cookies["labos-way-back"]
         asked = {name: sent[name] for name in ("code", "iss")}
-        assert "somebody else" in check_refused(anybody, sent["state"], cookie, asked)
+        assert "another user started" in check_refused(anybody, sent["state"], cookie, asked)
         begun, asked = way_back(anybody)
         browser.cookies.set("labos-way-back", begun["key"], domain="127.0.0.1")
         answer = browser.get("/login/oidc/callback", params={"state": begun["state"], **asked})
         assert answer.status_code == 401
-        assert "somebody else" in answer.json()["detail"]
+        assert "another user started" in answer.json()["detail"]
 
 
 def test_a_device_is_asked_for_no_faster_than_the_provider_says(lab: LabThread, anybody: LabClient) -> None:
@@ -347,9 +347,9 @@ def test_a_lab_without_a_client_for_it_asks_for_a_password(
     assert provider is not None
     monkeypatch.setattr(provider, "settings", provider.settings.model_copy(update={"command_line": None}))
     for more in ({}, {"device": True}):
-        with pytest.raises(NotFound, match="from a command line"):
+        with pytest.raises(NotFound, match="from the command line"):
             anybody.begin_sign_in(1, **more)
     said = shell.run("login", lab.url, typed="staple of four words\n", LABOS_USER="bob")
     assert "You are signed in as bob" in said
     said = shell.run("login", lab.url, "--device", fails=True)
-    assert "from a command line" in said
+    assert "from the command line" in said
