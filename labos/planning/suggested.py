@@ -133,7 +133,8 @@ class Adviser:
             why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
             return Wait(why_later, (cell_key(plan.workcell),), mine)
         for resource in _list_resources(state, plan.steps[step]):
-            before = mine if mine < LAST else _find_release(state, plan, step, resource, now)
+            # The lab's own orders name all that should start soon: what they do not name comes after them.
+            before = mine if mine < LAST or is_own else _find_release(state, plan, step, resource, now)
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= before:
                     break

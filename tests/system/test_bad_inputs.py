@@ -275,7 +275,9 @@ def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
     told = ("payload.seal.tim: The workflow does not use 'seal.tim'", "Did you mean 'seal.time'?")
     check_refused(labos("submit", file, "-p", "seal.tim=3", *lab.home), f"labos: {file}: ", *told)
     check_refused(
-        labos("submit", file, "-p", "seal=3", *lab.home), "does not use 'seal' of the payload", "Did you mean 'seal.time'?"
+        labos("submit", file, "-p", "seal=3", *lab.home),
+        "does not use 'seal' of the payload",
+        "Did you mean 'seal.time'?",
     )
     with lab.up.client() as client:
         with pytest.raises(BadInput, match=told[0]):

@@ -13,9 +13,10 @@ from labos.core.decide.runs import PauseRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import Plan, Window
-from labos.core.suggestions import MOST_STEPS, Suggested
+from labos.core.suggestions import MOST_STEPS, OrderSuggested, Suggested
 from labos.planning.explain import describe_wait
-from labos.planning.suggested import GRACE_S, MOST_S
+from labos.planning.suggested import GRACE_S, MOST_S, Adviser
+from labos.planning.window_order import OWN_WINDOWS
 from tests.support.bench import Driver, full, module, move, plan, station, step, take, workcell
 
 SECOND = 1_000_000_000
@@ -278,6 +279,14 @@ def test_an_order_keeps_out_no_run_that_it_does_not_name_and_that_is_gone_in_tim
         outside = Suggested(named, 0, lab.now + int(start_s * SECOND), outside=True)
         lab.do(SuggestOrder("cell", "planner", lab.now + 3600 * SECOND, (outside,)))
         assert lab.pump() == ([f"{stranger}#0"] if comes_in else []), "the hall has to be free again in time"
+
+
+def test_what_an_order_of_the_labs_own_does_not_name_comes_after_it() -> None:
+    lab, (named, stranger) = make_lab(visit("dev"), visit("other", name="stranger"))
+    steps, until = (Suggested(named, 0, lab.now + 600 * SECOND),), lab.now + 3600 * SECOND
+    for by, waits in (("planner", False), (OWN_WINDOWS, True)):
+        adviser = Adviser(None, {"cell": OrderSuggested("cell", by, until, steps)})
+        assert bool(adviser.check_start(lab.state, lab.run(stranger), 0, lab.now)) is waits
 
 
 def test_a_run_waits_outside_until_its_time_and_never_for_ever() -> None:
