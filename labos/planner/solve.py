@@ -167,7 +167,7 @@ def _search(
             model.add_cumulative(intervals, [1] * len(intervals), max(room, 0))
     for one, other in problem.like:
         model.add(begin[one] <= begin[other])
-    _let_nobody_wait_long(model, [begin[first] for first in problem.line], problem.passed)
+    _limit_overtaking(model, [begin[first] for first in problem.line], problem.passed)
     over: list[cp_model.IntVar] = []
     for number, last_tasks in enumerate(problem.ends):
         over.append(model.new_int_var(0, 2 * horizon, f"end{number}"))
@@ -256,11 +256,11 @@ def _add_overdue(
     return found
 
 
-def _let_nobody_wait_long(
+def _limit_overtaking(
     model: cp_model.CpModel, line: Sequence[cp_model.IntVar], passed: Sequence[int]
 ) -> None:
     """No run may start late if more later ones went before it than the lab allows: the lab would refuse the
-    order. So many ``passed`` each run already."""
+    order. ``passed``: how many went before each run already."""
     for number, elder in enumerate(line):
         most = max(0, PATIENCE - (passed[number] if passed else 0))
         if len(line) - number <= most:

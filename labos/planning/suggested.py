@@ -8,7 +8,8 @@ it. So that bad advice does little harm, a step waits for another only
 - until that other should have started, and ``GRACE_S`` after that;
 - for ``MOST_S`` in all, whatever is suggested meanwhile;
 - if its own run is not urgent, of a higher priority, or overtaken too often;
-- if it is named in the order as well, or would not free what it takes before the other's time.
+- if it is named in the order as well, or would not free what it takes before the other's time. What an
+  order of the lab's own does not name always waits.
 
 A step that starts a clock waits until its own time as well: what has to follow it was given its time by the
 same plan. With the lab's own order where clocks run (``window_order``) so does a run that is to be let in.
