@@ -20,7 +20,7 @@ from labos.core.bookings import (
     BookingSkipped,
     BookingSpan,
 )
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.limits import BAD_TEXT, find_fault
 from labos.core.ids import SHARED, ModuleName, local, split_owner, workcell_of
 from labos.core.interventions import InterventionResolved
@@ -88,21 +88,21 @@ class CancelBooking(Command, frozen=True):
     begins: int = 0
 
 
-class NearBooking(Command, frozen=True):
+class NearBooking(InnerCommand, frozen=True):
     """A booking begins soon."""
 
     booking: str
     now: int
 
 
-class BeginBooking(Command, frozen=True):
+class BeginBooking(InnerCommand, frozen=True):
     """The time of a booking has come."""
 
     booking: str
     now: int
 
 
-class EndBooking(Command, frozen=True):
+class EndBooking(InnerCommand, frozen=True):
     """The time of a booking is over."""
 
     booking: str

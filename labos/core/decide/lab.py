@@ -6,7 +6,15 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 from labos.core.bench import StationState, add_arrival, count_taking, split_item
-from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides, refuse_hotel
+from labos.core.decide._base import (
+    Command,
+    Decision,
+    InnerCommand,
+    Rejection,
+    check_recordable,
+    decides,
+    refuse_hotel,
+)
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
@@ -24,13 +32,13 @@ from labos.core.topics import DiscoveredAction
 STATIONS_PER_EVENT = 40
 
 
-class CreateLab(Command, frozen=True):
+class CreateLab(InnerCommand, frozen=True):
     lab: LabId
     name: str
     pace: float = 1.0
 
 
-class StartKernel(Command, frozen=True):
+class StartKernel(InnerCommand, frozen=True):
     epoch: int
     version: str
 
