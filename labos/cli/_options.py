@@ -136,6 +136,12 @@ class Asker(msgspec.Struct, frozen=True):
 
         return need_lab(self.home)
 
+    def end_with_json(self, value: Any) -> None:
+        """With ``--json``, show the value and end the command."""
+        from labos.cli._out import end_with_json
+
+        end_with_json(value, self.as_json)
+
     def tell(self, sentence: str, facts: Any) -> None:
         """Report what a command has done."""
         from labos.cli._out import tell

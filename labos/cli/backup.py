@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import msgspec
 
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
 from labos.services.retention import note_retention
 from labos.settings import Settings
@@ -88,15 +88,14 @@ def command(
     moved = move_old_segments(folder, archive, before) if archive is not None else []
     if archive is not None:
         note_retention(where.home, "moved_at", now_ns())
-    if as_json:
-        show_json(
-            {
-                **msgspec.structs.asdict(made),
-                "users": people.users,
-                "moved": [segment.file for segment in moved],
-            }
-        )
-        return
+    end_with_json(
+        {
+            **msgspec.structs.asdict(made),
+            "users": people.users,
+            "moved": [segment.file for segment in moved],
+        },
+        as_json,
+    )
     newest = made.segments[-1]
     click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
     click.echo(f"Hash {made.hash}, state {newest.state}")
