@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 import msgspec
 
+from labos.cli._options import file_option
 from labos.cli._out import end_with_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
 from labos.cli._rehearse import rehearse
@@ -71,12 +72,10 @@ class Restored(msgspec.Struct, frozen=True):
     metavar="DIR",
     help="With --rehearse: a folder with room for a copy of the log (default: that for temporary files).",
 )
-@click.option(
+@file_option(
     "--erased",
     "lists",
-    type=click.Path(path_type=Path, dir_okay=False),
     multiple=True,
-    metavar="FILE",
     help="A list of erasures (labos.erased) besides the one in the lab's folder.",
 )
 @archive_option
