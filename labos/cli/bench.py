@@ -41,7 +41,6 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
     labos bench declare sciclops.tower1=20xplate96
     labos bench declare bench.yaml --empty
     """
-    from labos.cli._out import show_json
 
     contents: dict[str, list[str]] = {}
     for text in stations:
@@ -53,9 +52,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
         raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
     with asker.lab() as client:
         found = client.declare(contents, asker.user, workcell=workcell, empty=empty)
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     for name, types in found.items():
         click.echo(f"{name}: {_count_types(types)}")
     if not found:

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_options, open_log
 from labos.core.effects import Carrying, Claims, Needs
@@ -161,10 +161,8 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
         click.echo(f"labos: {finding}", err=True)
     lab, lengths, pace = _ask_lab(where)
     outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
-    if as_json:
-        show_json(outline)
-    else:
-        _tell(outline)
+    end_with_json(outline, as_json)
+    _tell(outline)
 
 
 def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
