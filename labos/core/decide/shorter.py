@@ -8,10 +8,11 @@ from typing import get_args
 import msgspec
 
 from labos.core.actions import Action, ActionDiscovered, ActionStatus
-from labos.core.bench import remove_labware, split_item
+from labos.core.bench import StationState, remove_labware, split_item
 from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides, refuse_hotel
 from labos.core.decide.contents import list_contents_events, list_recorded
 from labos.core.decide.endings import has_open_action, record_end
+from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.effects import AnyEffect, Carrying, Needs, list_carried, list_places, name_hand
 from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
@@ -223,11 +224,8 @@ def must_describe(state: LabState, name: StationName) -> bool:
     return state.shorter.is_touched(name) or name in state.bench.uncertain_at or doubtful
 
 
-@decides(SayContents)
-def say_contents(state: LabState, command: SayContents) -> Decision:
-    station = state.bench.stations.get(command.station)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(command.station)}.")
+@decides_about(SayContents, expect_station)
+def say_contents(state: LabState, command: SayContents, station: StationState) -> Decision:
     wrong = (
         _refuse_without_round(state)
         or refuse_hotel(state, command.station)

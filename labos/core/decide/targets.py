@@ -22,6 +22,7 @@ from labos.core.decide import (
     users,
 )
 from labos.core.decide._base import Command
+from labos.core.decide.lookups import find_owner
 from labos.core.ids import (
     CampaignId,
     ExperimentId,
@@ -133,23 +134,12 @@ def target_labware(state: LabState, name: LabwareId) -> Target:
     item = state.bench.labware.get(name)
     if item is None:
         return Target("submitter", (ANYWHERE,))
-    return Target("submitter", (cell_of(item),), owner_of(state, item), str(item.id))
+    return Target("submitter", (cell_of(item),), find_owner(state, item.owner), str(item.id))
 
 
 def cell_of(item: Labware) -> str:
     place = item.station or next(filter(None, item.maybe), "")
     return workcell_of(StationName(place)) if place else ANYWHERE
-
-
-def owner_of(state: LabState, item: Labware) -> str:
-    """The user who owns labware; empty if it is shared or has no owner."""
-    kind, name = split_owner(item.owner)
-    if kind == "user":
-        return name
-    run = state.runs.get(name) if kind == "run" else None
-    experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
-    found = run or experiment
-    return found.user if found is not None else ""
 
 
 def find_label_target(state: LabState, command: labware.NameBarcode) -> Iterable[Target]:
