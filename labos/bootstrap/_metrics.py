@@ -16,7 +16,6 @@ from labos.telemetry.process_metrics import ProcessReadings
 
 if TYPE_CHECKING:
     from labos.bootstrap._runtime import LabRuntime
-    from labos.http.identity import Gate
     from labos.runtime.writer import ThreadWriter
 
 
@@ -41,10 +40,6 @@ class LabMetrics:
     def start(self) -> None:
         """Begin to read the past events."""
         self.unattended.start()
-
-    def watch_gate(self, gate: Gate) -> None:
-        """Count sign-ins and refusals."""
-        self.all.signing.watch(gate.accounts.on_try, gate.on_refusal)
 
     async def close(self) -> None:
         await self.unattended.close()

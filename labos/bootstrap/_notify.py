@@ -13,6 +13,7 @@ from labos.clock import Clock
 from labos.errors import LabosError
 from labos.lockfile import FileLock
 from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import Listener
 from labos.runtime.ledger import Entry
 from labos.services.notify import TYPES, Book, Notifier, Outbox, load_contacts
 from labos.settings import CONTACTS, Settings, was_simulated
@@ -21,7 +22,7 @@ from labos.store import open_store
 _log = structlog.get_logger(__name__)
 
 
-class _NotifierWaker:
+class _NotifierWaker(Listener):
     """Wakes the notifier for the events that it reads, and for no others."""
 
     def __init__(self, notifier: Notifier) -> None:
@@ -30,9 +31,6 @@ class _NotifierWaker:
     def on_committed(self, entries: Sequence[Entry]) -> None:
         if any(entry.record.head.type in self._types for entry in entries):
             self._notifier.wake()
-
-    def on_reopened(self) -> None:
-        """Events that were not written were never read."""
 
 
 def find_contacts(settings: Settings) -> Book | None:

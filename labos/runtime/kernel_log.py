@@ -32,12 +32,14 @@ _log = structlog.get_logger(__name__)
 
 
 class Listener(Protocol):
-    """Receives events once they are on disk, in order."""
+    """Receives events once they are on disk, in order. A class that derives from it need not do anything when
+    the log was read again."""
 
     def on_committed(self, entries: Sequence[Entry]) -> None: ...
 
     def on_reopened(self) -> None:
         """The log was read again: events that were decided but not written are forgotten."""
+        return
 
 
 class KernelSettings(msgspec.Struct, frozen=True):
