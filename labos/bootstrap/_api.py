@@ -42,7 +42,7 @@ from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
 from labos.settings import Settings, is_alive, last_kernel
 from labos.store import SqlEventStore, is_replica, open_blobs, open_store, show_url
-from labos.telemetry.api import ApiMetrics, ApiReadings
+from labos.telemetry.api import ApiMetrics
 
 
 class ApiSettings(msgspec.Struct, frozen=True):
@@ -95,19 +95,17 @@ class ApiRuntime:
     def text(self) -> str:
         """All metrics of this process, in Prometheus' text format."""
         state, work = self.kernel.state, self.link.work
-        readings = ApiReadings(
-            lab=state.lab.id,
-            name=state.lab.name,
-            process=self.settings.name,
+        found = self.counts.of_process
+        found.info.set(1, (state.lab.id, state.lab.name, self.settings.name))
+        found.take(
             position=state.position,
             recorded_at=state.recorded_at / 1e9,
             kernel_there=self.link.is_there,
-            here=work.here,
-            by_kernel=work.by_kernel,
-            away=work.away,
             kernel_s=work.kernel_s,
         )
-        return self.counts.text(readings)
+        answered = {"api": work.here, "kernel": work.by_kernel, "nobody": work.away}
+        found.requests.replace({(by,): count for by, count in answered.items()})
+        return self.counts.text()
 
     def targets(self, host: str) -> list[dict[str, Any]]:
         """The addresses of this process's metrics; the kernel knows those of all others."""
