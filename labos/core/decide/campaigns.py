@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import Any
 
@@ -28,8 +28,8 @@ from labos.core.campaigns import (
     is_over,
 )
 from labos.core.conditions import find_reads
-from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
-from labos.core.decide.cancelling import CancelRun, cancel_run
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides, list_possible
+from labos.core.decide.cancelling import cancel_all
 from labos.core.decide.lookups import decides_about
 from labos.core.decide.runs import NOBODYS, QUOTA, SubmitRun, submit_run
 from labos.core.ids import CampaignId, RunId
@@ -261,8 +261,9 @@ def cancel_campaign(state: LabState, command: CancelCampaign, campaign: Campaign
     if campaign.status == CampaignStatus.CANCELLED:
         again = record_repeat(campaign.id, "cancel", command.why)
         runs = campaign.runs if command.stay else ()
-        return chain(again, _cancel_runs(state, runs, command.why, stay=True))
-    return _cancel(state, campaign, command)
+        return chain(again, cancel_all(state, runs, command.why, stay=True))
+    ended = CampaignCancelled(campaign.id, command.why)
+    return chain([ended], cancel_all(state, campaign.runs, command.why, stay=command.stay))
 
 
 @decides(ArchiveCampaign)
@@ -280,11 +281,6 @@ def archive_campaign(state: LabState, command: ArchiveCampaign) -> Decision:
     if known.archived is not command.undo:
         return []
     return [CampaignUnarchived(name) if command.undo else CampaignArchived(name)]
-
-
-def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Iterator[Event]:
-    yield CampaignCancelled(campaign.id, command.why)
-    yield from _cancel_runs(state, campaign.runs, command.why, stay=command.stay)
 
 
 def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
@@ -353,14 +349,6 @@ def _find_queued(campaign: Campaign) -> list[RunId]:
     return [run for run, started in campaign.runs.items() if not started]
 
 
-def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool = False) -> Iterator[Event]:
-    """Cancel runs, one after the other, as far as possible."""
-    for run in list(runs):
-        answer = cancel_run(state, CancelRun(run, stay, why))
-        if not isinstance(answer, Rejection):
-            yield from answer
-
-
 # -- reactions -----------------------------------------------------------------------------------
 
 
@@ -370,7 +358,7 @@ def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
         campaign = state.campaigns.open[name]
         if why := explain_stop(campaign):
             yield CampaignStopped(name, why, campaign.met_by)
-            yield from _cancel_runs(state, _find_queued(campaign), f"{name} was stopped")
+            yield from cancel_all(state, _find_queued(campaign), f"{name} was stopped")
         elif is_over(campaign):
             yield make_from(CampaignCompleted, campaign, campaign=name)
 
@@ -379,4 +367,4 @@ def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
     """The campaigns of a disabled user are paused until somebody resumes them."""
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
         answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
-        yield from () if isinstance(answer, Rejection) else answer
+        yield from list_possible(answer)

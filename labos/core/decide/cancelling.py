@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from labos.core.decide._base import Command, Decision, InnerCommand, Rejection
+from labos.core.decide._base import Command, Decision, InnerCommand, list_possible
 from labos.core.decide.endings import has_open_action, record_end
 from labos.core.decide.lookups import decides_about, expect_run, find_active_run
 from labos.core.ids import RunId
@@ -53,12 +53,11 @@ def cancel_run(state: LabState, command: CancelRun, run: RunState) -> Decision:
 
 
 def cancel_all(
-    state: LabState, runs: Iterable[RunState], stay: bool = False, why: str = ""
+    state: LabState, runs: Iterable[RunId], why: str = "", *, stay: bool = False
 ) -> Iterator[Event]:
-    """Cancel several runs."""
-    for run in runs:
-        found = cancel_run(state, CancelRun(run.id, stay, why))
-        yield from () if isinstance(found, Rejection) else found
+    """Cancel runs, one after the other, as far as possible."""
+    for run in list(runs):
+        yield from list_possible(cancel_run(state, CancelRun(run, stay, why)))
 
 
 @decides_about(TakeWayOut, find_active_run)

@@ -84,19 +84,19 @@ def resume_starts(state: LabState, command: ResumeStarts, target: str) -> Decisi
 @decides_about(CancelRuns, _expect_target)
 def cancel_runs(state: LabState, command: CancelRuns, target: str) -> Decision:
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
-    needing = [run for run in runs if _is_meant(state, run, command.target)]
-    return cancel_all(state, needing, command.stay, command.why)
+    needing = [run.id for run in runs if _is_meant(state, run, command.target)]
+    return cancel_all(state, needing, command.why, stay=command.stay)
 
 
 @decides_about(CancelExperiment, expect_experiment)
 def cancel_experiment(state: LabState, command: CancelExperiment, experiment: Experiment) -> Decision:
-    runs = [run for run in map(state.runs.get, experiment.runs) if run is not None]
     if experiment.status != ExperimentStatus.OPEN:
         again = record_repeat(command.experiment, "cancel", command.why)
-        return chain(again, cancel_all(state, runs, command.stay, command.why) if command.stay else ())
+        runs = experiment.runs if command.stay else ()
+        return chain(again, cancel_all(state, runs, command.why, stay=True))
     reason = f": {command.why}" if command.why else ""
     ended = ExperimentCancelled(command.experiment, f"cancelled by {command.by}{reason}")
-    return chain([ended], cancel_all(state, runs, command.stay, command.why))
+    return chain([ended], cancel_all(state, experiment.runs, command.why, stay=command.stay))
 
 
 def _is_meant(state: LabState, run: RunState, target: str) -> bool:

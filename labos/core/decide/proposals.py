@@ -19,7 +19,7 @@ from labos.core.campaigns import (
     CampaignStopped,
     Terms,
 )
-from labos.core.decide._base import Command, Decision, Rejection
+from labos.core.decide._base import Command, Decision, Rejection, list_possible
 from labos.core.decide.campaigns import (
     CancelCampaign,
     cancel_campaign,
@@ -142,7 +142,7 @@ def refuse(state: LabState, proposal: Proposal, command: RefuseProposal) -> Iter
         follows = cancel_experiment(
             state, CancelExperiment(ExperimentId(subject), command.by, False, command.why)
         )
-    yield from [] if isinstance(follows, Rejection) else follows
+    yield from list_possible(follows)
 
 
 def _find_waiting(state: LabState, experiment: str) -> Iterator[Proposal]:
