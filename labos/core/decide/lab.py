@@ -18,7 +18,7 @@ from labos.core.decide._base import (
 from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
-from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
+from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, level_key, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
@@ -137,7 +137,7 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
         events.append(StationsApplied(cell.name, (), tuple(gone[first : first + STATIONS_PER_EVENT])))
     for spec in cell.modules:
         for resource, capacity in spec.levels.items():
-            if f"{spec.name}:{resource}" not in state.resources.levels:
+            if level_key(spec.name, resource) not in state.resources.levels:
                 events.append(LevelSet(spec.name, resource, capacity, capacity))
     return events
 

@@ -10,7 +10,7 @@ from labos.core.actions import Action
 from labos.core.bench import Labware, StationState
 from labos.core.bookings import Booking
 from labos.core.decide._base import Command, Decider, Decision, Rejection, decides
-from labos.core.ids import ExperimentId, Owner, local, split_owner
+from labos.core.ids import ExperimentId, Owner, local, split_key
 from labos.core.modules import Module, ModuleStatus
 from labos.core.open_experiments import Experiment
 from labos.core.runs import RunState
@@ -96,7 +96,7 @@ def find_attempt(state: LabState, command: Any) -> Action | None:
 def find_owner(state: LabState, owner: Owner) -> str:
     """The user who owns labware with this owner: the user of a run or of an experiment that has not ended;
     empty if it is shared or has no owner."""
-    kind, name = split_owner(owner)
+    kind, name = split_key(owner)
     if kind == "user":
         return name
     run = state.runs.get(name) if kind == "run" else None
