@@ -50,7 +50,6 @@ from labos.core.effects import (
     list_moved,
 )
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
-from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan, PlanStep
 from labos.core.modules import ModuleStatus, NodeStateChanged, find_unproven
@@ -436,5 +435,5 @@ def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
     choice = find_shown_outcome(state, action, item.station) if item is not None else ""
     if question is None or not choice:
         return []
-    seen = InterventionResolved(question.id, "withdrawn", "labos", "observed at its place meanwhile")
+    seen = question.withdraw("observed at its place meanwhile")
     return chain([seen], settle(state, action, choice, "labos"))

@@ -24,7 +24,6 @@ from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, 
 from labos.core.decide.limits import BAD_TEXT, find_fault
 from labos.core.decide.lookups import decides_about, expect_booking, find_owner
 from labos.core.ids import SHARED, ModuleName, local, workcell_of
-from labos.core.interventions import InterventionResolved
 from labos.core.recurrence import DAY_NS, LATEST, find_rule_fault, find_zone, in_zone
 from labos.core.registry import Event
 from labos.core.roles import rank_role_in
@@ -439,7 +438,7 @@ def withdraw_booking_questions(
 ) -> Iterator[Event]:
     """The questions about a booking are withdrawn when it changes or ends."""
     for question in state.interventions.list_about(_make_subject(event.booking)):
-        yield InterventionResolved(question.id, "withdrawn", "labos", "the booking is over, or another one")
+        yield question.withdraw("the booking is over, or another one")
 
 
 def withdraw_cleared_booking_question(state: LabState, event: Event) -> Iterator[Event]:
@@ -460,4 +459,4 @@ def withdraw_cleared_booking_question(state: LabState, event: Event) -> Iterator
             standing = {item.id for module in modules for item in _list_standing(state, module)}
             still = any(name in standing for name in topic.labware)
         if not still:
-            yield InterventionResolved(question.id, "withdrawn", "labos", "the place is clear")
+            yield question.withdraw("the place is clear")

@@ -26,7 +26,6 @@ from labos.core.ids import (
     local,
     user_owner,
 )
-from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.open_experiments import Experiment, ExperimentStatus, note_digest
@@ -292,4 +291,4 @@ def withdraw_experiment_question(
     why = f"the application {'was started again' if came_back else 'came back and ended'}"
     for question in state.interventions.list_about(event.experiment):
         if isinstance(question.topic, LostExperiment) or not came_back:
-            yield InterventionResolved(question.id, "withdrawn", "labos", why)
+            yield question.withdraw(why)

@@ -19,7 +19,6 @@ from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, level_key, local, workcell_of
-from labos.core.interventions import InterventionResolved
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import StationSpec, Workcell
@@ -93,7 +92,7 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
             yield ModulePutBack(name)
     for question in asked:
         why = "the whole bench is being compared with the log"
-        yield InterventionResolved(question.id, "withdrawn", "labos", why)
+        yield question.withdraw(why)
 
 
 @decides(ApplyWorkcell)

@@ -15,7 +15,6 @@ from labos.core.effects import list_carried, list_moved, list_places, name_hand
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
     Intervention,
-    InterventionResolved,
 )
 from labos.core.labware import (
     LabwareObserved,
@@ -192,9 +191,7 @@ class Sight:
     def _answer(self, question: Intervention, placed: set[LabwareId]) -> Iterator[Event]:
         """The events for a question about labware that was found. ``placed`` is labware that other events of
         this observation place."""
-        withdrawn = InterventionResolved(
-            question.id, "withdrawn", "labos", f"observed by {self._by} at its place"
-        )
+        withdrawn = question.withdraw(f"observed by {self._by} at its place")
         topic = question.topic
         if isinstance(topic, UnknownAction):
             action = self._state.actions.open.get(ActionId(question.subject))
@@ -291,7 +288,7 @@ def _settle_take(state: LabState, action: Action, place: StationName, by: str) -
     there = len(motions) == 1 and motions[0].target == place
     if question is None or not there or is_read_later(state, action) or may_still_act(state, action):
         return []
-    withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"observed by {by} at its place")
+    withdrawn = question.withdraw(f"observed by {by} at its place")
     return chain([withdrawn], settle(state, action, "done", by))
 
 
@@ -300,7 +297,7 @@ def _withdraw_strange(state: LabState, place: StationName) -> list[Event]:
     question = _find_question(state, place)
     if question is None or question.labware:
         return []
-    return [InterventionResolved(question.id, "withdrawn", "labos", "observed to be no longer there")]
+    return [question.withdraw("observed to be no longer there")]
 
 
 def _find_question(state: LabState, place: StationName) -> Intervention | None:

@@ -234,9 +234,7 @@ def _resolve_question(
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
     """An operator is asked, and an earlier question about the same subject is withdrawn."""
     for question in _list_questions(state, event.subject):
-        yield InterventionResolved(
-            question.id, "withdrawn", "labos", "it was changed, and the question is asked again"
-        )
+        yield question.withdraw("it was changed, and the question is asked again")
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
     why = "; ".join(why.text for why in event.why)
     text = (
@@ -261,4 +259,4 @@ def withdraw_approval_question(
     """The question about an approval is withdrawn when its subject has ended."""
     subject = event.campaign if hasattr(event, "campaign") else event.experiment
     for question in _list_questions(state, subject):
-        yield InterventionResolved(question.id, "withdrawn", "labos", "it has ended")
+        yield question.withdraw("it has ended")
