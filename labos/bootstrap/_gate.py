@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AsyncExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,8 +24,7 @@ from labos.http.server import Listening, is_own_address
 from labos.http.viewers import Viewers
 from labos.private import create_file
 from labos.runtime.kernel import Kernel
-from labos.runtime.kernel_log import Listener
-from labos.runtime.ledger import Entry
+from labos.runtime.kernel_log import OnEvents
 from labos.runtime.marks import Marks
 from labos.services.accounts import HOME, Accounts, make_secret
 from labos.services.accounts.accounts import FRESH_S
@@ -127,7 +126,7 @@ def open_gate(
             secure=describe_listening(settings, 0).is_secure,
             provider=_read_provider(settings, kernel.clock),
         )
-        kernel.listeners.append(_Disabled(accounts))
+        kernel.listeners.append(OnEvents((UserDisabled,), lambda event: accounts.end_of_user(event.user)))
         signing.watch(accounts.on_try, gate.on_refusal)
         yield gate
     finally:
@@ -180,15 +179,3 @@ def _read_provider(settings: Settings, clock: Clock) -> Provider | None:
 def _remove(settings: Settings) -> None:
     with suppress(OSError):
         settings.home_key.unlink()
-
-
-class _Disabled(Listener):
-    """Ends the streams of a disabled user."""
-
-    def __init__(self, accounts: Accounts) -> None:
-        self._accounts = accounts
-
-    def on_committed(self, entries: Sequence[Entry]) -> None:
-        for entry in entries:
-            if isinstance(entry.event, UserDisabled):
-                self._accounts.end_of_user(entry.event.user)

@@ -50,8 +50,7 @@ from labos.private import make_folder
 from labos.runtime.feeder import Feeder
 from labos.runtime.follower import Follower
 from labos.runtime.kernel import Kernel
-from labos.runtime.kernel_log import KernelSettings, Listener
-from labos.runtime.ledger import Entry
+from labos.runtime.kernel_log import KernelSettings, OnEvents
 from labos.runtime.log_check import LogCheck
 from labos.runtime.writer import ThreadWriter
 from labos.services.journals import find_untold, refuse_lost_log
@@ -126,7 +125,8 @@ async def open_lab(
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
         _hear_journals(settings, store, kernel)
-        kernel.listeners.append(_LogEndListener(store))
+        # The next start does not ask about the same loss again.
+        kernel.listeners.append(OnEvents((BenchCompared,), lambda _: store.accept_end()))
         await kernel.begin_planning()
         notifier = await stack.enter_async_context(run_notifier(settings, contacts, kernel))
         modules = [*kernel.state.modules.by_name, *(m.name for c in workcells for m in c.workcell.modules)]
@@ -154,7 +154,7 @@ async def open_lab(
         await lab.http.start()
         stack.push_async_callback(lab.http.close)
         await stack.enter_async_context(serve_api_processes(settings, lab))
-        feeder = Feeder(kernel, CampaignRows(lab.service))
+        feeder = Feeder(kernel, CampaignRows(lab.service).propose)
         feeder.start()
         stack.push_async_callback(feeder.close)
         watching = asyncio.get_running_loop().create_task(lab.service.miss_silent())
@@ -272,18 +272,6 @@ def _is_simulated(settings: Settings) -> bool:
             remedy="Its log would not match the other bench. Use another --home.",
         )
     return wanted
-
-
-class _LogEndListener(Listener):
-    """Informs the store when a person has compared the bench with the log: the next start does not ask about
-    the same loss again."""
-
-    def __init__(self, store: SqlEventStore) -> None:
-        self._store = store
-
-    def on_committed(self, entries: Sequence[Entry]) -> None:
-        if any(isinstance(entry.event, BenchCompared) for entry in entries):
-            self._store.accept_end()
 
 
 def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:
