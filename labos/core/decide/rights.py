@@ -213,7 +213,6 @@ _INNER = (actions, choices, doubts, steps, together, verification, work)
 """These modules have only commands that LabOS itself sends."""
 
 RIGHTS: dict[type[Command], Right] = {
-    **{command: _INSIDE for command in DECIDERS if issubclass(command, InnerCommand)},
     # runs, experiments and campaigns
     runs.SubmitRun: Right(
         "submitter",
@@ -314,5 +313,10 @@ RIGHTS: dict[type[Command], Right] = {
     users.GrantRole: Right("admin", "an admin of where the role is granted", targets.TO_GRANT),
     users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.TO_GRANT),
     nodes.RecordStops: Right("viewer", "the person who stopped it; it is recorded in any case"),
+    **{
+        command: _INSIDE
+        for command in DECIDERS
+        if issubclass(command, InnerCommand) and command is not nodes.RecordStops
+    },
 }
 """The right that each command needs."""
