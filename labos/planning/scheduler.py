@@ -20,7 +20,15 @@ from labos.core import reasons
 from labos.core.decide import Command
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import has_open_action
-from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, workcell_of
+from labos.core.ids import (
+    ActionId,
+    ExperimentId,
+    InterventionId,
+    ModuleName,
+    RunId,
+    find_owning_run,
+    workcell_of,
+)
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
@@ -293,8 +301,8 @@ class Scheduler:
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
         for key in touched.keys:
-            if key.startswith("run:"):
-                names.update(dict.fromkeys(self._list_run_steps(state, RunId(key[4:])), True))
+            if run := find_owning_run(key):
+                names.update(dict.fromkeys(self._list_run_steps(state, run), True))
             else:
                 names |= self.sleepers.find_waiting(key)
         if touched.whole:
