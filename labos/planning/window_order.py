@@ -28,7 +28,7 @@ from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_anchor, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, SlotTable
+from labos.planning.chains import Chain, Fit, Leg, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import Task, Ways
 from labos.planning.taken import find_station
@@ -499,7 +499,7 @@ def _make_member(
         takes = dict.fromkeys(k for k in (*task.takes, *task.gets) if ways.room[k] == 1)
         holds = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
         wait = _up(least, slot)
-        longest = UNLIMITED if most is None else max(wait, most // slot)
+        longest = None if most is None else max(wait, most // slot)
         legs.append(
             Leg(
                 tuple(k for k in takes if k not in holds),
@@ -540,7 +540,8 @@ def _since_clocks(
     least, most = 0, None
     for later in range(first, len(line.steps)):
         for window in plan.steps[line.steps[later]].windows:
-            anchor = line.steps.index(window.anchor) if window.anchor is not None else -1
+            assert window.anchor is not None  # of another run's clock nothing is known: see _read_line
+            anchor = line.steps.index(window.anchor)
             ended = find_anchor(run, window)
             if ended is None and anchor == first - 1:
                 ended = end
