@@ -417,6 +417,8 @@ class Scheduler:
 
     def _let_in(self, state: LabState, bundle: str, first: RunState, now: int) -> Iterator[StepStart]:
         run: RunState | None = first
+        if first.id not in state.runs.queued:  # another bundle's look ahead has let it in meanwhile
+            run = self.admission.find_first(state, bundle, now)
         while run is not None:
             chosen = self.admission.choose(state, bundle, run, now)
             if not isinstance(chosen, Candidate):
