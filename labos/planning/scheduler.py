@@ -340,7 +340,7 @@ class Scheduler:
         changed: list[str] = []
         for cell in [cell for cell, runs in state.runs.windowed_in.items() if runs]:
             waiting = self.admission.list_next(state, cell, MOST_WAITING, now)
-            if orders.update(state, cell, waiting, partial(self.room.count_passed_over, cell), now):
+            if orders.update(state, cell, waiting, partial(self.room.count_overtakings, cell), now):
                 changed.append(cell)
         return changed
 
