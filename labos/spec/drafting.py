@@ -12,6 +12,7 @@ from typing import Any
 
 from labos.core.arguments import list_names
 from labos.core.effects import Unlid
+from labos.core.ids import local
 from labos.core.model import ActionSpec, Description
 from labos.errors import SpecError
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
@@ -300,7 +301,7 @@ def _list_named_places(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
 def _find(stations: Stations, text: str, module: str) -> str | None:
     """The file's name of the station to which a step's word refers; None if there is none."""
     try:
-        return stations.find(text, module).partition("/")[2]
+        return local(stations.find(text, module))
     except SpecError:
         return None
 

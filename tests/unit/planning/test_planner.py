@@ -139,7 +139,7 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     assert order is None or order.steps[0].run == second
 
 
-def test_a_search_lets_nobody_be_passed_over_more_often_than_the_lab_allows() -> None:
+def test_a_search_lets_nobody_be_overtakings_more_often_than_the_lab_allows() -> None:
     """One long run and twelve short ones: each ends sooner if the long one is last, and it is not."""
     pytest.importorskip("ortools")
     lab = Driver(CELL)
