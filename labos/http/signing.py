@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from labos.core.decide.users import EraseUser
 from labos.core.state import LabState
-from labos.core.users import LABOS
+from labos.core.users import LABOS, group_subject, user_subject
 from labos.errors import BadInput, Forbidden, NotFound, NotSignedIn, Refused
 from labos.http.identity import SIGN_IN, Gate, Who
 from labos.http.limits import Line, Name, Secret, says
@@ -199,8 +199,8 @@ async def find_identity(call: Call) -> Identity:
     known = state.users.known.get(who.user)
     person = (await call.api.gate.accounts.people()).get(who.user, Person(who.user))
     group = state.shares.group_of.get(who.user, "")
-    roles = dict(state.users.roles.get(f"group:{group}", {})) | dict(
-        state.users.roles.get(f"user:{who.user}", {})
+    roles = dict(state.users.roles.get(group_subject(group), {})) | dict(
+        state.users.roles.get(user_subject(who.user), {})
     )
     is_open = state.users.is_open
     scope = "admin" if is_open else "viewer"

@@ -12,6 +12,7 @@ from typing import Any
 
 from labos.core.arguments import list_names
 from labos.core.effects import Unlid
+from labos.core.ids import local
 from labos.core.model import ActionSpec, Description
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
 from labos.spec.interfaces import is_configured
@@ -295,7 +296,7 @@ def _list_named_places(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
 def _find(stations: Stations, text: str, module: str) -> str | None:
     """The file's name of the station to which a step's word refers; None if there is none."""
     found = stations.find_known(text, module)
-    return found.partition("/")[2] if found is not None else None
+    return local(found) if found is not None else None
 
 
 def _declare(

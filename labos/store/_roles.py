@@ -62,7 +62,7 @@ def grant_writer(url: str, role: str) -> None:
         if found is None:
             raise NotFound(
                 f"The {display_name(parsed)} has no role {role!r}.",
-                remedy="Make it first: CREATE ROLE name LOGIN PASSWORD '…'",
+                remedy="Create it first: CREATE ROLE name LOGIN PASSWORD '…'",
             )
         if found.rolsuper or found.owns:
             what = (
