@@ -151,7 +151,7 @@ def test_a_search_lets_nobody_be_overtakings_more_often_than_the_lab_allows() ->
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE
-    found = solve(replace(problem, passed=(5, *[0] * 12)), 5.0)
+    found = solve(replace(problem, overtaken=(5, *[0] * 12)), 5.0)
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE - 5, (
@@ -272,7 +272,7 @@ def test_a_rehearsal_protects_who_was_passed_over_before() -> None:
     assert order is not None
 
     def find_first(passed: dict[RunId, int]) -> RunId:
-        rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab), passed=passed)
+        rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab), overtaken=overtaken)
         return min((elder, younger), key=rehearsal.go(order).plays[0].starts.__getitem__)
 
     assert find_first({elder: PATIENCE - 1}) == younger
