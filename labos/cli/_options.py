@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 SPEED_HELP = "Speed-up factor: simulated time divided by real time."
+speed_option = click.option(
+    "--speed",
+    type=click.FloatRange(min=0.01),
+    help=f"{SPEED_HELP} If not given: 1 for a new lab; an existing lab keeps its factor.",
+)
 
 
 def options_together(*options: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -154,30 +159,30 @@ class Asker(msgspec.Struct, frozen=True):
         tell(sentence, facts, as_json=self.as_json)
 
 
-def asker_options(command: F) -> F:
+def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
 
     @wraps(command)
     def wrap(*args: Any, user: str | None, home: str | None, as_json: bool, **options: Any) -> Any:
         return command(*args, asker=Asker(user, home, as_json), **options)
 
-    return user_option(home_option(json_option(wrap)))  # type: ignore[return-value]
+    return user_option(home_option(json_option(wrap)))
 
 
-def lab_and_json(command: F) -> F:
+def lab_and_json(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--home`` and ``--json``; the command gets ``asker: Asker`` without a given user."""
 
     @wraps(command)
     def wrap(*args: Any, home: str | None, as_json: bool, **options: Any) -> Any:
         return command(*args, asker=Asker(None, home, as_json), **options)
 
-    return home_option(json_option(wrap))  # type: ignore[return-value]
+    return home_option(json_option(wrap))
 
 
 lab_options = options_together(
     home_option,
     database_option,
-    click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP),
+    speed_option,
     click.option(
         "--seed", type=int, default=0, help="The seed of the simulated instruments' random durations."
     ),
@@ -205,8 +210,8 @@ def web_options(about: str) -> Callable[[F], F]:
         click.option(
             "--behind-proxy",
             is_flag=True,
-            help=f"A proxy provides TLS for {about} and sends X-Forwarded-For: "
-            "nobody else may reach its port.",
+            help=f"A proxy provides TLS for {about} and sends X-Forwarded-For. "
+            "Only the proxy may reach the HTTP port.",
         ),
         click.option(
             "--name",

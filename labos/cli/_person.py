@@ -29,7 +29,6 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
     are cancelled.
 
     \b
-    labos cancel R3 --why "wrong plate"
     labos cancel R3 --wait    wait until it has ended
     labos cancel R3 --stay    move no more labware, even if it is being cleared away
     labos cancel R3 --why "wrong plate"

@@ -42,8 +42,8 @@ class Offer(msgspec.Struct, frozen=True):
 def command(where: Where, name: str, action: str, drivers: bool, file: str | None) -> None:
     """Show the actions of a module, with the arguments for a step of a workflow.
 
-    NAME is a module of the lab (with --workcell: of the workcell file), a driver or a model. Without NAME,
-    the command shows all modules of the lab, or all installed drivers if there is no lab.
+    MODULE is a module of the lab, or with --workcell of the workcell file. DRIVER is a driver or a model.
+    Without a name, the command shows all modules of the lab, or all installed drivers if there is no lab.
 
     \b
     labos actions                         every module, and its actions

@@ -72,7 +72,7 @@ def _forecast(client: LabClient, subject: str, approval: dict[str, Any]) -> dict
     try:
         return client.approval_forecast(subject)
     except LabosError as error:
-        click.echo(f"labos: there is no forecast: {error.message}", err=True)
+        click.echo(f"labos: There is no forecast: {error.message}", err=True)
         return None
 
 
@@ -157,7 +157,11 @@ def _strip_control(text: str) -> str:
 @click.option("--runs", type=click.IntRange(min=0), help="For a campaign: the maximum number of rows.")
 @click.option("--lab-time", metavar="TIME", help="For a campaign: the maximum module time, such as `20 h`.")
 @click.option(
-    "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="The maximum consumption."
+    "--consumable",
+    "consumables",
+    multiple=True,
+    metavar="KIND=AMOUNT",
+    help="For a campaign: the maximum consumption of this kind, such as tips=96; may be repeated.",
 )
 @click.option(
     "--alike",

@@ -92,7 +92,7 @@ def show(where: Where) -> None:
         raise SystemExit(1)
 
 
-@command.command("round", short_help="Check the bench after the log has lost its end.")
+@command.command("round", short_help="Check the bench after the log has lost its last events.")
 @click.option("--say", "reports", multiple=True, metavar="STATION=WHAT", help="The content of a station.")
 @click.option("--file", "path", metavar="FILE", help="A YAML file with `STATION: WHAT` in each line.")
 @click.option("--as-simulated", "simulated", is_flag=True, help="Report the true state of a simulated bench.")
@@ -111,9 +111,9 @@ def round_(
     as_json: bool,
     user: str | None,
 ) -> None:
-    """Check the bench, station by station, after the log has lost its end. This is so if nodes, a checkpoint
-    or a journal know later events than the log, or if the log was restored from an older copy. No action
-    starts before the check is complete.
+    """Check the bench, station by station, after the log has lost its last events. Nodes, a
+    checkpoint or a journal then know later events than the log, or the log was restored from an older copy.
+    No action starts before the check is complete.
 
     On a terminal, the command asks you about each station. Your answers are kept if you stop. For a station
     that a lost action has changed, report what stands there. For all others, `as recorded` is enough. WHAT

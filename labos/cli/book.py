@@ -216,5 +216,5 @@ def _find_time_on(client: Any, booking: str, on: str) -> int:
 
 
 def _tell(found: dict[str, Any], asker: Asker) -> None:
-    over = f" It was made over {', '.join(found['over'])}." if found["over"] else ""
+    over = f" It overlaps with {', '.join(found['over'])}." if found["over"] else ""
     asker.tell(f"{found['id']}: {describe_booking(found)}.{over}", found)

@@ -22,7 +22,7 @@ DAYS = 7
 @click.option("--ical", is_flag=True, help="Print all bookings as iCalendar, for calendar programs.")
 @lab_and_json
 def command(target: str, day: str | None, days: int, zone: str | None, ical: bool, asker: Asker) -> None:
-    """Show the bookings of a week from Monday on: one bar of 24 hours for each (# booked, m maintenance).
+    """Show the bookings of a week from Monday on: one bar of 24 hours for each (#: booked, m: maintenance).
 
     \b
     labos calendar

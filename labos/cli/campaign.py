@@ -322,7 +322,7 @@ def _describe_counts(story: CampaignHistory) -> str:
         "failed": found.failed,
         "cancelled": found.cancelled,
         "refused": found.refused,
-        "under way": len(found.runs) - found.queued,
+        "active": len(found.runs) - found.queued,
         "waiting": found.queued,
         "left": found.left,
     }

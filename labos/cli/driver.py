@@ -62,7 +62,7 @@ def torture_command(
     \b
     labos driver torture a4s_sealer
     labos driver torture ./shaker.py --at-least silver
-    labos driver torture liconic --check "late reply" --keep torment
+    labos driver torture liconic --check "late reply" --keep evidence
     """
     from labos.torture import RANKS, Finding, torture
 

@@ -167,7 +167,7 @@ def _explain_how(question: Intervention) -> str:
 
 
 def _describe_action(state: str) -> str:
-    return "under way" if state == "in flight" else "in an unknown state"
+    return "in progress" if state == "in flight" else "in an unknown state"
 
 
 def describe_progress(story: RunHistory) -> str:

@@ -14,7 +14,7 @@ from labos.services.trust.tree import read_tree
 witness_option = click.option(
     "--witness",
     is_flag=True,
-    help="Create the key that cosigns other labs' checkpoints, not the lab's own key.",
+    help="Use the key that cosigns other labs' checkpoints, not the lab's own key.",
 )
 
 

@@ -160,7 +160,7 @@ def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
 @click.command("whoami")
 @lab_and_json
 def whoami(asker: Asker) -> None:
-    """Show as which user you are signed in, and your rights in the lab."""
+    """Show the name of the signed-in user, and your rights in the lab."""
     from labos.services.times import iso_time
 
     with asker.lab() as client:

@@ -57,7 +57,8 @@ def command() -> None:
 @click.option(
     "--finish-s",
     type=float,
-    help="How long an action in progress may continue after a stop (simulated: 30 s, real: to its end).",
+    help="How many seconds an action in progress may continue after a stop (default: 30 for a simulated "
+    "device; a real one continues to the end of the action).",
 )
 def start(
     driver: str,

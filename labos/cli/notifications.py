@@ -111,7 +111,7 @@ def test(where: Where, contact: str) -> None:
 def watch(where: Where) -> None:
     """Send notifications from a separate process, until Ctrl-C. It also notifies you if the kernel is dead.
 
-    `labos up` sends notifications itself, unless this process already runs. Only one of the two sends. If
+    `labos up` sends notifications itself, unless this command already runs. Only one of the two sends. If
     the kernel ends or is killed, this process takes over. To be notified of a failed computer, run this
     command on another computer, with its own --home and the lab's --database.
 

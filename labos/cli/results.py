@@ -31,7 +31,7 @@ from labos.services.times import Moment, show_time
 @at_option
 @log_options
 def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: bool, moment: Moment) -> None:
-    """Show the results of RUN's steps that are tables by well. Each value stands with the sample in its well.
+    """Show the results of RUN that have a value for each well, with the sample in the well.
 
     \b
     labos results R3

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.ids import ActionId, ModuleName, RunId, StationName, workcell_of
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 
@@ -138,15 +138,13 @@ class ActionDiscovered(Event, frozen=True):
     the position of its request (0: not known). ``effects`` are its planned effects on labware; null if the
     journal does not have them."""
 
+    STREAM = "module"
     action: ActionId
     module: ModuleName
     name: str
     status: str
     position: int = 0
     effects: tuple[AnyEffect, ...] | None = None
-
-    def stream(self) -> str:
-        return self.module
 
 
 class ActionStatus(StrEnum):
@@ -306,6 +304,3 @@ def fold_action_evidence(actions: Actions, event: ActionEvidence, at: int) -> No
 
 def fold_action_discovered(actions: Actions, event: ActionDiscovered, at: int) -> None:
     actions.discovered[event.action] = event.module
-
-
-HANDLERS = list_handlers(globals(), Actions)

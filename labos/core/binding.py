@@ -31,21 +31,14 @@ from labos.core.effects import (
     name_hand,
 )
 from labos.core.holding import find_other_holder, find_other_keeper
-from labos.core.ids import LabwareId, ModuleName, RunId, StationName, run_owner
+from labos.core.ids import LabwareId, ModuleName, RunId, StationName, module_key, run_owner, station_key
 from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
 from labos.core.resources import sum_needed
 from labos.core.runs import RunState
 from labos.core.shelves import find_free_shelf, is_in_doubt, is_taken, on_shelves
 from labos.core.state import LabState
-from labos.core.waits import (
-    Wait,
-    describe_occupants,
-    list_keys_until_free,
-    list_party,
-    module_key,
-    station_key,
-)
+from labos.core.waits import Wait, describe_occupants, list_keys_until_free, list_party
 
 
 def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffect, ...]:

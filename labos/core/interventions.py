@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.ids import InterventionId, LabwareId
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.structs import make_from
 from labos.core.topics import AnyTopic, Choice, Topic
 from labos.core.words import Words
@@ -148,6 +148,3 @@ def fold_intervention_resolved(interventions: Interventions, event: Intervention
 
 def fold_intervention_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:
     interventions.open[event.intervention].overdue = True
-
-
-HANDLERS = list_handlers(globals(), Interventions)

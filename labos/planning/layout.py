@@ -17,7 +17,7 @@ from labos.core.bench import Bench, Labware
 from labos.core.binding import check_module
 from labos.core.decide.together import find_planned_wish
 from labos.core.effects import find_labware_used, list_carried
-from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
+from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName, find_owning_run
 from labos.core.leaving import will_leave
 from labos.core.model import Plan, Together
 from labos.core.modules import Module
@@ -55,9 +55,8 @@ def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[Statio
             place = find_destination(state.bench, item)
             if place:
                 places[place] = places.get(place, 0) + 1
-        if owner.startswith("run:"):
-            for target in find_arriving(state, RunId(owner[4:])):
-                places[target] = places.get(target, 0) + 1
+        for target in find_arriving(state, run) if (run := find_owning_run(owner)) else ():
+            places[target] = places.get(target, 0) + 1
     return places, lost
 
 

@@ -16,11 +16,12 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from labos.core import reasons
+from labos.core.ids import module_key, split_key
 from labos.core.reasons import AnyReason
 from labos.core.recurrence import in_zone
 from labos.core.runs import RunState
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key
+from labos.core.waits import Wait
 from labos.planning.outline import Outline, Ways
 from labos.planning.touch import cell_key, near_key
 
@@ -141,7 +142,7 @@ class Pilot:
         if not waits:
             return _make_wait(state, outline, cell)
         _, which, key = max(waits)
-        place = self._ways[cell].names[key].partition(":")[2]
+        place = split_key(self._ways[cell].names[key])[1]
         why = reasons.HoldsUp(str(outline.runs[which[0]].id), place, in_zone(begun[which], "UTC"))
         return _make_wait(state, outline, cell, why)
 

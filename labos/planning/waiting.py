@@ -24,6 +24,7 @@ from labos.core.ids import (
     RunId,
     StationName,
     experiment_owner,
+    split_key,
     user_owner,
     workcell_of,
 )
@@ -363,7 +364,7 @@ def _find_present(state: LabState, cell: str) -> dict[Owner, frozenset[StationNa
     inside is there too."""
     found: dict[Owner, set[StationName]] = {}
     for item in list_labware_in(state, cell):
-        if item.owner.startswith(("user:", "experiment:")):
+        if split_key(item.owner)[0] in ("user", "experiment"):
             places = [p for p in _list_places(state.bench, item) if workcell_of(p) == cell]
             if places:
                 found.setdefault(item.owner, set()).update(places)

@@ -22,7 +22,7 @@ import msgspec
 
 from labos.core.actions import Action, ActionStatus
 from labos.core.effects import Carrying, Consumes, Needs
-from labos.core.ids import RunId, run_owner
+from labos.core.ids import RunId, deck_key, run_owner
 from labos.core.model import MAIN, Plan
 from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_anchor, find_holds
@@ -30,7 +30,8 @@ from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, SlotTable
 from labos.planning.forecast import find_usual_time
-from labos.planning.outline import DECK, Task, Ways
+from labos.planning.outline import Task, Ways
+from labos.planning.taken import find_station
 from labos.planning.window_waits import WaitSpan, share_waits
 
 OWN_WINDOWS = "labos, windows"
@@ -398,14 +399,13 @@ def _lay_out(
     table = SlotTable(len(ways.room), int(total / slot * 1.3) + 64)
     owners = {run_owner(run.id) for run in runs}
     for key, number in ways.numbers.items():
-        kind, _, name = key.partition(":")
-        station = state.bench.stations.get(name) if kind == "station" else None  # type: ignore[call-overload]
+        station = find_station(state, key)
         if station is None or station.spec.kind in ("stack", "waste"):
             continue
         if any(state.bench.labware[labware].owner not in owners for labware in station.labware):
             if ways.room[number] == 1:
                 table.taken[number] = table.full
-            deck = ways.numbers.get(f"{DECK}{station.spec.claim}")
+            deck = ways.numbers.get(deck_key(station.spec.claim))
             if deck is not None and station.spec.claim:
                 table.taken[deck] = table.full
     return PlannedCell(dict(sorted(members.items(), key=lambda item: item[1].run.position)), table, slot, now)

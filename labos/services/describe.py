@@ -23,7 +23,7 @@ from labos.core import users as u
 from labos.core.approvals import ApprovalGiven, ApprovalRefused, ApprovalRequested, RunApproved
 from labos.core.envelope import Envelope
 from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased
-from labos.core.ids import local, split_owner
+from labos.core.ids import local, split_key
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.policy import PolicyApplied
 from labos.core.registry import Event
@@ -50,7 +50,7 @@ def owner_name(owner: str) -> str:
         return "nobody"
     if owner == "shared":
         return "everybody (shared)"
-    kind, name = split_owner(owner)
+    kind, name = split_key(owner)
     return name if kind == "user" else f"{kind} {name}"
 
 

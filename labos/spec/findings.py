@@ -91,14 +91,10 @@ class FindingList:
     ) -> None:
         self._add("warning", message, place, field, remedy, file, assumed)
 
-    def keep(self, finding: Finding) -> None:
-        """Add a finding unchanged."""
-        self._keep(finding)
-
     def take(self, other: FindingList) -> None:
         """Add the findings of another file."""
         for finding in other.findings:
-            self._keep(finding)
+            self.keep(finding)
 
     def _add(
         self,
@@ -113,9 +109,10 @@ class FindingList:
         message = message if len(message) <= LONGEST else f"{message[:LONGEST]} …"
         where = (file or self.file, place.line, place.column, field[-LONGEST:])
         finding = Finding(severity, message, *where, remedy[:LONGEST], assumed)
-        self._keep(finding)
+        self.keep(finding)
 
-    def _keep(self, finding: Finding) -> None:
+    def keep(self, finding: Finding) -> None:
+        """Add a finding unchanged."""
         if self._count[finding.severity] >= MOST:
             self._count[finding.severity] += 1
         elif finding not in self._known:

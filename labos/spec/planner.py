@@ -45,14 +45,14 @@ from labos.spec.conditions import StepConditions
 from labos.spec.defaults import find_timeout
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import FindingList, suggest_name
+from labos.spec.findings import make_finding, suggest_name
 from labos.spec.holds import make_holds
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.plan_check import InitialBench, PlanCheck
 from labos.spec.references import fill, find_result
 from labos.spec.remarks import Remarks
-from labos.spec.source import Path_, Place
+from labos.spec.source import Path_
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
 from labos.spec.tables import find_counter
@@ -453,10 +453,7 @@ class StepPlanner:
     def _report(self, error: SpecError, entry: StepEntry, path: Path_) -> None:
         """Report the fault of an argument, or of the file that it names."""
         if error.file:
-            elsewhere = FindingList(error.file)
-            place = Place(error.line, error.column)
-            elsewhere.error(error.message, place, field=error.field, remedy=error.remedy)
-            self.remarks.report.take(elsewhere)
+            self.remarks.report.keep(make_finding(error))
         else:
             self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
 

@@ -145,12 +145,8 @@ def _refuse_unlike(found: Sequence[Compiled], form: Source, report: FindingList)
     """Raises SpecErrors for plans that differ in more than their modules."""
     keys = [[(step.key, step.part) for step in each.plan.steps] for each in found]
     if any(other != keys[0] for other in keys):
-        report.error(
-            "The steps depend on which modules are chosen.",
-            form.place(("steps",)),
-            field="steps",
-            remedy="Name the `module:` of transfers to and from modules that are chosen.",
-        )
+        remedy = "Name the `module:` of transfers to and from modules that are chosen."
+        Remarks(form, report).error("The steps depend on which modules are chosen.", ("steps",), remedy)
         report.raise_if_failed()
 
 

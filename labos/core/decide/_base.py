@@ -25,7 +25,11 @@ class Command(msgspec.Struct, frozen=True, tag=True):
         return ()
 
 
-class Report(Command, frozen=True):
+class InnerCommand(Command, frozen=True):
+    """A command that LabOS itself sends. No user may."""
+
+
+class Report(InnerCommand, frozen=True):
     """A device, a node or a program reports something that has happened. A report is not refused because of
     its texts: long texts are cut."""
 

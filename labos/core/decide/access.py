@@ -8,7 +8,7 @@ from itertools import chain
 import msgspec
 
 from labos.core.actions import ActionStatus
-from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides, refuse_hotel
 from labos.core.decide.by_hand import withdraw_answered
 from labos.core.decide.cancelling import cancel_all
 from labos.core.decide.runs import SubmitRun, plan_digest, submit_run
@@ -44,7 +44,7 @@ class RequestAccess(Command, frozen=True):
         return self.parking
 
 
-class GrantAccess(Command, frozen=True):
+class GrantAccess(InnerCommand, frozen=True):
     """Planning has nothing left to start: grant access if nothing moves."""
 
     workcell: str

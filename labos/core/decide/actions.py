@@ -22,7 +22,7 @@ from labos.core.actions import (
     FailureKind,
 )
 from labos.core.bench import split_item
-from labos.core.decide._base import Command, Decision, Rejection, Report, check_recordable, decides
+from labos.core.decide._base import Decision, InnerCommand, Rejection, Report, check_recordable, decides
 from labos.core.decide.barcodes import record_barcodes
 from labos.core.decide.choices import bind
 from labos.core.decide.endings import give_up
@@ -65,7 +65,7 @@ from labos.core.watching import list_watched
 from labos.core.wells import find_misfit
 
 
-class StartStep(Command, frozen=True):
+class StartStep(InnerCommand, frozen=True):
     """Request a step's action. ``action`` is its permanent id. If a run has several plans to choose from, its
     first step binds it to ``plan``."""
 

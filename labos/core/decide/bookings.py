@@ -20,9 +20,9 @@ from labos.core.bookings import (
     BookingSkipped,
     BookingSpan,
 )
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.limits import BAD_TEXT, find_fault
-from labos.core.ids import SHARED, ModuleName, local, split_owner, workcell_of
+from labos.core.ids import SHARED, ModuleName, local, split_key, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.recurrence import DAY_NS, LATEST, find_rule_fault, find_zone, in_zone
 from labos.core.registry import Event
@@ -88,21 +88,21 @@ class CancelBooking(Command, frozen=True):
     begins: int = 0
 
 
-class NearBooking(Command, frozen=True):
+class NearBooking(InnerCommand, frozen=True):
     """A booking begins soon."""
 
     booking: str
     now: int
 
 
-class BeginBooking(Command, frozen=True):
+class BeginBooking(InnerCommand, frozen=True):
     """The time of a booking has come."""
 
     booking: str
     now: int
 
 
-class EndBooking(Command, frozen=True):
+class EndBooking(InnerCommand, frozen=True):
     """The time of a booking is over."""
 
     booking: str
@@ -432,7 +432,7 @@ def _is_theirs(state: LabState, booking: Booking, item: Labware) -> bool:
     """Whether labware is shared, or belongs to a person with the booking."""
     if item.owner == SHARED:
         return True
-    kind, name = split_owner(item.owner)
+    kind, name = split_key(item.owner)
     user = name if kind == "user" else ""
     run = state.runs.get(name) if kind == "run" else None
     experiment = state.experiments.open.get(name) if kind == "experiment" else None  # type: ignore[call-overload]

@@ -28,7 +28,7 @@ from labos.core.campaigns import (
     is_over,
 )
 from labos.core.conditions import find_reads
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.runs import NOBODYS, QUOTA, SubmitRun, submit_run
 from labos.core.ids import CampaignId, RunId
@@ -78,7 +78,7 @@ class SubmitCampaign(Command, frozen=True):
     due: str = ""
 
 
-class SubmitRow(Command, frozen=True):
+class SubmitRow(InnerCommand, frozen=True):
     """The next row of a campaign becomes a run with the due date ``due_at`` (UTC ns)."""
 
     campaign: CampaignId
@@ -90,7 +90,7 @@ class SubmitRow(Command, frozen=True):
     due_at: int = 0
 
 
-class RefuseRow(Command, frozen=True):
+class RefuseRow(InnerCommand, frozen=True):
     """The next row of a campaign cannot become a run; ``why`` is the reason."""
 
     campaign: CampaignId
@@ -98,7 +98,7 @@ class RefuseRow(Command, frozen=True):
     why: str
 
 
-class SubmitRows(Command, frozen=True):
+class SubmitRows(InnerCommand, frozen=True):
     """The next rows of a campaign become runs or are refused, one after the other, as long as there is
     room."""
 

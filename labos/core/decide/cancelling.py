@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.endings import has_open_action, record_end
 from labos.core.decide.runs import expect_alive
 from labos.core.ids import RunId
@@ -26,7 +26,7 @@ class CancelRun(Command, frozen=True):
     why: Words = ""
 
 
-class TakeWayOut(Command, frozen=True):
+class TakeWayOut(InnerCommand, frozen=True):
     """Nothing of a cancelled run is in flight any more. Planning sends this command after everything that
     follows from the last result. Here it is computed which ``on_cancel`` steps the run needs (decision
     69)."""
@@ -34,7 +34,7 @@ class TakeWayOut(Command, frozen=True):
     run: RunId
 
 
-class GiveUpWayOut(Command, frozen=True):
+class GiveUpWayOut(InnerCommand, frozen=True):
     """A run cannot complete its ``on_cancel`` steps, whatever the other runs do."""
 
     run: RunId

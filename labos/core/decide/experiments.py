@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from labos.core.closing import plan_closing
-from labos.core.decide._base import Command, Decision, Rejection, Report, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, Report, decides
 from labos.core.decide.endings import record_end
 from labos.core.decide.runs import find_plan_flaw, plan_digest, record_plan
 from labos.core.decide.windows import list_outer_windows
@@ -77,7 +77,7 @@ class EndExperiment(Command, frozen=True):
     why: Words = "ended"
 
 
-class AskAboutClosing(Command, frozen=True):
+class AskAboutClosing(InnerCommand, frozen=True):
     """A closing workflow has not begun within its allowed waiting time."""
 
     run: RunId

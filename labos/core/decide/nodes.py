@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 
-from labos.core.decide._base import Command, Decision, Rejection, Report, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, Report, decides
 from labos.core.decide.shorter import FoundAction, record_journal
 from labos.core.decide.steps import doubt
 from labos.core.failures import list_failures_since
@@ -79,7 +79,7 @@ class TakeOut(Command, frozen=True):
     now: int = 0
 
 
-class Quarantine(Command, frozen=True):
+class Quarantine(InnerCommand, frozen=True):
     """Take a module out of service that has failed ``after`` times within ``within_s`` lab seconds."""
 
     module: ModuleName
@@ -94,7 +94,7 @@ class PutBack(Command, frozen=True):
     module: ModuleName
 
 
-class EndOutage(Command, frozen=True):
+class EndOutage(InnerCommand, frozen=True):
     """The end of a module's time out of service has come."""
 
     module: ModuleName

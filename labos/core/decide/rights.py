@@ -47,7 +47,7 @@ from labos.core.decide import (
     verification,
     work,
 )
-from labos.core.decide._base import Command, Rejection
+from labos.core.decide._base import DECIDERS, Command, InnerCommand, Rejection
 from labos.core.decide.targets import ANYWHERE, Target
 from labos.core.lab import WHOLE_LAB
 from labos.core.roles import rank_role_in
@@ -211,7 +211,11 @@ _SIGNING = Right(
     "viewer", "a person, as themselves, with their password", targets.require_anywhere("viewer"), "by"
 )
 
+_INNER = (actions, choices, doubts, steps, together, verification, work)
+"""These modules have only commands that LabOS itself sends."""
+
 RIGHTS: dict[type[Command], Right] = {
+    **{command: _INSIDE for command in DECIDERS if issubclass(command, InnerCommand)},
     # runs, experiments and campaigns
     runs.SubmitRun: Right(
         "submitter",
@@ -311,41 +315,6 @@ RIGHTS: dict[type[Command], Right] = {
     users.RemoveMember: Right("admin", _ADMIN, targets.require_in_lab("admin")),
     users.GrantRole: Right("admin", "an admin of where the role is granted", targets.find_grant_target),
     users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.find_grant_target),
-    # Commands that LabOS sends itself.
-    access.GrantAccess: _INSIDE,
-    actions.AcceptAction: _INSIDE,
-    actions.DoubtAction: _INSIDE,
-    actions.FinishAction: _INSIDE,
-    actions.RefuseAction: _INSIDE,
-    actions.ResendAction: _INSIDE,
-    actions.StartStep: _INSIDE,
-    bookings.BeginBooking: _INSIDE,
-    bookings.EndBooking: _INSIDE,
-    bookings.NearBooking: _INSIDE,
-    campaigns.RefuseRow: _INSIDE,
-    campaigns.SubmitRow: _INSIDE,
-    campaigns.SubmitRows: _INSIDE,
-    cancelling.GiveUpWayOut: _INSIDE,
-    cancelling.TakeWayOut: _INSIDE,
-    choices.BindAnew: _INSIDE,
-    doubts.DoubtNode: _INSIDE,
-    doubts.OutrankNode: _INSIDE,
-    experiments.AskAboutClosing: _INSIDE,
-    experiments.LoseExperiment: _INSIDE,
-    lab.CreateLab: _INSIDE,
-    lab.StartKernel: _INSIDE,
-    nodes.EndOutage: _INSIDE,
-    nodes.HearJournal: _INSIDE,
-    nodes.JoinNode: _INSIDE,
-    nodes.LoseNode: _INSIDE,
-    nodes.Quarantine: _INSIDE,
     nodes.RecordStops: Right("viewer", "the person who stopped it; it is recorded in any case"),
-    nodes.ReportState: _INSIDE,
-    runs.BreachWindow: _INSIDE,
-    shorter.ReportShorterLog: _INSIDE,
-    steps.TimeOutAction: _INSIDE,
-    together.StartTogether: _INSIDE,
-    verification.VerifyAction: _INSIDE,
-    work.NoteOverdue: _INSIDE,
 }
 """The right that each command needs."""

@@ -7,7 +7,7 @@ from itertools import chain
 from typing import Any
 
 from labos.core.canonical import digest, encode_canonical
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.choices import compare_plans
 from labos.core.decide.endings import give_up
 from labos.core.decide.windows import (
@@ -97,7 +97,7 @@ class ResumeRun(Command, frozen=True):
     run: RunId
 
 
-class BreachWindow(Command, frozen=True):
+class BreachWindow(InnerCommand, frozen=True):
     """The latest time for a step has passed, and the step has not started."""
 
     run: RunId

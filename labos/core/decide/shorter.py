@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.actions import Action, ActionDiscovered, ActionStatus
 from labos.core.bench import remove_labware, split_item
-from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides, refuse_hotel
 from labos.core.decide.contents import list_contents_events, list_recorded
 from labos.core.decide.endings import has_open_action, record_end
 from labos.core.effects import AnyEffect, Carrying, Needs, list_carried, list_places, name_hand
@@ -54,7 +54,7 @@ class FoundAction(msgspec.Struct, frozen=True):
     effects: tuple[AnyEffect, ...] | None = None
 
 
-class ReportShorterLog(Command, frozen=True):
+class ReportShorterLog(InnerCommand, frozen=True):
     """A part of the system knows a position that this log does not have. ``evidence`` names it (a checkpoint,
     a restored backup). ``knows`` describes its knowledge, as words after its name. ``ended`` is the end of
     the log at the time of the comparison. If ``known_position`` is 0, it is only known that the log may be

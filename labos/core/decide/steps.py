@@ -17,7 +17,7 @@ from labos.core.actions import (
 from labos.core.branches import is_inert
 from labos.core.canonical import encode_canonical
 from labos.core.conditions import holds, sort_results_by_key
-from labos.core.decide._base import Command, Decision, decides
+from labos.core.decide._base import Decision, InnerCommand, decides
 from labos.core.decide.endings import fail_run, give_up
 from labos.core.decide.outcomes import find_carried_off, make_question, mark_uncertain
 from labos.core.decide.waiting import ask_about_waiting_device
@@ -35,7 +35,7 @@ from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexp
 from labos.core.topics import FailedStep
 
 
-class TimeOutAction(Command, frozen=True):
+class TimeOutAction(InnerCommand, frozen=True):
     """An action has no result: its time-out has passed, its node stays away, or its device stands still and
     reports why."""
 

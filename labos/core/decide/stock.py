@@ -20,7 +20,8 @@ from labos.core.ids import (
     RunId,
     StationName,
     local,
-    split_owner,
+    split_key,
+    split_level_key,
 )
 from labos.core.labware import (
     LabwareChanged,
@@ -95,7 +96,7 @@ def replenish(state: LabState, command: Replenish) -> Decision:
     if module not in state.modules.by_name:
         return Rejection("no_module", f"There is no module {local(module)}.")
     if level is None:
-        known = [key.rpartition(":")[2] for key in state.resources.levels if key.startswith(f"{module}:")]
+        known = [name for where, name in map(split_level_key, state.resources.levels) if where == module]
         return Rejection(
             "no_resource",
             f"{local(module)} uses no {resource!r}.",
@@ -287,7 +288,7 @@ def _expect_free_of_doubt(state: LabState, name: StationName) -> StationState | 
 
 def _find_owner_alive(state: LabState, owner: Owner) -> str:
     """The run or experiment that owns labware, if it has not ended; otherwise empty."""
-    kind, name = split_owner(owner)
+    kind, name = split_key(owner)
     if kind == "run" and state.runs.get(RunId(name)) is not None:
         return f"run {name}"
     if kind == "experiment" and ExperimentId(name) in state.experiments.open:

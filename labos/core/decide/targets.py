@@ -30,7 +30,7 @@ from labos.core.ids import (
     RunId,
     StationName,
     experiment_owner,
-    split_owner,
+    split_key,
     workcell_of,
 )
 from labos.core.lab import WHOLE_LAB
@@ -143,7 +143,7 @@ def cell_of(item: Labware) -> str:
 
 def owner_of(state: LabState, item: Labware) -> str:
     """The user who owns labware; empty if it is shared or has no owner."""
-    kind, name = split_owner(item.owner)
+    kind, name = split_key(item.owner)
     if kind == "user":
         return name
     run = state.runs.get(name) if kind == "run" else None
@@ -164,7 +164,7 @@ def list_plate_targets(state: LabState, command: labware.RegisterSamples) -> Ite
 
 def list_handover_targets(state: LabState, command: handover.HandOver) -> Iterable[Target]:
     target = target_labware(state, command.labware)
-    kind, name = split_owner(command.to)
+    kind, name = split_key(command.to)
     if kind == "experiment":
         yield target_experiment(state, name)
     yield msgspec.structs.replace(target, needs="operator") if command.force else target

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.ids import split_owner
+from labos.core.ids import split_key
 from labos.core.lab import WHOLE_LAB
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -196,7 +196,7 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
         return wrong
     if state.users.roles.get(command.subject, {}).get(command.scope) == command.role:
         return []
-    kind, name = split_owner(command.subject)
+    kind, name = split_key(command.subject)
     if kind == "user" and command.scope == WHOLE_LAB:  # it replaces the role in the whole lab
         wrong = _check_last_admin(state, name)
     return wrong or [RoleGranted(command.subject, command.role, command.scope)]
@@ -206,7 +206,7 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
 def revoke_role(state: LabState, command: RevokeRole) -> Decision:
     if command.scope not in state.users.roles.get(command.subject, {}):
         return _check_subject(state, command.subject) or []
-    kind, name = split_owner(command.subject)
+    kind, name = split_key(command.subject)
     last = _check_last_admin(state, name) if kind == "user" and command.scope == WHOLE_LAB else None
     return last or [RoleRevoked(command.subject, command.scope)]
 
@@ -234,7 +234,7 @@ def _check_id(what: str, name: str, known: list[str]) -> Rejection | None:
 
 
 def _check_subject(state: LabState, subject: str) -> Rejection | None:
-    kind, name = split_owner(subject)
+    kind, name = split_key(subject)
     if kind == "user":
         return None if name in state.users.known else refuse_unknown_user(name)
     if kind == "group":

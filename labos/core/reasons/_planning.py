@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.ids import local, split_owner
+from labos.core.ids import local, split_key
 from labos.core.reasons._base import PERSON, Reason, in_words
 
 
@@ -143,7 +143,7 @@ class Unsafe(Reason, frozen=True):
 
 
 def _describe_owner(name: str) -> str:
-    kind, which = split_owner(name)
+    kind, which = split_key(name)
     return f"experiment {which}" if kind == "experiment" else f"run {which or name}"
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from labos.spec.dialects._reader import Reader, find_places, is_number
 from labos.spec.findings import FindingList
-from labos.spec.source import Path_, Source, SourceList, SourceMapping, name_field
+from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
 WORKCELL_KEYS = {"name", "metadata", "config", "modules", "locations"}
 MODULE_KEYS = {"name", "model", "interface", "config", "active"}
@@ -111,12 +111,8 @@ def _rewrite_coordinates(
         out.take(module, key, "coordinates")
         return
     count = f"{len(value)} numbers" if isinstance(value, list) else repr(value)
-    reader.report.add_warning(
-        f"Coordinates are x, y, z and a quaternion, seven numbers; here are {count}.",
-        reader.source.place(path),
-        field=name_field(path),
-        remedy="They are ignored; write seven numbers.",
-    )
+    message = f"Coordinates are x, y, z and a quaternion, seven numbers; here are {count}."
+    reader.warn_of_assumption(path, message, "They are ignored; write seven numbers.")
 
 
 def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> None:
