@@ -174,6 +174,9 @@ def _set_step_status(
     return step
 
 
+_OF_NODE = ("driver", "driver_version", "about", "simulated")
+"""Facts of the present node that are stored with an action."""
+
 # -- actions -----------------------------------------------------------------------------------
 
 
@@ -190,10 +193,7 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
         ACTIONS,
         {
             "key": step["key"] if step is not None else "",
-            "driver": node["driver"] if node is not None else "",
-            "driver_version": node["driver_version"] if node is not None else "",
-            "about": node["about"] if node is not None else "",
-            "simulated": node["simulated"] if node is not None else False,
+            **({name: node[name] for name in _OF_NODE} if node is not None else {}),
             "labware": labware_of(event.effects),
             "status": "requested",
             "effects": "",

@@ -9,8 +9,8 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import end_with_json, show_table, terminal_width
-from labos.cli._query import Where, json_option, log_options
+from labos.cli._out import show_table, terminal_width
+from labos.cli._query import Where, log_and_json
 from labos.core.ids import local
 
 if TYPE_CHECKING:
@@ -39,9 +39,8 @@ class Offer(msgspec.Struct, frozen=True):
 @click.argument("action", required=False, default="")
 @click.option("--drivers", is_flag=True, help="Show all installed drivers, even if there is a lab.")
 @click.option("--workcell", "file", metavar="FILE", help="The modules of this workcell file.")
-@json_option
-@log_options
-def command(where: Where, name: str, action: str, drivers: bool, file: str | None, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, name: str, action: str, drivers: bool, file: str | None) -> None:
     """Show the actions of a module, with the arguments for a step of a workflow.
 
     MODULE is a module of the lab, or with --workcell of the workcell file. DRIVER is a driver or a model.
@@ -59,7 +58,7 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
         offers = _find_offers(offers, list(_list_drivers()), name)
     if action:
         offers = [_keep_only(offer, action) for offer in offers]
-    end_with_json([_make_plain(offer) for offer in offers], as_json)
+    where.end_with_json([_make_plain(offer) for offer in offers])
     if name:
         for offer in offers:
             _show(offer)

@@ -8,8 +8,13 @@ import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
-from labos.cli._out import end_with_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
+from labos.cli._query import (
+    Where,
+    log_and_json,
+    now_ns,
+    open_database,
+    read_kernel_file,
+)
 from labos.services.retention import note_retention
 from labos.settings import Settings
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
@@ -44,10 +49,9 @@ archive_option = folder_option(
     help="With --move-old: keep segments with an event from the last N days.",
 )
 @key_option
-@json_option
-@log_options
+@log_and_json
 def command(
-    where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None, as_json: bool
+    where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None
 ) -> None:
     """Create a backup in FOLDER, or update it to the present end of the log. The lab may run meanwhile.
 
@@ -83,14 +87,8 @@ def command(
     moved = move_old_segments(folder, archive, before) if archive is not None else []
     if archive is not None:
         note_retention(where.home, "moved_at", now_ns())
-    end_with_json(
-        {
-            **msgspec.structs.asdict(made),
-            "users": people.users,
-            "moved": [segment.file for segment in moved],
-        },
-        as_json,
-    )
+    files = [segment.file for segment in moved]
+    where.end_with_json({**msgspec.structs.asdict(made), "users": people.users, "moved": files})
     newest = made.segments[-1]
     click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
     click.echo(f"Hash {made.hash}, state {newest.state}")

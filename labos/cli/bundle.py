@@ -8,8 +8,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import file_option
-from labos.cli._out import tell
-from labos.cli._query import Where, json_option, log_options, open_database
+from labos.cli._query import Where, log_and_json, open_database
 from labos.errors import NotFound, SystemFailed
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys
@@ -31,11 +30,8 @@ from labos.store import create_file, open_blobs
 @click.option(
     "--without-words", is_flag=True, help="Leave out texts that people wrote; the bundle still verifies."
 )
-@json_option
-@log_options
-def command(
-    where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool, as_json: bool
-) -> None:
+@log_and_json
+def command(where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool) -> None:
     """Write a run's events, plan and files to FILE, with the proof that they are in the log of a signed
     checkpoint. For an experiment or a campaign, write its own events and those of all its runs. With the
     lab's public key, anybody can check the file without network and without the lab:
@@ -55,7 +51,7 @@ def command(
     except OSError as error:
         raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
     message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
-    tell(f"{message}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
+    where.tell(f"{message}, proven by the checkpoint of size {about.size}.", about)
 
 
 def make_bundle_of(

@@ -20,8 +20,15 @@ from labos.cli._audit import open_log_and_views
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import file_option
-from labos.cli._out import tell
-from labos.cli._query import Where, as_moment, json_option, log_options, now_ns, open_contents, open_log
+from labos.cli._query import (
+    Where,
+    as_moment,
+    log_and_json,
+    log_options,
+    now_ns,
+    open_contents,
+    open_log,
+)
 from labos.cli.bundle import make_bundle_of
 from labos.errors import BadInput, SystemFailed
 from labos.ports import LogQuery
@@ -66,17 +73,8 @@ def command() -> None:
 @click.option("--license", "license_", default="", metavar="URL", help="The licence of the crate.")
 @click.option("--bundle", is_flag=True, help="Add the signed bundle of each run (`labos bundle`).")
 @file_option("--program", help="The source file of the experiment's application, to add to the crate.")
-@json_option
-@log_options
-def crate(
-    where: Where,
-    name: str,
-    target: Path,
-    license_: str,
-    bundle: bool,
-    program: Path | None,
-    as_json: bool,
-) -> None:
+@log_and_json
+def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, program: Path | None) -> None:
     """Write a run, or the runs of an experiment, as an RO-Crate 1.1: workflow, payload, each step with its
     driver, times and user, labware, lots, results, and every file with its SHA-256.
 
@@ -105,7 +103,7 @@ def crate(
         files = _write(target, made.read_contents(blobs))
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-    tell(f"{target} holds {count} in {files} files.", facts, as_json=as_json)
+    where.tell(f"{target} holds {count} in {files} files.", facts)
 
 
 def _read_program(path: Path) -> Program:
@@ -240,13 +238,7 @@ def events(
 
 
 def _carry(
-    where: Where,
-    to: str,
-    follow: bool,
-    settings: Path | None,
-    position_file: Path | None,
-    *,
-    stored: bool,
+    where: Where, to: str, follow: bool, settings: Path | None, position_file: Path | None, *, stored: bool
 ) -> None:
     """Bring a file of JSON lines or a topic up to date with the log, and continue if the export follows the
     log."""

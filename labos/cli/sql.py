@@ -13,9 +13,9 @@ from typing import Any
 import click
 import msgspec
 
-from labos.audit.query import TIME_LIMIT_S, QueryResult, ReadConnection
+from labos.audit.query import TIME_LIMIT_S, QueryResult, ReadConnection, open_asker
 from labos.audit.tables import VIEWS, list_view_columns
-from labos.cli._audit import open_views, open_views_as_is
+from labos.cli._audit import open_views
 from labos.cli._options import file_option
 from labos.cli._out import show_table
 from labos.cli._query import Where, log_options
@@ -73,7 +73,7 @@ def command(
     if views:
         _show_views()
         return
-    with open_views_as_is(where, limit_s) if as_is else open_views(where, limit_s) as asker:
+    with open_asker(where.url, limit_s) if as_is else open_views(where, limit_s) as asker:
         if query is None and sys.stdin.isatty():
             _converse(asker)
             return

@@ -152,7 +152,7 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
     content, deadline, workcell, checked = await _read(service, new)
     estimate = _estimate(service, content, workcell, checked)
     command = _command(new, content, estimate, checked, deadline)
-    return estimate, await service.forecasts.forecast_campaign(command, checked.rows, new.user)
+    return estimate, await service.forecasts.forecast(command, new.user, checked.rows)
 
 
 async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, CheckedCampaign]:

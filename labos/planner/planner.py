@@ -73,8 +73,8 @@ class Planner:
         runs = choose_runs(state, cell, waiting)
         problem = replace(problem_of(state, cell, runs, now, self.level), end_weight=self.end_weight)
         counts = self._overtaken.setdefault(cell, Overtakings()).count(state, cell, waiting)
-        passed = tuple(counts[problem.tasks[first].run] for first in problem.line)
-        problem = replace(problem, passed=passed)
+        overtaken = tuple(counts[problem.tasks[first].run] for first in problem.line)
+        problem = replace(problem, overtaken=overtaken)
         if _is_one_line(problem):
             return None
         drawn = 0 if self.exact else DRAWN
@@ -87,7 +87,7 @@ class Planner:
             drawn=drawn,
             end_weight=self.end_weight,
             searches=self._searches,
-            passed=counts,
+            overtaken=counts,
         )
         best = without = rehearsal.go(None)
         present = rehearsal.order

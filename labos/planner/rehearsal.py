@@ -49,7 +49,7 @@ class OrderRehearsal:
     quantile of durations for planning. ``drawn`` is the number of plays with drawn durations, if there are
     windows; 0: durations are exact, so any gain counts. The end of all counts ``end_weight`` times as much as
     the mean of all ends. ``searches``: the lab looks for an order of its own where none is suggested.
-    ``passed`` says how often each waiting run was passed over before."""
+    ``overtaken`` says how often each waiting run was overtaken before."""
 
     def __init__(
         self,
@@ -62,10 +62,10 @@ class OrderRehearsal:
         drawn: int = DRAWN,
         end_weight: int = 1,
         searches: bool = False,
-        passed: Mapping[RunId, int] = MappingProxyType({}),
+        overtaken: Mapping[RunId, int] = MappingProxyType({}),
     ) -> None:
         self.cell, self.now, self.level, self.end_weight = cell, now, level, end_weight
-        self._passed = passed
+        self._overtaken = overtaken
         self._orders: dict[str, OwnOrder] | None = {} if searches else None
         copy = from_picture(encode_picture(state))
         copy.lab.paused.clear()  # paused work will continue at some time, and in the same order
@@ -124,7 +124,7 @@ class OrderRehearsal:
                 order.workcell, order.by, order.until, order.steps
             )
         lasts = _make_lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
-        lab = VirtualLab(state, self.now, lasts, orders=self._orders, passed=self._passed)
+        lab = VirtualLab(state, self.now, lasts, orders=self._orders, overtaken=self._overtaken)
         way.plays.append(lab.go_on())
 
 

@@ -224,7 +224,7 @@ class WindowOrders:
         state: LabState,
         cell: str,
         runs: Sequence[RunState],
-        passed: Callable[[RunId], float],
+        overtakings: Callable[[RunId], float],
         now: int,
         tries: int,
     ) -> OrderSuggested | None:
@@ -233,9 +233,9 @@ class WindowOrders:
         inside = [run for run in runs if run.has_started]
         waiting = [run for run in runs if not run.has_started]
         found: OrderSuggested | None = None
-        self._tried.setdefault(cell, 0)
+        self._searches.setdefault(cell, CellSearch())
         for _ in range(0, tries, CYCLE):
-            found = self._search(state, cell, inside, waiting, passed, now, min(tries, CYCLE))
+            found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE))
             if found is None:
                 return None
         return found

@@ -151,7 +151,7 @@ def test_a_search_lets_nobody_be_overtakings_more_often_than_the_lab_allows() ->
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE
-    found = solve(replace(problem, passed=(5, *[0] * 12)), 5.0)
+    found = solve(replace(problem, overtaken=(5, *[0] * 12)), 5.0)
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE - 5, (
@@ -265,14 +265,14 @@ def test_an_order_for_a_part_of_the_runs_is_rehearsed_with_the_next_ones() -> No
     assert find_order(Planner(seconds=0.1, solver=lambda *_: None, exact=True), lab) is None
 
 
-def test_a_rehearsal_protects_who_was_passed_over_before() -> None:
+def test_a_rehearsal_protects_who_was_overtaken_before() -> None:
     """The order lets the younger run go first: after eight of these, the lab would not follow it."""
     lab, elder, younger = waits()
     order = find_order(Planner(solver=Fixed(younger, elder)), lab)
     assert order is not None
 
-    def find_first(passed: dict[RunId, int]) -> RunId:
-        rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab), passed=passed)
+    def find_first(overtaken: dict[RunId, int]) -> RunId:
+        rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab), overtaken=overtaken)
         return min((elder, younger), key=rehearsal.go(order).plays[0].starts.__getitem__)
 
     assert find_first({elder: PATIENCE - 1}) == younger
