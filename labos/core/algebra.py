@@ -16,11 +16,26 @@ doors and lids that are not in their rest positions (``list_away_from_rest``).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, assert_never
 
 import msgspec
 
-from labos.core.effects import Carrying, Claims, Consumes, Effect, Lid, Needs, Releases, Requires, Sets
+from labos.core.effects import (
+    AnyEffect,
+    Carrying,
+    Claims,
+    Consumes,
+    Draws,
+    Effect,
+    Lid,
+    Needs,
+    Reads,
+    Releases,
+    Replaces,
+    Requires,
+    Sets,
+    Transfers,
+)
 from labos.core.ids import StationName
 
 
@@ -155,8 +170,8 @@ def check_carrying(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
     return check_reaching(bench, what) if why is None else why
 
 
-def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
-    """Why an effect may not happen; None if it may. Other kinds of effects need room at most."""
+def check_effect(store: Store[Reason], effect: AnyEffect) -> Reason | None:
+    """Why an effect may not happen; None if it may."""
     why: Reason | None = None
     match effect:
         case Carrying():
@@ -171,6 +186,10 @@ def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
             why = store.check_setpoint(effect)
         case Consumes():
             why = store.check_amount(effect)
+        case Sets() | Replaces() | Releases() | Reads() | Transfers() | Draws():
+            pass  # they need room at most
+        case _:
+            assert_never(effect)
     return check_rooms(store, effect) if why is None else why
 
 
