@@ -16,7 +16,7 @@ doors and lids that are not in their rest positions (``list_away_from_rest``).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, TypeVar, assert_never
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
@@ -188,8 +188,6 @@ def check_effect(store: Store[Reason], effect: AnyEffect) -> Reason | None:
             why = store.check_amount(effect)
         case Sets() | Replaces() | Releases() | Reads() | Transfers() | Draws():
             pass  # they need room at most
-        case _:
-            assert_never(effect)
     return check_rooms(store, effect) if why is None else why
 
 
@@ -236,6 +234,8 @@ def compute_settings_after(effects: Iterable[object]) -> ModuleSettings:
                 claims[effect.setpoint] = effect.value
             case Releases():
                 releases.append(effect.setpoint)
+            case _:
+                pass
     return (
         ModuleSettings(variables, claims, tuple(releases)) if variables or claims or releases else NOTHING_SET
     )
