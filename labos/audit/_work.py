@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, assert_never
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
@@ -127,6 +127,8 @@ def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -
             run["status"], run["why"], run["failure"] = "failed", event.why, event.kind
         case r.RunCancelled():
             run["status"], run["why"] = "cancelled", run["why"] or event.why
+        case _:
+            assert_never(event)
 
 
 # -- steps -------------------------------------------------------------------------------------

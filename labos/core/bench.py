@@ -370,6 +370,8 @@ def fold_intervention_requested(bench: Bench, event: InterventionRequested, at: 
             places = [place for take in takes for place in (take.source, hand, take.target)]
         case Unexpected():
             places = [event.topic.station]
+        case _:
+            pass
     if places:
         bench.searched[event.intervention] = tuple(places)
         _count_possible(bench, tuple(places))

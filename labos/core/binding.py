@@ -67,6 +67,8 @@ def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait |
                 start.check_labware(effect)
             case Requires(of="labware"):
                 wait = start.check_value(effect)
+            case _:
+                pass
         if wait is not None:
             return _make_final(wait)
         start.look_at(effect)
@@ -222,6 +224,8 @@ class StartCheck:
                 touched = {"labware": item.id}
             case Requires(of="labware") | Sets(of="labware") | Needs() | Reads() | Transfers() | Draws():
                 touched = {"labware": self.subject.id} if self.subject is not None else {}
+            case _:
+                pass
         if touched:
             effect = msgspec.structs.replace(effect, **touched)
         if item is not None:

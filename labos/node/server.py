@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, assert_never
 
 import msgspec
 import structlog
@@ -300,6 +300,8 @@ class NodeServer:
                     self.journal.prune(message.position)
                     await self.journal.sync()
                     reply = self._reply("done")
+                case _:
+                    assert_never(message)
         except JournalError as error:
             await self._condition.fail(str(error))
             reply = self._reply("refused", str(error))

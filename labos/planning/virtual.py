@@ -212,6 +212,8 @@ class VirtualLab:
                 planned = isinstance(event.topic, PlannedWork)
                 remedy = f"labos resolve {event.intervention}"
                 self._touch(ForeseenTouch(self.now, event.text, remedy, event.run, planned))
+            case _:
+                pass
 
     # -- going on ----------------------------------------------------------------------------
 

@@ -111,6 +111,8 @@ def _find_cell(state: LabState, command: Command) -> str:
             return state.campaigns.open[command.campaign].workcell
         case StartExperiment():
             return command.closing.workcell if command.closing is not None else ""
+        case _:
+            pass
     return ""
 
 
