@@ -77,13 +77,13 @@ class Planner:
         problem = replace(problem, overtaken=overtaken)
         if _is_one_line(problem):
             return None
-        drawn = 0 if self.exact else DRAWN
+        rehearsed, drawn = add_next(runs, waiting), 0 if self.exact else DRAWN
         rehearsal = OrderRehearsal(
             state,
             cell,
             now,
             self.level,
-            add_next(runs, waiting),
+            rehearsed,
             drawn=drawn,
             end_weight=self.end_weight,
             searches=self._searches,
@@ -96,7 +96,8 @@ class Planner:
             best = without if rehearsal.is_better(without, before) else before
         if rehearsal.may_be_better(_list_ends(state, problem, now, _list_earliest_starts(problem)), best):
             better: SuggestOrder | None = None
-            found = self._search_timetable(state, cell, runs, counts, now)
+            is_whole = len(rehearsed) == len(runs)  # while more runs follow, the lab's own order goes on
+            found = self._search_timetable(state, cell, runs, counts, now) if is_whole else None
             if found is not None and rehearsal.is_better(way := rehearsal.go(found), best):
                 better, best = found, way
             found = self._search(state, cell, problem, now, rehearsal, best)
