@@ -256,7 +256,8 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:
             continue
         advice.starts[one.run, one.step] = one.start
         advice.least = min(advice.least, run.priority)
-        if not run.has_started and one.step in state.runs.plans[run.plan].starts:
+        is_first = not run.has_started and one.step in state.runs.plans[run.plan].starts
+        if is_first and not one.outside:  # others of its line do not wait with it
             advice.lines.setdefault(queue_key(state.runs.find_shape(run), run), []).append(one)
         for resource in _list_resources(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)

@@ -281,6 +281,13 @@ def test_an_order_keeps_out_no_run_that_it_does_not_name_and_that_is_gone_in_tim
         assert lab.pump() == ([f"{stranger}#0"] if comes_in else []), "the hall has to be free again in time"
 
 
+def test_of_equal_runs_the_older_one_does_not_wait_behind_one_that_waits_outside() -> None:
+    lab, (older, younger) = make_lab(visit("dev"), visit("dev"))
+    outside = Suggested(younger, 0, lab.now + 600 * SECOND, outside=True)
+    lab.do(SuggestOrder("cell", "planner", lab.now + 3600 * SECOND, (outside,)))
+    assert lab.pump() == [f"{older}#0"]
+
+
 def test_what_an_order_of_the_labs_own_does_not_name_comes_after_it() -> None:
     lab, (named, stranger) = make_lab(visit("dev"), visit("other", name="stranger"))
     steps, until = (Suggested(named, 0, lab.now + 600 * SECOND),), lab.now + 3600 * SECOND
