@@ -64,7 +64,7 @@ class PostgresAudit(AuditDatabase):
             if not self._execute("SELECT 1 FROM pg_roles WHERE rolname = %s", (role,)).fetchone():
                 raise NotFound(
                     f"The {self.name} has no role {role!r}.",
-                    remedy="Make it first: CREATE ROLE name LOGIN PASSWORD '…'",
+                    remedy="Create it first: CREATE ROLE name LOGIN PASSWORD '…'",
                 )
             name, views = sql.Identifier(role), sql.Identifier(VIEW_SCHEMA)
             self._connection.execute(sql.SQL("GRANT USAGE ON SCHEMA {} TO {}").format(views, name))

@@ -118,7 +118,7 @@ def runs_of(asker: ReadConnection, name: str) -> list[Run]:
     rows = asker.fetch(_RUNS.format("run = ?"), name) or asker.fetch(_RUNS.format("experiment = ?"), name)
     if not rows and experiment_of(asker, name) is None:
         raise NotFound(
-            f"There is no run {name!r} in this log, and no experiment of that name.",
+            f"There is neither a run nor an experiment {name!r} in this log.",
             remedy="List them: labos runs --all, labos experiments --all",
         )
     return [Run(*row) for row in rows]
@@ -138,7 +138,10 @@ def make_crate(
     runs = runs_of(asker, name)
     experiment = None if runs and runs[0].run == name else experiment_of(asker, name)
     if experiment is None and program is not None:
-        raise BadInput(f"{name} is a run, and has no program.", remedy="Name an experiment, or no program.")
+        raise BadInput(
+            f"{name} is a run, and a run has no program.",
+            remedy="Name an experiment, or leave --program out.",
+        )
     crate = Crate()
     about = {"@id": "./"}
     crate.add("CreativeWork", METADATA, about=about, conformsTo=make_link(VERSION))

@@ -162,7 +162,7 @@ def is_current(found: int, url: URL) -> bool:
     LabOS."""
     if found > VERSION:
         raise LogTooNew(
-            f"The audit tables of the {display_name(url)} were made by a newer LabOS.",
-            remedy="Use that one, or make them anew with this one: labos audit rebuild",
+            f"The audit tables of the {display_name(url)} were written by a newer LabOS.",
+            remedy="Use the newer LabOS, or build the tables again with this one: labos audit rebuild",
         )
     return found == VERSION

@@ -99,4 +99,4 @@ def _run_at(status: str, positions: list[int | None], at: int) -> str:
         return ""
     if ended is not None and ended <= at:
         return status
-    return "under way" if started is not None and started <= at else "queued"
+    return "active" if started is not None and started <= at else "queued"

@@ -25,7 +25,7 @@ MOST_FOUND = 200
 MOST_ASKED = 30
 """The largest number of words in a query."""
 
-_REMEDY = "Give words of letters and digits, as: labos find color plate*"
+_REMEDY = "Use words of letters and digits, such as: labos find color plate*"
 _WORD_AND_STAR = re.compile(r"\S+")
 
 
@@ -133,7 +133,7 @@ def _write_conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str
     """The conditions after WHERE, and their values."""
     for kind in question.kinds:
         if kind not in KINDS:
-            raise BadInput(f"There is no kind {kind!r}.", remedy=f"Name one of {', '.join(KINDS)}.")
+            raise BadInput(f"There is no kind of entry {kind!r}.", remedy=f"Use one of {', '.join(KINDS)}.")
     parts: list[str] = []
     values: list[Any] = []
     terms = _split_terms(question.words)
@@ -182,9 +182,9 @@ def _split_terms(text: str) -> list[tuple[str, bool]]:
         for word in words:
             found[word, piece.endswith("*") and word == words[-1]] = True
     if text.strip() and not found:
-        raise BadInput(f"{text!r} has no word to look for.", remedy=_REMEDY)
+        raise BadInput(f"{text!r} contains no word to search for.", remedy=_REMEDY)
     if len(found) > MOST_ASKED:
-        raise BadInput(f"A question has at most {MOST_ASKED} words.", remedy="Leave some out.")
+        raise BadInput(f"A search can have at most {MOST_ASKED} words.", remedy="Leave some of them out.")
     return list(found)
 
 

@@ -33,7 +33,7 @@ def as_prov(graph: Graph, lab: str) -> str:
         from prov.model import ProvDocument
     except ModuleNotFoundError:
         raise BadInput(
-            "PROV needs the library prov, which is not installed.",
+            "The library prov, which writes PROV, is not installed.",
             remedy='Run: pip install "labos-sdl[provenance]"',
         ) from None
     document = ProvDocument()

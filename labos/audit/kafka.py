@@ -66,8 +66,8 @@ class KafkaTopic(msgspec.Struct, frozen=True):
         found = _URL.fullmatch(url)
         if found is None or "@" in found[1]:
             raise BadInput(
-                f"{url.rpartition('@')[2]!r} names no topic of Kafka.",
-                remedy="Write kafka://BROKER:9092/TOPIC; names and passwords belong into a file: --settings.",
+                f"{url.rpartition('@')[2]!r} does not name a Kafka topic.",
+                remedy="Write kafka://BROKER:9092/TOPIC; put passwords into the file of --settings.",
             )
         return cls(found[1], found[2])
 
@@ -78,18 +78,19 @@ def read_settings(path: Path) -> dict[str, str]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path} cannot be read: {error}.", remedy="Name a file of text.") from None
+        raise BadInput(f"{path} cannot be read: {error}.", remedy="Name a text file.") from None
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         found = _SETTING.fullmatch(line)
         if found is None:
             raise BadInput(
-                f"{path}:{number}: this is no setting.", remedy="Write name=value, as: sasl.username=labos"
+                f"{path}:{number}: this line is not a setting.",
+                remedy="Write name=value, such as sasl.username=labos.",
             )
         if found[1] in OURS:
             raise BadInput(
-                f"{path}:{number}: {found[1]} is set by LabOS, so that no event is lost.",
+                f"{path}:{number}: LabOS itself sets {found[1]}, to lose no event.",
                 remedy="Leave that line out.",
             )
         settings[found[1]] = found[2]
@@ -139,8 +140,8 @@ class KafkaSink:
         self._lock = FileLock(file.with_suffix(".lock"))
         if not self._lock.acquire(f"process {os.getpid()}"):
             raise BadInput(
-                f"Another process carries events to {topic.name} ({self._lock.note()}).",
-                remedy="End that one.",
+                f"Another process already sends events to {topic.name} ({self._lock.note()}).",
+                remedy="Stop that process first.",
             )
         try:
             self.position = self._find_position()
@@ -221,8 +222,8 @@ class KafkaSink:
         except KafkaException as error:
             reason = error.args[0]
             raise BadInput(
-                f"The client of Kafka refuses its settings: {reason.str()}.",
-                remedy="Correct the file of --settings.",
+                f"The Kafka client refuses its settings: {reason.str()}.",
+                remedy="Correct the settings in the file of --settings.",
             ) from None
 
     def _on_error(self, error: KafkaError) -> None:
@@ -231,14 +232,14 @@ class KafkaSink:
             self._failure = error.str()
         elif not self._is_away:
             self._is_away = True
-            self._tell(f"Kafka at {self._topic.brokers} is away ({error.str()}); LabOS tries again.")
+            self._tell(f"Kafka at {self._topic.brokers} is unavailable ({error.str()}). LabOS tries again.")
 
     def _on_delivery(self, error: KafkaError | None, message: Message) -> None:
         if error is not None and not self._failure:
             self._failure = error.str()
         elif error is None and self._is_away:
             self._is_away = False
-            self._tell(f"Kafka at {self._topic.brokers} takes events again.")
+            self._tell(f"Kafka at {self._topic.brokers} accepts events again.")
 
     def _wait(self, is_done: Callable[[], bool]) -> None:
         """Wait until it is done. Raises SystemFailed after ``patience_s``, and _BeginAnew for a producer that
@@ -252,7 +253,7 @@ class KafkaSink:
 
     def _describe_failure(self, why: str) -> SystemFailed:
         return SystemFailed(
-            f"Kafka at {self._topic.brokers} does not take the events: {why}.",
+            f"Kafka at {self._topic.brokers} does not accept the events: {why}.",
             remedy="Repair the broker, then start this command again: it continues at the end of the topic.",
         )
 
@@ -331,8 +332,8 @@ class KafkaSink:
             return 0
         except (OSError, msgspec.MsgspecError):
             raise BadInput(
-                f"{self._file} cannot be read as the position of a topic.",
-                remedy="Remove it: all events are sent again then.",
+                f"{self._file} does not contain the position of a topic.",
+                remedy="Remove the file. Then all events are sent again.",
             ) from None
         same = known.topic == self._topic.name and known.source == self._source
         return known.position if same else 0
@@ -346,6 +347,6 @@ def _need_library() -> None:
         import confluent_kafka
     except ModuleNotFoundError:
         raise BadInput(
-            "Kafka needs its client, which is not installed.", remedy='Run: pip install "labos-sdl[kafka]"'
+            "The Kafka client is not installed.", remedy='Run: pip install "labos-sdl[kafka]"'
         ) from None
     assert confluent_kafka

@@ -67,7 +67,7 @@ def subject_of(asker: ReadConnection, text: str, upto: int) -> Entity:
         if asker.fetch(_PREFIXES[bare], text, upto):
             return Entity(bare, text)
     raise NotFound(
-        f"Nothing in this log is called {text!r}.",
+        f"Nothing in this log has the name {text!r}.",
         remedy="Name labware (P7), a well (P7/B7), a run (R1), the result of a step (R1#3), a sample, a "
         "file's digest or a lot; lot:NAME and sample:NAME say which is meant.",
     )

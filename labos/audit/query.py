@@ -23,7 +23,7 @@ FETCHED = 1000
 _STEPS = 10_000
 """The number of SQLite's steps after which it checks the time limit."""
 
-_SEE = "What there is to ask: labos sql --views"
+_SEE = "The views and their columns: labos sql --views"
 
 
 class QueryResult(msgspec.Struct, frozen=True):
@@ -55,7 +55,7 @@ def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnecti
         path = find_sqlite_path(parsed)
         if not path.exists():
             raise StoreUnavailable(
-                f"There is no {display_name(parsed)}.", remedy="Make it: labos audit project"
+                f"There is no {display_name(parsed)}.", remedy="Create it: labos audit project"
             )
         with TranslatedErrors(parsed):
             lite = _open_sqlite(path.as_uri())
@@ -132,7 +132,7 @@ class _SqliteAsker:
         except (sqlite3.Error, sqlite3.Warning) as error:
             raise _make_refusal(str(error), self._limit_s) from None
         if cursor.description is None:
-            raise BadInput("That asks nothing.", remedy="Ask with SELECT.")
+            raise BadInput("This is not a query.", remedy="Write a SELECT statement.")
         return QueryResult(tuple(column[0] for column in cursor.description), self._rows(cursor))
 
     def _rows(self, cursor: sqlite3.Cursor) -> Iterator[Sequence[Any]]:
@@ -211,9 +211,9 @@ def _write_moment(value: Any) -> Any:
 def _make_refusal(words: str, limit_s: float) -> BadInput:
     if "interrupted" in words or "statement timeout" in words:
         return BadInput(
-            f"The question took longer than {limit_s:g} s.",
-            remedy="Ask for less, or allow more: labos sql --timeout SECONDS",
+            f"The query took longer than {limit_s:g} s.",
+            remedy="Request less data, or allow more time: labos sql --timeout SECONDS",
         )
     if "not authorized" in words or "read-only" in words or "readonly" in words:
-        return BadInput("Only questions are allowed here: nothing can be changed.", remedy="Ask with SELECT.")
-    return BadInput(f"The database refuses that: {words}.", remedy=_SEE)
+        return BadInput("Only queries are allowed here, and no changes.", remedy="Write a SELECT statement.")
+    return BadInput(f"The database refuses this query: {words}.", remedy=_SEE)

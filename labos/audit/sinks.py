@@ -20,7 +20,7 @@ from labos.private import FILE
 BEGIN = b'{"specversion":"1.0",'
 """How every line begins."""
 CHUNK = 64 * 1024
-REMEDY = "Name a file that is not there yet."
+REMEDY = "Name a file that does not exist yet."
 
 
 class Sink(Protocol):
@@ -67,7 +67,7 @@ class JsonLines:
                 line = encode_cloudevent(record)
                 source = msgspec.json.decode(line, type=_Line).source
                 if self.source not in ("", source):
-                    raise BadInput(f"{self._path} holds the events of another lab.", remedy=REMEDY)
+                    raise BadInput(f"{self._path} contains the events of another lab.", remedy=REMEDY)
                 self._file.write(line + b"\n")
                 self.position, self.source = record.head.position, source
             self._file.flush()
@@ -86,7 +86,9 @@ class JsonLines:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise BadInput(f"Another process is writing {self._path}.", remedy="End that one.") from None
+            raise BadInput(
+                f"Another process is writing {self._path}.", remedy="Stop that process first."
+            ) from None
 
     def _find_end(self) -> tuple[int, str]:
         """Position and source of the last complete line; the rest after it is cut off."""
@@ -98,10 +100,10 @@ class JsonLines:
             last = msgspec.json.decode(line, type=_Line) if line else _Line("", "0")
             found = int(last.position), last.source
         except (msgspec.MsgspecError, ValueError):
-            raise BadInput(f"{self._path} holds something else than events.", remedy=REMEDY) from None
+            raise BadInput(f"{self._path} contains something other than events.", remedy=REMEDY) from None
         self._file.seek(0)
         if not end and not BEGIN.startswith(self._file.read(len(BEGIN))):
-            raise BadInput(f"{self._path} holds something else than events.", remedy=REMEDY)
+            raise BadInput(f"{self._path} contains something other than events.", remedy=REMEDY)
         self._file.truncate(end)
         self._file.seek(end)
         return found

@@ -62,8 +62,8 @@ def show_runs(found: Mapping[str, Any]) -> None:
             run["run"],
             _describe_workflow(run),
             run["user"],
-            show_expected(run["starts"], now) or "not in sight",
-            show_expected(run["ends"], now) or "not in sight",
+            show_expected(run["starts"], now) or "unknown",
+            show_expected(run["ends"], now) or "unknown",
             show_range(run["ends_alone"], now),
             *([show_due(run, now)] if has_due else []),
             run["waits"],
@@ -132,8 +132,8 @@ def show_ways(found: Mapping[str, Any]) -> None:
     now = found["now_at"]
     for run in found["runs"]:
         if run["run"] in found["new"]:
-            click.echo(f"starts:      {show_expected(run['starts'], now) or 'not in sight'}")
-            click.echo(f"ends:        {show_expected(run['ends'], now) or 'not in sight'}")
+            click.echo(f"starts:      {show_expected(run['starts'], now) or 'unknown'}")
+            click.echo(f"ends:        {show_expected(run['ends'], now) or 'unknown'}")
             if run["due_at"]:
                 click.echo(f"due:         {show_due(run, now)}")
             if run["ends_alone"]:
@@ -146,6 +146,6 @@ def show_campaign(campaign: Mapping[str, Any], now: int) -> list[tuple[str, str]
     rate = f", by the rate of the next {seen} of {left} rows" if seen < left else ""
     ends = show_expected(campaign["ends"], now)
     return [
-        ("starts", show_expected(campaign["starts"], now) or "not in sight"),
-        ("ends", f"{ends}{rate}" if ends else f"not in sight: {campaign['waits'] or 'too far away'}"),
+        ("starts", show_expected(campaign["starts"], now) or "unknown"),
+        ("ends", f"{ends}{rate}" if ends else f"unknown: {campaign['waits'] or 'too far away'}"),
     ]

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 SPEED_HELP = "Speed-up factor: simulated time divided by real time."
+speed_option = click.option(
+    "--speed",
+    type=click.FloatRange(min=0.01),
+    help=f"{SPEED_HELP} If not given: 1 for a new lab; an existing lab keeps its factor.",
+)
 
 
 def options_together(*options: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -50,6 +55,16 @@ def refuse_password(context: click.Context, option: click.Parameter, url: str | 
     return url
 
 
+def file_option(*names: str, metavar: str = "FILE", **more: Any) -> Callable[[F], F]:
+    """An option that names a file; the command gets a Path."""
+    return click.option(*names, type=click.Path(path_type=Path, dir_okay=False), metavar=metavar, **more)
+
+
+def folder_option(*names: str, metavar: str = "FOLDER", **more: Any) -> Callable[[F], F]:
+    """An option that names a folder; the command gets a Path."""
+    return click.option(*names, type=click.Path(path_type=Path, file_okay=False), metavar=metavar, **more)
+
+
 home_option = click.option(
     "--home",
     metavar="DIR",
@@ -73,16 +88,11 @@ address_option = click.option(
     metavar="HOST",
     help="A further name or address by which other computers reach the secure bus.",
 )
-pki_option = click.option(
-    "--pki",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="The certificate authority (LABOS_PKI; pki in the lab's folder if neither is given).",
+pki_option = folder_option(
+    "--pki", help="The certificate authority (LABOS_PKI; pki in the lab's folder if neither is given)."
 )
-cert_option = click.option(
+cert_option = folder_option(
     "--cert",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
     help="The folder from `labos pki issue`, for a secure bus (default: the one in the lab's folder).",
 )
 
@@ -136,6 +146,12 @@ class Asker(msgspec.Struct, frozen=True):
 
         return need_lab(self.home)
 
+    def end_with_json(self, value: Any) -> None:
+        """With ``--json``, show the value and end the command."""
+        from labos.cli._out import end_with_json
+
+        end_with_json(value, self.as_json)
+
     def tell(self, sentence: str, facts: Any) -> None:
         """Report what a command has done."""
         from labos.cli._out import tell
@@ -143,30 +159,30 @@ class Asker(msgspec.Struct, frozen=True):
         tell(sentence, facts, as_json=self.as_json)
 
 
-def asker_options(command: F) -> F:
+def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
 
     @wraps(command)
     def wrap(*args: Any, user: str | None, home: str | None, as_json: bool, **options: Any) -> Any:
         return command(*args, asker=Asker(user, home, as_json), **options)
 
-    return user_option(home_option(json_option(wrap)))  # type: ignore[return-value]
+    return user_option(home_option(json_option(wrap)))
 
 
-def lab_and_json(command: F) -> F:
+def lab_and_json(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--home`` and ``--json``; the command gets ``asker: Asker`` without a given user."""
 
     @wraps(command)
     def wrap(*args: Any, home: str | None, as_json: bool, **options: Any) -> Any:
         return command(*args, asker=Asker(None, home, as_json), **options)
 
-    return home_option(json_option(wrap))  # type: ignore[return-value]
+    return home_option(json_option(wrap))
 
 
 lab_options = options_together(
     home_option,
     database_option,
-    click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP),
+    speed_option,
     click.option(
         "--seed", type=int, default=0, help="The seed of the simulated instruments' random durations."
     ),
@@ -194,8 +210,8 @@ def web_options(about: str) -> Callable[[F], F]:
         click.option(
             "--behind-proxy",
             is_flag=True,
-            help=f"A proxy provides TLS for {about} and sends X-Forwarded-For: "
-            "nobody else may reach its port.",
+            help=f"A proxy provides TLS for {about} and sends X-Forwarded-For. "
+            "Only the proxy may reach the HTTP port.",
         ),
         click.option(
             "--name",

@@ -29,7 +29,6 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
     are cancelled.
 
     \b
-    labos cancel R3 --why "wrong plate"
     labos cancel R3 --wait    wait until it has ended
     labos cancel R3 --stay    move no more labware, even if it is being cleared away
     labos cancel R3 --why "wrong plate"
@@ -156,9 +155,7 @@ def resolve(intervention: str | None, choice: str | None, why: str, result: str 
         asker.tell(f"{intervention} is answered: {choice}.", facts)
         return
     questions = open_questions(asker.home)
-    if asker.as_json:
-        show_json(questions)
-        return
+    asker.end_with_json(questions)
     if not questions:
         click.echo("No question is open.")
     for question in questions:

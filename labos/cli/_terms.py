@@ -4,33 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
 from labos.cli._options import options_together
 
-F = TypeVar("F", bound=Callable[..., Any])
-
 _OPTIONS = (
     click.option("--priority", type=int, help="The priority of rows that are submitted from now on."),
-    click.option("--deadline", metavar="TIME", help="2026-05-04T10:30, 12h from now, or empty for none."),
+    click.option(
+        "--deadline", metavar="TIME", help="The deadline: 2026-05-04T10:30, 12h from now, or empty for none."
+    ),
     click.option("--runs", type=click.IntRange(min=0), help="The maximum number of runs; 0: no limit."),
     click.option("--lab-time", metavar="TIME", help="The maximum module time, such as `20 h`; 0: no limit."),
     click.option(
-        "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="So much at most."
+        "--consumable",
+        "consumables",
+        multiple=True,
+        metavar="KIND=AMOUNT",
+        help="The maximum consumption of this kind, such as tips=96; may be repeated.",
     ),
     click.option("--until", metavar="RULE", help="The stop rule; empty for none."),
     click.option(
         "--stop-after", type=click.IntRange(min=0), help="Stop after this number of failed rows; 0: never."
     ),
     click.option(
-        "--tag", "tags", multiple=True, metavar="TAG", help="New tags, which replace the present ones."
+        "--tag",
+        "tags",
+        multiple=True,
+        metavar="TAG",
+        help="New tags, which replace the present ones; may be repeated.",
     ),
 )
 
 
-def terms_options(command: F) -> F:
+def terms_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The command gets ``terms_wanted``: the given terms, in the form that the client accepts."""
 
     @wraps(command)
@@ -59,7 +67,7 @@ def terms_options(command: F) -> F:
         wanted = {name: value for name, value in terms.items() if value is not None}
         return command(*args, terms_wanted=wanted, **options)
 
-    return options_together(*_OPTIONS)(wrap)  # type: ignore[return-value]
+    return options_together(*_OPTIONS)(wrap)
 
 
 def seconds_of(text: str) -> float:

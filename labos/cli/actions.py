@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_json, show_table, terminal_width
+from labos.cli._out import end_with_json, show_table, terminal_width
 from labos.cli._query import Where, json_option, log_options
 from labos.core.ids import local
 
@@ -44,8 +44,8 @@ class Offer(msgspec.Struct, frozen=True):
 def command(where: Where, name: str, action: str, drivers: bool, file: str | None, as_json: bool) -> None:
     """Show the actions of a module, with the arguments for a step of a workflow.
 
-    NAME is a module of the lab (with --workcell: of the workcell file), a driver or a model. Without NAME,
-    the command shows all modules of the lab, or all installed drivers if there is no lab.
+    MODULE is a module of the lab, or with --workcell of the workcell file. DRIVER is a driver or a model.
+    Without a name, the command shows all modules of the lab, or all installed drivers if there is no lab.
 
     \b
     labos actions                         every module, and its actions
@@ -59,9 +59,8 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
         offers = _find_offers(offers, list(_list_drivers()), name)
     if action:
         offers = [_keep_only(offer, action) for offer in offers]
-    if as_json:
-        show_json([_make_plain(offer) for offer in offers])
-    elif name:
+    end_with_json([_make_plain(offer) for offer in offers], as_json)
+    if name:
         for offer in offers:
             _show(offer)
     else:

@@ -91,7 +91,7 @@ SECTIONS = {
     "People": {
         "login": "Sign in to the lab.",
         "logout": "Sign out.",
-        "whoami": "Show as which user you are signed in, and your rights.",
+        "whoami": "Show the name of the signed-in user, and your rights.",
         "token": "Manage access tokens for programs.",
         "user": "Manage users.",
         "group": "Manage groups of users, who share a part of the lab.",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_table
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -42,9 +42,8 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
         forecast = _forecast(client, subject, answer) if subject and not no_forecast else None
     if forecast is not None:
         answer["forecast"] = forecast
-    if asker.as_json:
-        show_json(answer)
-    elif subject:
+    asker.end_with_json(answer)
+    if subject:
         _show(answer)
         if forecast is not None:
             _show_forecast(forecast, subject)
@@ -73,7 +72,7 @@ def _forecast(client: LabClient, subject: str, approval: dict[str, Any]) -> dict
     try:
         return client.approval_forecast(subject)
     except LabosError as error:
-        click.echo(f"labos: there is no forecast: {error.message}", err=True)
+        click.echo(f"labos: There is no forecast: {error.message}", err=True)
         return None
 
 
@@ -158,7 +157,11 @@ def _strip_control(text: str) -> str:
 @click.option("--runs", type=click.IntRange(min=0), help="For a campaign: the maximum number of rows.")
 @click.option("--lab-time", metavar="TIME", help="For a campaign: the maximum module time, such as `20 h`.")
 @click.option(
-    "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="The maximum consumption."
+    "--consumable",
+    "consumables",
+    multiple=True,
+    metavar="KIND=AMOUNT",
+    help="For a campaign: the maximum consumption of this kind, such as tips=96; may be repeated.",
 )
 @click.option(
     "--alike",

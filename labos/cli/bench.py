@@ -41,7 +41,6 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
     labos bench declare sciclops.tower1=20xplate96
     labos bench declare bench.yaml --empty
     """
-    from labos.cli._out import show_json
 
     contents: dict[str, list[str]] = {}
     for text in stations:
@@ -53,9 +52,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
         raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
     with asker.lab() as client:
         found = client.declare(contents, asker.user, workcell=workcell, empty=empty)
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     for name, types in found.items():
         click.echo(f"{name}: {_count_types(types)}")
     if not found:
@@ -96,7 +93,7 @@ def show(where: Where, as_json: bool) -> None:
         raise SystemExit(1)
 
 
-@command.command("round", short_help="Check the bench after the log has lost its end.")
+@command.command("round", short_help="Check the bench after the log has lost its last events.")
 @click.option("--say", "reports", multiple=True, metavar="STATION=WHAT", help="The content of a station.")
 @click.option("--file", "path", metavar="FILE", help="A YAML file with `STATION: WHAT` in each line.")
 @click.option("--as-simulated", "simulated", is_flag=True, help="Report the true state of a simulated bench.")
@@ -115,9 +112,9 @@ def round_(
     as_json: bool,
     user: str | None,
 ) -> None:
-    """Check the bench, station by station, after the log has lost its end. This is so if nodes, a checkpoint
-    or a journal know later events than the log, or if the log was restored from an older copy. No action
-    starts before the check is complete.
+    """Check the bench, station by station, after the log has lost its last events. Nodes, a
+    checkpoint or a journal then know later events than the log, or the log was restored from an older copy.
+    No action starts before the check is complete.
 
     On a terminal, the command asks you about each station. Your answers are kept if you stop. For a station
     that a lost action has changed, report what stands there. For all others, `as recorded` is enough. WHAT

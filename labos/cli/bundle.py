@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import make_completer
+from labos.cli._options import file_option
 from labos.cli._out import tell
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.errors import NotFound, SystemFailed
@@ -21,20 +22,10 @@ from labos.store import create_file, open_blobs
 
 @click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")
 @click.argument("subject", metavar="ID", shell_complete=make_completer("run", "experiment"))
-@click.option(
-    "-o",
-    "--output",
-    "file",
-    required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="The file to write.",
-)
-@click.option(
+@file_option("-o", "--output", "file", required=True, help="The file to write.")
+@file_option(
     "--checkpoint",
     "checkpoint",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
     help="The checkpoint for the proof (default: the newest in checkpoints/ of the lab's folder).",
 )
 @click.option(

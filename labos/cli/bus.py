@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._options import address_option, home_option, pki_option
+from labos.cli._options import address_option, folder_option, home_option, pki_option
 
 if TYPE_CHECKING:
     from labos.bootstrap import Guard
@@ -28,10 +28,8 @@ LISTEN = "127.0.0.1:7447"
     is_flag=True,
     help="Use TLS and certificates: each node and kernel can send only its own messages.",
 )
-@click.option(
+@folder_option(
     "--cert",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
     help="The folder of this bus (`labos pki issue bus`), if the certificate authority is elsewhere.",
 )
 @address_option
@@ -45,9 +43,10 @@ def command(
     pki: Path | None,
     home: str | None,
 ) -> None:
-    """Run the bus by itself until Ctrl-C. Kernels and nodes connect to it (`labos up --bus ENDPOINT`).
+    """Run the bus in its own process until Ctrl-C. Kernels and nodes connect to it (`labos up --bus
+    ENDPOINT`).
 
-    Without this command the kernel runs the bus, and nodes have no connection while no kernel runs. The
+    Without this command the bus is part of the kernel: while no kernel runs, nodes have no connection. The
     bus stores nothing. You can stop and start it at any time; kernels and nodes reconnect. A Zenoh router
     (zenohd) can take its place.
 

@@ -20,7 +20,7 @@ from labos.cli._options import (
     propose_option,
     why_option,
 )
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_json, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.cli._terms import terms_options
 from labos.core.viewer import Visibility
@@ -67,9 +67,7 @@ def submit(file: str, asker: Asker, request: str, propose: bool) -> None:
     submitted."""
     with asker.lab() as client:
         answer = client.submit_campaign(file, user=asker.user, request=request, propose=propose)
-    if asker.as_json:
-        show_json(answer)
-        return
+    asker.end_with_json(answer)
     if answer["approval"]:
         click.echo(f"labos: {answer['approval']}", err=True)
     click.echo(answer["campaign"])
@@ -90,9 +88,7 @@ def plan(file: str, asker: Asker) -> None:
     with asker.lab() as client:
         answer = client.forecast_campaign(file, user=asker.user)
     estimate, forecast = answer["estimate"], answer["forecast"]
-    if asker.as_json:
-        show_json({**estimate, "forecast": forecast})
-        return
+    asker.end_with_json({**estimate, "forecast": forecast})
     checked = (
         "" if estimate["checked"] == estimate["rows"] else f" ({estimate['checked']} of them were checked)"
     )
@@ -131,9 +127,7 @@ def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None
     ended = [story.campaign.id for story in stories if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in stories if story.campaign.id not in hidden]
-    if as_json:
-        show_json([_make_plain(story) for story in shown])
-        return
+    end_with_json([_make_plain(story) for story in shown], as_json)
     titles = ("id", "name", "user", "status", "rows", "submitted", "took")
     show_table(titles, [_row(story) for story in shown])
     if hidden:
@@ -149,9 +143,7 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
     expected to end (not with --json: use `labos forecast`)."""
     with open_log(where) as store:
         story = read_campaign_history(store, campaign)
-    if as_json:
-        show_json(_make_plain(story))
-        return
+    end_with_json(_make_plain(story), as_json)
     found, terms = story.campaign, story.campaign.terms
     budget = terms.budget
     lines = {
@@ -188,9 +180,7 @@ def report(where: Where, campaign: str, as_csv: bool, as_json: bool) -> None:
     """Show the rows of a campaign with their values, runs and results."""
     with open_log(where) as store:
         rows = list_campaign_rows(store, campaign)
-    if as_json:
-        show_json(rows)
-        return
+    end_with_json(rows, as_json)
     values = [_flatten_table(row.payload) for row in rows]
     results = [_flatten_table(row.results) for row in rows]
     keys = list(dict.fromkeys(key for row in values for key in row))
@@ -296,9 +286,7 @@ def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: An
     """
     with asker.lab() as client:
         answer = client.clone_campaign(campaign, asker.user, **asked, **terms_wanted)
-    if asker.as_json:
-        show_json(answer)
-        return
+    asker.end_with_json(answer)
     if answer["approval"]:
         click.echo(f"labos: {answer['approval']}", err=True)
     estimate = answer["estimate"]
@@ -338,7 +326,7 @@ def _describe_counts(story: CampaignHistory) -> str:
         "failed": found.failed,
         "cancelled": found.cancelled,
         "refused": found.refused,
-        "under way": len(found.runs) - found.queued,
+        "active": len(found.runs) - found.queued,
         "waiting": found.queued,
         "left": found.left,
     }

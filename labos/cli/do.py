@@ -28,7 +28,7 @@ _options = options_together(
         "placed",
         multiple=True,
         metavar="STATION=TYPE",
-        help="Labware that stands there before the action, such as `hidex.default=plate96`.",
+        help="Labware that stands at a station before the action, such as `hidex.default=plate96`.",
     ),
     user_option,
     click.option(

@@ -7,7 +7,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._liveness import has_kernel, say_if_dead
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.cli.runs import show_duration
 from labos.core.ids import RunId, local
@@ -50,9 +50,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     runs = [
         {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
     ]
-    if as_json:
-        show_json({"experiment": inside, "runs": runs} if inside else runs[0])
-        return
+    end_with_json({"experiment": inside, "runs": runs} if inside else runs[0], as_json)
     if inside:
         why = f" ({inside.why})" if inside.why else ""
         click.echo(f"{inside.id} ({inside.name}, {inside.user}) is {inside.status}{why}.")
@@ -171,7 +169,7 @@ def _explain_how(question: Intervention) -> str:
 
 
 def _describe_action(state: str) -> str:
-    return "under way" if state == "in flight" else "in an unknown state"
+    return "in progress" if state == "in flight" else "in an unknown state"
 
 
 def describe_progress(story: RunHistory) -> str:

@@ -19,6 +19,7 @@ from labos.audit.sinks import JsonLines, Sink
 from labos.cli._audit import open_log_and_views
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
+from labos.cli._options import file_option
 from labos.cli._out import tell
 from labos.cli._query import Where, as_moment, json_option, log_options, now_ns, open_contents, open_log
 from labos.cli.bundle import make_bundle_of
@@ -64,12 +65,7 @@ def command() -> None:
 )
 @click.option("--license", "license_", default="", metavar="URL", help="The licence of the crate.")
 @click.option("--bundle", is_flag=True, help="Add the signed bundle of each run (`labos bundle`).")
-@click.option(
-    "--program",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The source file of the experiment's application, to add to the crate.",
-)
+@file_option("--program", help="The source file of the experiment's application, to add to the crate.")
 @json_option
 @log_options
 def crate(
@@ -180,17 +176,13 @@ def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
     metavar="FILE|kafka://BROKER:PORT/TOPIC",
     help="Append all new events to this file or Kafka topic.",
 )
-@click.option(
+@file_option(
     "--settings",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
     help="Settings of the Kafka client, one name=value in each line: certificates, names, passwords.",
 )
-@click.option(
+@file_option(
     "--position",
     "position_file",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
     help="The file that stores the position of the topic [default: kafka-TOPIC.json in the lab's folder].",
 )
 @click.option("--with-words", is_flag=True, help="Include texts that people wrote.")

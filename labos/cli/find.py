@@ -9,7 +9,7 @@ import msgspec
 
 from labos.audit.find import FACETS, MOST_FOUND, SearchQuery, SearchResult, find
 from labos.cli._audit import open_log_and_views
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, as_time, json_option, log_options
 from labos.client import LabClient
 from labos.services.times import parse_time, show_time
@@ -73,9 +73,7 @@ def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, *
     else:
         with open_log_and_views(where) as (store, asker):
             found = find(asker, question, store.head().position)
-    if as_json:
-        show_json(found)
-        return
+    end_with_json(found, as_json)
     _show(found, question)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.services.describe import owner_name
 from labos.services.handover import Handover, OpenRun, read_handover
@@ -37,9 +37,7 @@ def command(where: Where, since: str, as_json: bool) -> None:
         say_if_dead(where.url, store.head())
         until = max(find_lab_now(where.url, store.head()), began)
         found = read_handover(store, began, until, kernel_runs=has_kernel(where.url))
-    if as_json:
-        show_json(found)
-        return
+    end_with_json(found, as_json)
     click.echo(f"{found.lab}: from {show_time(found.since)} to {show_time(found.until)}")
     _show_runs(found)
     _show_people(found)

@@ -35,7 +35,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
     labos confirm I7 --why "put in upside up"
     """
     from labos.cli._liveness import say_if_dead
-    from labos.cli._out import show_json, show_table
+    from labos.cli._out import end_with_json, show_table
     from labos.services.interventions import list_intervention_histories
     from labos.services.times import show_time
 
@@ -47,9 +47,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
         for story in sorted(stories, key=lambda story: story.due_at)
         if story.kind == PlannedWork.KIND and module in (None, story.module)
     ]
-    if as_json:
-        show_json([_as_json(story) for story in entries])
-        return
+    end_with_json([_as_json(story) for story in entries], as_json)
     asked = [story.id for story in stories if story.kind != PlannedWork.KIND]
     if not entries:
         click.echo("No planned work waits now.")

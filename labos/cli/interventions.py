@@ -8,7 +8,7 @@ import click
 import msgspec
 
 from labos.cli._liveness import find_lab_now, say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.state import LabState
 from labos.services.history import fold_state_at
@@ -41,9 +41,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
         now = find_lab_now(where.url, store.head())
         places = _find_places(fold_state_at(store)) if any(story.open for story in stories) else {}
     shown = [story for story in stories if everything or story.open]
-    if as_json:
-        show_json([_make_plain(story, places) for story in shown])
-        return
+    end_with_json([_make_plain(story, places) for story in shown], as_json)
     answered = [story for story in shown if not story.open]
     if answered:
         rows = [_row(story) for story in answered]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.core.ids import local
 from labos.services.history import fold_state_at
@@ -39,9 +39,7 @@ def command(where: Where, as_json: bool) -> None:
         state = fold_state_at(store)
     now = max(now_ns(), state.recorded_at)
     found = count_inventory(state, now, iso_time(now)[:10])
-    if as_json:
-        show_json({"position": state.position, "time": iso_time(now), **_make_plain(found)})
-        return
+    end_with_json({"position": state.position, "time": iso_time(now), **_make_plain(found)}, as_json)
     show_table(
         ("resource", "left", "of", "still needed", "lots", "runs out"),
         [_list_resource_cells(left) for left in found.resources],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import show_json, tell
+from labos.cli._out import end_with_json, tell
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.services.times import iso_time
@@ -15,7 +15,7 @@ from labos.services.trust.tree import read_tree
 witness_option = click.option(
     "--witness",
     is_flag=True,
-    help="Create the key that cosigns other labs' checkpoints, not the lab's own key.",
+    help="Use the key that cosigns other labs' checkpoints, not the lab's own key.",
 )
 
 
@@ -62,10 +62,8 @@ def show(where: Where, witness: bool, as_json: bool) -> None:
     known = keys.list_public_keys()
     if not known:
         raise NotFound("This lab has no key.", remedy="Make one: labos key create")
-    if as_json:
-        show_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
-    else:
-        click.echo(known[-1].text)
+    end_with_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]}, as_json)
+    click.echo(known[-1].text)
 
 
 @command.command("rotate")
@@ -78,9 +76,7 @@ def rotate(where: Where, as_json: bool) -> None:
     keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
     public = keys.list_public_keys()[-1]
-    if as_json:
-        show_json({"public_key": public.text, "size": size})
-        return
+    end_with_json({"public_key": public.text, "size": size}, as_json)
     click.echo(public.text)
     click.echo(
         f"The old key signs nothing after position {size}. Give the new public key to people who "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
-from labos.cli._out import show_json, tell
+from labos.cli._out import tell
 
 if TYPE_CHECKING:
     from labos.client import LabClient
@@ -160,14 +160,12 @@ def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
 @click.command("whoami")
 @lab_and_json
 def whoami(asker: Asker) -> None:
-    """Show as which user you are signed in, and your rights in the lab."""
+    """Show the name of the signed-in user, and your rights in the lab."""
     from labos.services.times import iso_time
 
     with asker.lab() as client:
         found = client.identity()
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     if found["how"] == "open":
         click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and every user has all rights)")
         return

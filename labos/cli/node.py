@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
 from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
-from labos.cli._out import show_json, tell
+from labos.cli._out import end_with_json, tell
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
 
@@ -57,7 +57,8 @@ def command() -> None:
 @click.option(
     "--finish-s",
     type=float,
-    help="How long an action in progress may continue after a stop (simulated: 30 s, real: to its end).",
+    help="How many seconds an action in progress may continue after a stop (default: 30 for a simulated "
+    "device; a real one continues to the end of the action).",
 )
 def start(
     driver: str,
@@ -301,9 +302,7 @@ def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_jso
     config |= dict(map(_read_setting, more))
     described = asyncio.run(describe_foreign(interface, config))
     module = {"interface": interface, "config": config, "about": make_about(described)}
-    if as_json:
-        show_json(module)
-        return
+    end_with_json(module, as_json)
     click.echo(to_yaml(module), nl=False)
 
 

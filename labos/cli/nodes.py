@@ -48,7 +48,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     reports a remedy.
     """
     from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_json, show_table
+    from labos.cli._out import end_with_json, show_table
     from labos.settings import find_kernel
 
     if check or modules:
@@ -61,9 +61,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     else:
         with need_lab_of(where) as client:
             known = [_drop_old_name(one) for one in client.state(waits=False)["modules"]]
-    if as_json:
-        show_json(known)
-        return
+    end_with_json(known, as_json)
     columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
     if any(map(_find_valid_until, known)):  # most labs have none
         columns.append("calibrated until")

@@ -10,7 +10,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._out import end_with_json, show_table, tell
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
@@ -66,9 +66,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
     with suppress(LabosError), open_log(where) as store:  # there may be no lab yet
         say_if_dead(where.url, store.head(), last_known=False)
         found = [show_struct(store, delivery) for delivery in found]
-    if as_json:
-        show_json([_list_facts(delivery) for delivery in found])
-        return
+    end_with_json([_list_facts(delivery) for delivery in found], as_json)
     rows = [
         (
             delivery.contact,
@@ -114,7 +112,7 @@ def test(where: Where, contact: str, as_json: bool) -> None:
 def watch(where: Where) -> None:
     """Send notifications from a separate process, until Ctrl-C. It also notifies you if the kernel is dead.
 
-    `labos up` sends notifications itself, unless this process already runs. Only one of the two sends. If
+    `labos up` sends notifications itself, unless this command already runs. Only one of the two sends. If
     the kernel ends or is killed, this process takes over. To be notified of a failed computer, run this
     command on another computer, with its own --home and the lab's --database.
 

@@ -9,7 +9,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option, pki_option, why_option
-from labos.cli._out import show_json, tell
+from labos.cli._out import end_with_json, tell
 from labos.cli._query import Where, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
@@ -25,7 +25,11 @@ address_option = click.option(
     "--address", multiple=True, metavar="HOST", help="A name or address at which a kernel or bus is reached."
 )
 days_option = click.option(
-    "--days", type=click.IntRange(1, 36500), metavar="N", help="The number of days for which it is valid."
+    "--days",
+    type=click.IntRange(1, 36500),
+    metavar="N",
+    help="The number of days for which it is valid (default: 3650 for the authority, 365 for a certificate; "
+    "a renewed one: as before).",
 )
 
 
@@ -159,9 +163,7 @@ def list_(where: Where, pki: Path | None, as_json: bool) -> None:
     """List all certificates: holder, end of validity, and whether they are revoked."""
     authority = _find_authority(where, pki)
     entries = authority.read_members().entries
-    if as_json:
-        show_json([_list_facts(authority, entry) for entry in entries])
-        return
+    end_with_json([_list_facts(authority, entry) for entry in entries], as_json)
     for entry in entries:
         click.echo(f"{entry.identity.shown:<28} {_describe_state(entry):<40} CN {entry.common_name}")
     if not entries:

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_options, open_log
 from labos.core.effects import Carrying, Claims, Needs
@@ -125,8 +125,8 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
     their modules, stations and arguments, start times, and the consumption of resources.
 
     The times are for a run that is alone on the bench. If there is a lab (--home, LABOS_HOME, ./lab,
-    LABOS_URL), the times are learned there: a step has the usual duration of such steps if there were at
-    least three. Such times are marked with ~. All other steps have the duration of their driver. Steps
+    LABOS_URL), the times come from its log: a step has the usual duration of such steps if the log has at
+    least three. Such times are marked with ~. All other steps have the duration from their driver. Steps
     marked with * are critical: together they take as long as the run. For each window, the command shows
     whether a run can keep it if steps take up to a tenth longer or shorter than their drivers state.
 
@@ -161,10 +161,8 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
         click.echo(f"labos: {finding}", err=True)
     lab, lengths, pace = _ask_lab(where)
     outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
-    if as_json:
-        show_json(outline)
-    else:
-        _tell(outline)
+    end_with_json(outline, as_json)
+    _tell(outline)
 
 
 def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
@@ -182,7 +180,7 @@ def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
     except LabosError as error:
         if named:
             raise
-        click.echo(f"labos: The lab was not asked how long steps take: {error}", err=True)
+        click.echo(f"labos: The lab cannot be asked for the durations of the steps: {error}", err=True)
         return "", Lengths(), 1.0
     return where.lab or where.database or str(where.home), state.lengths, state.lab.pace
 

@@ -49,7 +49,7 @@ LOST_PAUSE_S = 5.0
     type=click.IntRange(1, 100),
     default=1,
     show_default=True,
-    help="How many times the end of all runs counts against the mean of their ends.",
+    help="The weight of the end of the last run; the mean end of all runs has the weight 1.",
 )
 @click.option(
     "--pause",
@@ -81,7 +81,7 @@ def command(
     The planner follows the log. When a run is submitted or ends, or when a step takes longer than planned,
     it searches for the order in which all known runs would end soonest. It simulates the lab with and
     without this order, and suggests the order if it is better. The lab still applies its own rules,
-    windows and deadlock avoidance. Without a planner, or with a bad one, only the order differs. `labos
+    windows and deadlock avoidance. A bad suggestion can change only the order of steps. `labos
     explain RUN` shows whether a run waits because of a suggestion. The planner needs OR-tools: python -m
     pip install "labos-sdl[plan]". See docs/scheduling.md.
 

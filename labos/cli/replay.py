@@ -42,7 +42,7 @@ def command(
     log: str, at: int | None, first: int | None, last: int | None, only_hash: bool, as_json: bool
 ) -> None:
     """Replay LOG, event by event, and show what each event changed. LOG is a lab's folder, its database (a
-    file or a URL), a backup, or a file of records, which labos log --json prints and a simulated lab saves.
+    file or a URL), a backup, or a file of records from labos log --json.
 
     \b
     labos replay lab                          in a terminal: step by step

@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 import msgspec
 
-from labos.cli._out import show_json
+from labos.cli._options import file_option
+from labos.cli._out import end_with_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
 from labos.cli._rehearse import rehearse
 from labos.cli.backup import archive_option, key_option
@@ -71,12 +72,10 @@ class Restored(msgspec.Struct, frozen=True):
     metavar="DIR",
     help="With --rehearse: a folder with room for a copy of the log (default: that for temporary files).",
 )
-@click.option(
+@file_option(
     "--erased",
     "lists",
-    type=click.Path(path_type=Path, dir_okay=False),
     multiple=True,
-    metavar="FILE",
     help="A list of erasures (labos.erased) besides the one in the lab's folder.",
 )
 @archive_option
@@ -126,9 +125,9 @@ def command(
         return
     # The note in the home folder must be valid from every working directory.
     done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists, archive=archive)
-    if as_json:
-        show_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
-        return
+    end_with_json(
+        {name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"}, as_json
+    )
     click.echo(f"The lab {done.lab} is restored up to position {done.position}: chain, fold and state agree.")
     click.echo(f"Database {done.database}, {done.blobs} blobs, next epoch above {done.epoch}.")
     if done.users:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     "placed",
     multiple=True,
     metavar="STATION=TYPE",
-    help="Labware that stands there before the run, as `camera_module.plate_station=plate96`; "
+    help="Labware that stands at a station before the run, such as `camera_module.plate_station=plate96`; "
     "`peeler.default=plate96,sealed` if it is sealed.",
 )
 @user_option

@@ -11,7 +11,7 @@ from labos.cli._complete import make_completer
 from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
 from labos.cli._options import ENDED_SHOWN, all_option, json_option
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._out import show_json, show_parts, show_table
+from labos.cli._out import end_with_json, show_json, show_parts, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.core.ids import local
 from labos.core.model import find_served_step
@@ -64,9 +64,7 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
     ended = [story for story in stories.values() if story.over]
     hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything and inside is None else set()
     shown = [story for story in stories.values() if story.id not in hidden]
-    if as_json:
-        show_json([_make_plain(story, waits, due) for story in shown])
-        return
+    end_with_json([_make_plain(story, waits, due) for story in shown], as_json)
     dated = any(story.due_at for story in shown)
     columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took")
     rows = [_row(story, now, waits, due, dated=dated) for story in shown]

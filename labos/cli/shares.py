@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._options import find_user, json_option, user_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.core.shares import Quota
 from labos.errors import BadInput
@@ -37,9 +37,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
             client.apply_shares(read_file(file), file, find_user(user))
     with open_log(where) as store:
         accounts = make_ledger(fold_to(store, store.head().position), now_ns())
-    if as_json:
-        show_json(accounts)
-        return
+    end_with_json(accounts, as_json)
     titles = ("user", "group", "weight", "share", "has had", "hours", "running", "waiting", "quota")
     show_table(titles, [_row(account) for account in accounts])
 

@@ -145,7 +145,7 @@ def _rows(place: StationPlace) -> list[tuple[str, ...]]:
         lines.append((f"perhaps {', '.join(place.maybe)}", "", ""))
     if place.expected:
         many = "an arrival" if place.expected == 1 else f"{place.expected} arrivals"
-        lines.append((f"{many} under way", "", ""))
+        lines.append((f"{many} being moved", "", ""))
     if place.kind == "waste":
         lines.insert(0, (f"{place.level} of {place.capacity} thrown away", "", ""))
     elif place.state != "occupied":

@@ -10,11 +10,12 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import (
-    SPEED_HELP,
     address_option,
     database_option,
+    folder_option,
     home_option,
     pki_option,
+    speed_option,
     web_options,
 )
 
@@ -38,7 +39,7 @@ NO_USERS = (
     default=None,
     help="Use a simulated bench or the real one. Required for a new lab; an existing lab keeps its setting.",
 )
-@click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP)
+@speed_option
 @home_option
 @database_option
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free port if not given).")
@@ -75,11 +76,8 @@ NO_USERS = (
     default=None,
     help="TLS and certificates on the bus, which are made if there are none (default: as at the last start).",
 )
-@click.option(
-    "--cert",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="The kernel's own certificate, if the lab's certificate authority is elsewhere.",
+@folder_option(
+    "--cert", help="The kernel's own certificate, if the lab's certificate authority is elsewhere."
 )
 @address_option
 @pki_option
@@ -96,8 +94,8 @@ NO_USERS = (
 @click.option(
     "--declare/--no-declare",
     default=None,
-    help="The labware on the bench at first: from `stock:` of the file, or unknown until it is declared "
-    "(if not given: as the file says on a simulated bench, unknown on a real one).",
+    help="Take the first labware on the bench from `stock:` of the file, or leave all stations unknown until "
+    "they are declared (default: `stock:` on a simulated bench, unknown on a real one).",
 )
 @click.option(
     "--on-database-loss",

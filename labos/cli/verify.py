@@ -11,6 +11,7 @@ from typing import NoReturn
 import click
 import msgspec
 
+from labos.cli._options import file_option, folder_option
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
@@ -68,22 +69,14 @@ CAVEAT = (
     is_flag=True,
     help="Check the journals of this home's nodes, and whether they know actions that the log lacks.",
 )
-@click.option(
-    "--backup",
-    "folder",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="FOLDER",
-    help="Check a backup instead of the database.",
-)
+@folder_option("--backup", "folder", help="Check a backup instead of the database.")
 @click.option(
     "--detached",
     is_flag=True,
     help="With --backup: the first segments are missing because they are kept elsewhere.",
 )
-@click.option(
+@file_option(
     "--bundle",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
     help="Check a bundle of `labos bundle` instead, offline: neither the database nor the lab is needed.",
 )
 @click.option(
@@ -100,12 +93,7 @@ CAVEAT = (
     metavar="KEY|FILE",
     help="With --bundle: require a cosignature of this witness.",
 )
-@click.option(
-    "--tsa",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="With --bundle: check the time stamp against the certificates in this PEM file.",
-)
+@file_option("--tsa", help="With --bundle: check the time stamp against the certificates in this PEM file.")
 @archive_option
 @key_option
 @json_option

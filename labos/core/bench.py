@@ -48,7 +48,7 @@ from labos.core.labware import (
     WasteEmptied,
 )
 from labos.core.model import StationSpec
-from labos.core.registry import Event, list_handlers
+from labos.core.registry import Event
 from labos.core.topics import LostLabware, Unexpected
 from labos.core.wells import add_doses, draw_doses
 
@@ -511,6 +511,3 @@ def _remove_from_owner(bench: Bench, labware: Labware) -> None:
     del owned[labware.id]
     if not owned:
         del bench.by_owner[labware.owner]
-
-
-HANDLERS = list_handlers(globals(), Bench)

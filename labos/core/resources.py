@@ -10,7 +10,7 @@ from labos.core.effects import AnyEffect, Consumes, Replaces
 from labos.core.ids import ModuleName, RunId, level_key
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleEvent
-from labos.core.registry import event, list_handlers
+from labos.core.registry import event
 
 
 @event("resource.level_set")
@@ -156,6 +156,3 @@ def fold_resource_consumed(resources: Resources, event: ResourceConsumed, at: in
         amount -= part
         if lot.left <= 0:
             level.lots.remove(lot)
-
-
-HANDLERS = list_handlers(globals(), Resources)

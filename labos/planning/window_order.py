@@ -219,6 +219,27 @@ class WindowOrders:
         self.orders[cell] = found
         return order is None or order.steps != found.steps
 
+    def search_longer(
+        self,
+        state: LabState,
+        cell: str,
+        runs: Sequence[RunState],
+        overtakings: Callable[[RunId], float],
+        now: int,
+        tries: int,
+    ) -> OrderSuggested | None:
+        """The best order of these runs in so many tries, whatever counts now; None if there is none. It is
+        not kept."""
+        inside = [run for run in runs if run.has_started]
+        waiting = [run for run in runs if not run.has_started]
+        found: OrderSuggested | None = None
+        self._searches.setdefault(cell, CellSearch())
+        for _ in range(0, tries, CYCLE):
+            found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE))
+            if found is None:
+                return None
+        return found
+
     def _search(
         self,
         state: LabState,

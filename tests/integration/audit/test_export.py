@@ -329,7 +329,7 @@ def test_a_crate_with_its_bundle_proves_itself(kept: Path, capsys: pytest.Captur
 
 def test_what_cannot_be_exported_is_said(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
     export(kept, "crate", "R99", "--to", "R99", code=1)
-    assert "There is no run 'R99'" in capsys.readouterr().err
+    assert "There is neither a run nor an experiment 'R99' in this log." in capsys.readouterr().err
     Path("full").mkdir()
     Path("full/there").touch()
     export(kept, "crate", "R2", "--to", "full", code=1)
@@ -463,9 +463,9 @@ def test_a_file_of_something_else_is_left_alone(tmp_path: Path, capsys: pytest.C
     last = lines(capsys, home)[-1]
     other = tmp_path / "other"
     cases = {
-        "diary": "something else",
-        '{"a": 1}': "something else",
-        "diary\nof bo\n": "something else",
+        "diary": "something other than events",
+        '{"a": 1}': "something other than events",
+        "diary\nof bo\n": "something other than events",
         json.dumps({**last, "position": "99999999"}) + "\n": "another log",
         json.dumps({**last, "source": "urn:other", "position": "1"}) + "\n": "another lab",
     }

@@ -116,10 +116,10 @@ def test_a_broker_that_is_killed_gets_everything_after_all(tmp_path: Path) -> No
             broker.kill()
             book.submit("pcr", "bo")
             grow(book, tmp_path / "lab")
-            until(lambda: "is away" in exporter.read_log(), "a word that it is away", 120)
+            until(lambda: "is unavailable" in exporter.read_log(), "a word that it is away", 120)
             broker.start()
             until(lambda: len(broker.values("lab")) >= book.position, "the later events", 120)
-            assert "takes events again" in exporter.read_log()
+            assert "accepts events again" in exporter.read_log()
         expect(broker.values("lab"), book.records)
 
 
@@ -204,7 +204,10 @@ def test_bad_targets_and_settings_are_told(
     file = tmp_path / "kafka.properties"
     file.write_text("# of the broker\n\nsasl.username = labos\nsasl.password=a=b\n")
     assert read_settings(file) == {"sasl.username": "labos", "sasl.password": "a=b"}
-    for text, said in (("nonsense", ":1: this is no setting"), ("\nacks=0", ":2: acks is set by LabOS")):
+    for text, said in (
+        ("nonsense", ":1: this line is not a setting"),
+        ("\nacks=0", ":2: LabOS itself sets acks"),
+    ):
         file.write_text(text)
         with pytest.raises(BadInput, match=said):
             read_settings(file)
