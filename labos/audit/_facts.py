@@ -9,6 +9,7 @@ import msgspec
 from labos.audit._calibrations import IN_FORCE
 from labos.audit.graph import Entity, well_of
 from labos.audit.query import ReadConnection
+from labos.core.ids import local
 
 _COLUMNS = {
     "action": "run step key module name args driver driver_version about simulated requested_at ended_at "
@@ -66,7 +67,7 @@ def describe_entity(entity: Entity, facts: dict[str, Any]) -> str:
         case "action" | "result":
             where = f"{facts.get('run', '')} #{facts.get('step')}" if facts.get("run") else entity.name
             key = f" {facts['key']!r}" if facts.get("key") else ""
-            act = f"{str(facts.get('module', '')).rpartition('/')[2]}.{facts.get('name', '')}"
+            act = f"{local(str(facts.get('module', '')))}.{facts.get('name', '')}"
             return f"result of {where}{key}" if entity.kind == "result" else f"{act} ({where}{key})"
         case "run" if facts.get("workflow"):
             return f"run {entity.name} ({facts['workflow']})"
@@ -80,9 +81,9 @@ def describe_entity(entity: Entity, facts: dict[str, Any]) -> str:
             return f"well {entity.name}"
         case "driver":
             module, driver, version = entity.name.split(" ", 2)
-            return f"driver {driver} {version} ({module.rpartition('/')[2]})"
+            return f"driver {driver} {version} ({local(module)})"
         case "calibration" if facts.get("module"):
-            of = f"{facts.get('what', '')} of {str(facts['module']).rpartition('/')[2]}".removeprefix(" of ")
+            of = f"{facts.get('what', '')} of {local(str(facts['module']))}".removeprefix(" of ")
             certificate = f", certificate {facts['certificate']}" if facts.get("certificate") else ""
             until = f", valid until {facts['until']}" if facts.get("until") else ""
             return f"calibration {entity.name.rpartition('@')[2]} ({of}{certificate}{until})"

@@ -11,6 +11,7 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._out import show_table, terminal_width
 from labos.cli._query import Where, log_and_json
+from labos.core.ids import local
 
 if TYPE_CHECKING:
     from labos.core.model import ActionSpec, Arg, Description, ModuleSpec
@@ -127,7 +128,7 @@ def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[O
     from labos.errors import NotFound
     from labos.spec.findings import suggest_name
 
-    wanted = name.rpartition("/")[2].lower()
+    wanted = local(name).lower()
     for found in (
         [offer for offer in offers if offer.name.lower() == wanted],
         [offer for offer in drivers if wanted in _names_of(offer.driver)],

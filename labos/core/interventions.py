@@ -78,6 +78,10 @@ class Intervention(msgspec.Struct):
     overdue: bool = False
     topic: AnyTopic | None = None
 
+    def withdraw(self, why: str) -> InterventionResolved:
+        """The question is resolved without an answer."""
+        return InterventionResolved(self.id, "withdrawn", "labos", why)
+
 
 class Interventions(msgspec.Struct):
     """``open`` are the questions that wait for an answer, oldest first. ``named`` counts the ids given out;

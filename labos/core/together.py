@@ -18,6 +18,7 @@ from labos.core.ids import (
     find_owning_run,
     module_key,
     run_key,
+    run_owner,
     station_key,
 )
 from labos.core.model import PlanStep, Together
@@ -54,6 +55,6 @@ def check_left_out(state: LabState, run: RunState, step: PlanStep, others: Colle
         return None
     for owner, labware, place in list_inside(state, step.module):
         if owner != run.id and owner not in others:
-            why = reasons.InsideToo(str(labware), str(place), f"run:{owner}", step.action)
+            why = reasons.InsideToo(str(labware), str(place), run_owner(owner), step.action)
             return Wait(why, (station_key(place), module_key(step.module), run_key(owner)))
     return None

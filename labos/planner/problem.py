@@ -94,7 +94,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     and ``more`` says whether it belongs to an experiment, so that further unknown runs follow; ``ranks`` is
     the number of classes before which it goes, and ``due_s`` the deadline of its campaign, if it has one (lab
     seconds from now). ``line`` are the first tasks of the runs that wait for their start, in the order of
-    rank and age, and ``passed`` says how often each of them was passed over. The end of all counts
+    rank and age, and ``overtaken`` says how often each of them was overtaken. The end of all counts
     ``end_weight`` times as much as the mean of all ends."""
 
     tasks: tuple[Task, ...]
@@ -109,7 +109,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     own_due_s: tuple[float | None, ...] = ()
     setups: tuple[SetupCosts, ...] = ()
     end_weight: int = 1
-    passed: tuple[int, ...] = ()
+    overtaken: tuple[int, ...] = ()
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:

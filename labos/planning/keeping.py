@@ -330,7 +330,7 @@ class Windows:
             plan.advice, plan.outcome, plan.as_suggested = suggested, RehearsalResult(starts), True
             return plan
         if obliged:
-            trial = Trial(plan, None, -1, set(self._hopeless))
+            trial = Trial(plan, None, 0, set(self._hopeless))
             if suggested is not None and _is_on_time(state, suggested, now):
                 # What somebody has planned for all of them comes first, if it keeps all windows.
                 plan.advice = suggested

@@ -46,9 +46,6 @@ class Candidate(msgspec.Struct, frozen=True):
     early: bool = False
 
 
-NOBODY = -1
-"""In place of a run's number: no run starts for now."""
-
 Value = tuple[int, int]
 """How good a play was: less is better (see ``Outline.value``)."""
 
@@ -80,7 +77,7 @@ class Pilot:
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
             return _make_wait(state, outline, cell) if first.early else first
-        plays: list[tuple[Value, int]] = []
+        plays: list[tuple[Value, int | None]] = []  # without a number: no run starts for now
         for number, run in enumerate(waiting):
             step = first.step if not number else state.runs.plans[run.plan].starts[0]
             witness = None
@@ -94,14 +91,14 @@ class Pilot:
             later = outline.copy()
             later.advance()
             self.plays += 1
-            plays.append((later.go_on().value, NOBODY))
+            plays.append((later.go_on().value, None))
         early: Candidate | None = None
         early_end = 0
-        for value, number in sorted(plays, key=lambda play: (play[0], play[1] == NOBODY, play[1])):
-            if number == NOBODY:
+        for value, chosen in sorted(plays, key=lambda play: (play[0], play[1] is None, play[1] or 0)):
+            if chosen is None:
                 candidate = None
             else:
-                candidate = first if not number else find_candidate(waiting[number])
+                candidate = first if not chosen else find_candidate(waiting[chosen])
                 if candidate is None:
                     continue
                 if candidate.early:

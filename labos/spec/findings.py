@@ -38,14 +38,8 @@ class Finding(msgspec.Struct, frozen=True):
     assumed: Assumed = ""
 
     def as_error(self) -> SpecError:
-        return SpecError(
-            self.message,
-            file=self.file,
-            line=self.line,
-            column=self.column,
-            field=self.field,
-            remedy=self.remedy,
-        )
+        where = {"file": self.file, "line": self.line, "column": self.column, "field": self.field}
+        return SpecError(self.message, **where, remedy=self.remedy)  # type: ignore[arg-type]
 
     def __str__(self) -> str:
         return f"{self.as_error()} ({self.severity})"

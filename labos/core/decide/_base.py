@@ -69,6 +69,11 @@ def check_recordable(events: Iterable[Event]) -> Decision:
     return known if later is None else chain(known, later)
 
 
+def list_possible(decision: Decision) -> Iterable[Event]:
+    """The events of a decision; none if the command was rejected."""
+    return () if isinstance(decision, Rejection) else decision
+
+
 def refuse_hotel(state: LabState, station: StationName) -> Rejection | None:
     """Why a station cannot be used as one place: it is a hotel, and each of its shelves is a place."""
     shelves = state.bench.shelves.get(station)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from labos.core.bench import Labware
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection
+from labos.core.decide.lookups import decides_about, expect_labware
 from labos.core.decide.users import refuse_unknown_user
 from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId, split_key
 from labos.core.labware import LabwareHandedOver
@@ -24,11 +25,8 @@ class HandOver(Command, frozen=True):
     note: Words = ""
 
 
-@decides(HandOver)
-def hand_over(state: LabState, command: HandOver) -> Decision:
-    labware = state.bench.labware.get(command.labware)
-    if labware is None:
-        return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+@decides_about(HandOver, expect_labware)
+def hand_over(state: LabState, command: HandOver, labware: Labware) -> Decision:
     if labware.owner == command.to:
         return []
     wrong = (

@@ -15,10 +15,10 @@ from labos.core.decide._base import (
     decides,
     refuse_hotel,
 )
+from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, level_key, local, workcell_of
-from labos.core.interventions import InterventionResolved
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import StationSpec, Workcell
@@ -92,7 +92,7 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
             yield ModulePutBack(name)
     for question in asked:
         why = "the whole bench is being compared with the log"
-        yield InterventionResolved(question.id, "withdrawn", "labos", why)
+        yield question.withdraw(why)
 
 
 @decides(ApplyWorkcell)
@@ -236,11 +236,8 @@ def _name_users(runs: list[RunId]) -> str:
     return f" by {', '.join(runs)}" if runs else ""
 
 
-@decides(DeclareStation)
-def declare_station(state: LabState, command: DeclareStation) -> Decision:
-    station = state.bench.stations.get(command.station)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(command.station)}.")
+@decides_about(DeclareStation, expect_station)
+def declare_station(state: LabState, command: DeclareStation, station: StationState) -> Decision:
     shelved = refuse_hotel(state, command.station)
     if shelved:
         return shelved

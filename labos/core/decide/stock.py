@@ -9,6 +9,7 @@ from itertools import chain, islice
 from labos.core.bench import StationState, add_arrival, count_taking, split_item
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
+from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.effects import list_carried
 from labos.core.expiry import DATE, find_first_expired
 from labos.core.ids import (
@@ -130,11 +131,24 @@ def replenish(state: LabState, command: Replenish) -> Decision:
     return [ResourceReplenished(module, resource, *put_in)]
 
 
-@decides(LoadStation)
-def load_station(state: LabState, command: LoadStation) -> Decision:
-    found = _expect_free_of_doubt(state, command.station)
-    if isinstance(found, Rejection):
-        return found
+def _expect_free_of_doubt(state: LabState, command: LoadStation | UnloadStation) -> StationState | Rejection:
+    """A station at which no arm is at work and no uncertain labware may stand."""
+    name, station = command.station, expect_station(state, command)
+    if isinstance(station, Rejection):
+        return station
+    if name in state.bench.uncertain_at:
+        return Rejection(
+            "uncertain",
+            f"It is not yet known what stands at {local(name)}.",
+            "Answer the open intervention first.",
+        )
+    if station.expected or count_taking(state.bench, name):
+        return Rejection("in_motion", f"An arm is working at {local(name)}.", "Wait until it has ended.")
+    return station
+
+
+@decides_about(LoadStation, _expect_free_of_doubt)
+def load_station(state: LabState, command: LoadStation, found: StationState) -> Decision:
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
         return Rejection("not_accepted", f"{name} is a {spec.kind}: labware cannot be loaded there.")
@@ -205,7 +219,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     waste = station is not None and station.spec.kind == "waste"
     # Labware in a waste has left the bench. So labware that is being discarded, or may have been, is not
     # taken out of the waste.
-    found = station if waste and station is not None else _expect_free_of_doubt(state, command.station)
+    found = station if waste and station is not None else _expect_free_of_doubt(state, command)
     if isinstance(found, Rejection):
         return found
     name = local(command.station)
@@ -268,22 +282,6 @@ def _takes(step: PlanStep, stack: StationName) -> bool:
 
 def _throws_into(step: PlanStep, waste: StationName) -> bool:
     return any(what.filled == waste for what in list_carried(step.effects))
-
-
-def _expect_free_of_doubt(state: LabState, name: StationName) -> StationState | Rejection:
-    """A station at which no arm is at work and no uncertain labware may stand."""
-    station = state.bench.stations.get(name)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(name)}.")
-    if name in state.bench.uncertain_at:
-        return Rejection(
-            "uncertain",
-            f"It is not yet known what stands at {local(name)}.",
-            "Answer the open intervention first.",
-        )
-    if station.expected or count_taking(state.bench, name):
-        return Rejection("in_motion", f"An arm is working at {local(name)}.", "Wait until it has ended.")
-    return station
 
 
 def _find_owner_alive(state: LabState, owner: Owner) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import PurePath
 from typing import Any
 
@@ -20,6 +20,12 @@ class Reader:
     def ignore(self, path: Path_, why: str = "is not used by LabOS") -> None:
         message = f"The key {path[-1]!r} {why}."
         self.warn_of_assumption(path, message, "It is ignored; remove it if you can.", key=True)
+
+    def ignore_others(self, table: Iterable[str], known: Collection[str], path: Path_ = ()) -> None:
+        """Report the keys of a table that are not known."""
+        for key in table:
+            if key not in known:
+                self.ignore((*path, key))
 
     def expect_table(self, value: Any, path: Path_, what: str) -> SourceMapping:
         """The value as a table; an empty value counts as an empty table."""
@@ -55,8 +61,7 @@ class Reader:
         elif isinstance(metadata.get("name"), str):
             out.take(metadata, "name")
         else:
-            at = self.source.data.at
-            out.put("name", PurePath(self.source.file).stem or "unnamed", at, at)
+            out.put("name", PurePath(self.source.file).stem or "unnamed")
 
     def iterate_entries(self, value: Any, path: Path_, what: str) -> Iterator[tuple[str, Any, Path_]]:
         """The entries of a table that may be missing: key, value, path."""
