@@ -68,7 +68,9 @@ def end_with_json(value: Any, as_json: bool, code: int = 0) -> None:
     """With ``--json``, show the value and end the command with this exit code."""
     if as_json:
         show_json(value)
-        click.get_current_context().exit(code)
+        if code:
+            raise SystemExit(code)  # as where a command without --json has found a fault
+        click.get_current_context().exit()
 
 
 def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
