@@ -64,10 +64,12 @@ def show_json(value: Any) -> None:
     click.echo(msgspec.json.format(_encode(value), indent=2))
 
 
-def end_with_json(value: Any, as_json: bool) -> None:
-    """With ``--json``, show the value and end the command."""
+def end_with_json(value: Any, as_json: bool, code: int = 0) -> None:
+    """With ``--json``, show the value and end the command with this exit code."""
     if as_json:
         show_json(value)
+        if code:
+            raise SystemExit(code)  # as where a command without --json has found a fault
         click.get_current_context().exit()
 
 

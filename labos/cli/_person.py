@@ -8,7 +8,6 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, read_result, wait_option, why_option
-from labos.cli._out import show_json
 
 if TYPE_CHECKING:
     from labos.client import RunResult
@@ -43,8 +42,7 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
         if asker.as_json:
             results = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
             facts = {"kind": done["kind"], "target": done["target"], "already": done["already"]}
-            show_json({**facts, "runs": results})
-            return
+            asker.end_with_json({**facts, "runs": results})
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
             what = "is already being cancelled" if is_one else "has nothing to cancel"

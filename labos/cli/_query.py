@@ -51,9 +51,9 @@ class Where(msgspec.Struct, frozen=True):
             or name_own_database(self.home)
         )
 
-    def end_with_json(self, value: Any) -> None:
-        """With ``--json``, show the value and end the command."""
-        end_with_json(value, self.as_json)
+    def end_with_json(self, value: Any, code: int = 0) -> None:
+        """With ``--json``, show the value and end the command with this exit code."""
+        end_with_json(value, self.as_json, code)
 
     def tell(self, sentence: str, facts: Any) -> None:
         """Report what a command has done."""

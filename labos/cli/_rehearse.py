@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json
 from labos.cli._query import Where, name_own_database, now_ns, open_database
 from labos.core.ids import LabId
 from labos.core.structs import make_from
@@ -68,9 +68,7 @@ def rehearse(
     )
     if where.home.is_dir():
         replace_file(where.home / REHEARSAL, msgspec.json.encode(found) + b"\n")
-    if as_json:
-        show_json(found)
-        return
+    end_with_json(found, as_json)
     click.echo(
         f"The backup can be restored: {found.position} events up to {show_time(done.recorded_at)}, "
         f"{found.blobs} "

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json
 from labos.errors import BadInput
 from labos.services.log import Log
 from labos.services.trust.compare import CheckpointComparison, compare, read_tree_heads
@@ -38,15 +38,12 @@ def compare_signed(log: Log, path: Path, home: Path, public_keys: Sequence[str])
 def verify_bundle(file: Path, trust: Trust, as_json: bool) -> None:
     """Check a bundle and report the result; exit code 1 if anything is wrong."""
     found = prove_bundle(file, trust)
-    if as_json:
-        show_json({"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found})
-    else:
-        for part in found.parts:
-            for line in part.faults or (part.told,):
-                click.echo(line)
-        if found.faults:
-            click.echo(f"The bundle does not prove the {found.kind} {found.subject}.")
-        else:
-            click.echo(f"The bundle proves the {found.kind} {found.subject} of the lab {found.lab}.")
+    facts = {"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found}
+    end_with_json(facts, as_json, int(bool(found.faults)))
+    for part in found.parts:
+        for line in part.faults or (part.told,):
+            click.echo(line)
     if found.faults:
+        click.echo(f"The bundle does not prove the {found.kind} {found.subject}.")
         click.get_current_context().exit(1)
+    click.echo(f"The bundle proves the {found.kind} {found.subject} of the lab {found.lab}.")

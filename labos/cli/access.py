@@ -88,19 +88,8 @@ def command(
         state = client.state(waits=False)
     access = state["lab"]["access"].get(workcell)
     doubtful = access["perhaps_moving"] if access is not None else []
-    if asker.as_json:
-        from labos.cli._out import show_json
-
-        show_json(
-            {
-                "workcell": workcell,
-                "granted": True,
-                "perhaps_moving": doubtful,
-                "parking": parking,
-                "stations": _list_recorded(state, workcell),
-            }
-        )
-        return
+    facts = {"workcell": workcell, "granted": True, "perhaps_moving": doubtful, "parking": parking}
+    asker.end_with_json({**facts, "stations": _list_recorded(state, workcell)})
     if doubtful:
         click.echo(
             f"WARNING: it is unknown whether everything has stopped: {', '.join(doubtful)}. Switch "

@@ -9,7 +9,6 @@ import click
 
 from labos.cli._audit import open_projector, tell_progress
 from labos.cli._group import Suggesting
-from labos.cli._out import show_json
 from labos.cli._query import Where, log_and_json, log_options
 from labos.errors import BadInput
 from labos.services.times import iso_time, show_time
@@ -54,7 +53,7 @@ def project(where: Where, follow: bool, every: float) -> None:
         os.nice(CALM)
     with open_projector(where) as (_, database, projector):
         position = projector.catch_up(tell_progress)
-        _tell(position, database.name, where.as_json)
+        _tell(where, position, database.name)
         ended = threading.Event()
         while follow:
             try:
@@ -70,7 +69,7 @@ def rebuild(where: Where) -> None:
     """Delete the tables and build them again from the log."""
     with open_projector(where) as (_, database, projector):
         database.reset()
-        _tell(projector.catch_up(tell_progress), database.name, where.as_json)
+        _tell(where, projector.catch_up(tell_progress), database.name)
 
 
 @command.command("status")
@@ -81,12 +80,12 @@ def status(where: Where) -> None:
         mark, head = database.prepare(), store.head()
     behind = head.position - mark.position
     at = round((mark.at_s or 0) * 1e9)
-    if where.as_json:
-        facts = {"database": database.name, "position": mark.position, "behind": behind}
-        show_json({**facts, "log": head.position, "recorded": iso_time(at) if at else ""})
-        return
+    facts = {"database": database.name, "position": mark.position, "behind": behind}
     until = f", which was recorded at {show_time(at)}" if at else ""
-    click.echo(f"The {database.name} is at event {mark.position}{until}: {behind} behind the log.")
+    where.tell(
+        f"The {database.name} is at event {mark.position}{until}: {behind} behind the log.",
+        {**facts, "log": head.position, "recorded": iso_time(at) if at else ""},
+    )
 
 
 @command.command("reader")
@@ -113,8 +112,5 @@ def reader(where: Where, role: str) -> None:
     click.echo(f"{role} may read the views (schema labos) and nothing else of LabOS.")
 
 
-def _tell(position: int, name: str, as_json: bool) -> None:
-    if as_json:
-        show_json({"database": name, "position": position})
-    else:
-        click.echo(f"The {name} is at event {position}.")
+def _tell(where: Where, position: int, name: str) -> None:
+    where.tell(f"The {name} is at event {position}.", {"database": name, "position": position})

@@ -72,7 +72,6 @@ def show(where: Where) -> None:
     The command also shows labware that an arm holds or has dropped. Only a person can check a real bench.
     """
     from labos.cli._bench_view import BenchView, read_bench, show
-    from labos.cli._out import show_json
 
     benches = sorted((where.home / "world").glob("*.db"))
     if not benches:
@@ -83,12 +82,11 @@ def show(where: Where) -> None:
         )
     with open_database(where) as store:
         sights: list[BenchView] = [read_bench(store, path) for path in benches]
-    if where.as_json:
-        show_json({"agrees": all(sight.agrees for sight in sights), "workcells": sights})
-    else:
-        for sight in sights:
-            show(sight)
-    if not all(sight.agrees for sight in sights):
+    agrees = all(sight.agrees for sight in sights)
+    where.end_with_json({"agrees": agrees, "workcells": sights}, int(not agrees))
+    for sight in sights:
+        show(sight)
+    if not agrees:
         raise SystemExit(1)
 
 

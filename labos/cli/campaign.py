@@ -19,7 +19,7 @@ from labos.cli._options import (
     propose_option,
     why_option,
 )
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_table
 from labos.cli._query import Where, log_and_json, open_log
 from labos.cli._terms import terms_options
 from labos.core.viewer import Visibility
@@ -249,8 +249,7 @@ def amend(campaign: str, asker: Asker, terms_wanted: dict[str, Any]) -> None:
         terms = client.amend_campaign(campaign, asker.user, **terms_wanted)
         if client.approval:
             click.echo(f"labos: {client.approval}", err=True)
-    if asker.as_json:
-        show_json(terms)
+    asker.end_with_json(terms)
 
 
 @command.command("clone")

@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import show_json
 from labos.cli._query import Where, log_and_json, log_options, now_ns, open_log
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
@@ -46,18 +45,16 @@ def status(where: Where) -> None:
     cannot use the database as it is."""
     found = read_database_status(where.url)
     facts = _list_facts(where, found)
-    if where.as_json:
-        show_json(facts)
-    else:
-        click.echo(f"{found.name}: {_describe_status(found)}")
-        if "bytes" in facts:
-            click.echo(f"Size: {facts['bytes'] / 1e6:.1f} MB")
-        if "position" in facts:
-            last = show_time(facts["recorded_at"]) or "never"
-            click.echo(f"Lab: {facts['lab'] or 'none yet'}")
-            click.echo(f"Head: position {facts['position']}, epoch {facts['epoch']}, last event {last}")
-            click.echo(f"Hash: {facts['hash']}")
-        click.echo(f"Kernel: {facts['kernel'] or 'none'}")
+    where.end_with_json(facts, int(found.state != "current"))
+    click.echo(f"{found.name}: {_describe_status(found)}")
+    if "bytes" in facts:
+        click.echo(f"Size: {facts['bytes'] / 1e6:.1f} MB")
+    if "position" in facts:
+        last = show_time(facts["recorded_at"]) or "never"
+        click.echo(f"Lab: {facts['lab'] or 'none yet'}")
+        click.echo(f"Head: position {facts['position']}, epoch {facts['epoch']}, last event {last}")
+        click.echo(f"Hash: {facts['hash']}")
+    click.echo(f"Kernel: {facts['kernel'] or 'none'}")
     if found.state != "current":
         click.get_current_context().exit(1)
 

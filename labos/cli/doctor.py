@@ -10,8 +10,7 @@ from urllib.parse import urlsplit
 
 import click
 
-from labos.cli._exit import FAILED
-from labos.cli._out import show_json
+from labos.cli._exit import DONE, FAILED
 from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.core.lengths import find_drifts
 from labos.errors import LabosError
@@ -56,21 +55,16 @@ def command(where: Where) -> None:
     labos doctor --home /var/lib/labos/lab
     """
     found = list(_examine(where))
-    if where.as_json:
-        show_json({"well": not _count_faults(found), "findings": found})
-    else:
-        for finding in found:
-            click.echo(f"{MARKS[finding.state]} {finding.told}")
-            if finding.remedy:
-                click.echo(f"{' ' * 8}{finding.remedy}")
-        warnings = sum(finding.state == "warning" for finding in found)
-        click.echo(f"{len(found)} checks: {_count_faults(found)} faults, {warnings} warnings.")
-    if _count_faults(found):
+    faults = sum(finding.state == "fault" for finding in found)
+    where.end_with_json({"well": not faults, "findings": found}, FAILED if faults else DONE)
+    for finding in found:
+        click.echo(f"{MARKS[finding.state]} {finding.told}")
+        if finding.remedy:
+            click.echo(f"{' ' * 8}{finding.remedy}")
+    warnings = sum(finding.state == "warning" for finding in found)
+    click.echo(f"{len(found)} checks: {faults} faults, {warnings} warnings.")
+    if faults:
         raise SystemExit(FAILED)
-
-
-def _count_faults(found: list[DoctorFinding]) -> int:
-    return sum(finding.state == "fault" for finding in found)
 
 
 def _examine(where: Where) -> Iterator[DoctorFinding]:

@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._describe import describe_command
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option
-from labos.cli._out import end_with_json, show_json
+from labos.cli._out import end_with_json
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -77,11 +77,9 @@ def torture_command(
             click.echo(f"{finding.tier:6}  {finding.check:18}  {MARKS[finding.verdict]}{took}{why}")
 
     report = asyncio.run(torture(driver, tell=tell, only=only, motion_s=motion_s, folder=folder))
-    if as_json:
-        show_json(report)
-    else:
-        _show(report)
     enough = not report.failed if only else RANKS.index(report.badge) >= RANKS.index(at_least)
+    end_with_json(report, as_json, int(not enough))
+    _show(report)
     if not enough:
         raise click.exceptions.Exit(1)
 

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._options import Asker, asker_options
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where
 from labos.cli._remote import lab_of
 from labos.core.erasure import REASONS
@@ -91,9 +91,8 @@ def _describe_erasure(done: dict[str, Any]) -> str:
 
 
 def _show(waiting: list[dict[str, Any]], *, as_json: bool) -> None:
-    if as_json:
-        show_json(waiting)
-    elif not waiting:
+    end_with_json(waiting, as_json)
+    if not waiting:
         click.echo("No request waits for a second person.")
     else:
         rows = [

@@ -9,7 +9,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import (
     Where,
     at_option,
@@ -104,14 +104,12 @@ def command(
             raise click.UsageError("Name the run with the files to fetch.")
         with open_contents(where) as blobs:
             written = _fetch(blobs, found, to, one=bool(file))
-        if as_json:
-            show_json({"written": written})
-        elif to != "-":
-            for path in written:
-                click.echo(f"wrote {path}")
-    elif as_json:
-        show_json(found)
-    elif found:
+        end_with_json({"written": written}, as_json)
+        for path in written if to != "-" else ():
+            click.echo(f"wrote {path}")
+        return
+    end_with_json(found, as_json)
+    if found:
         show_table(COLUMNS, [_row(result_file) for result_file in found])
         if file:
             click.echo(f"To fetch it: labos files {run} {file} -o .")
@@ -141,9 +139,7 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
         before = now_ns() / 1e9 - keep_days * 86_400
         removed = [name for name in found if blobs.remove_unused(name, before)]
         note_retention(where.home, "removed_at", now_ns())
-    if as_json:
-        show_json({"unused": found, "removed": removed})
-        return
+    end_with_json({"unused": found, "removed": removed}, as_json)
     for name in found:
         click.echo(f"{name}{' removed' if name in removed else ''}")
     message = f"{len(found)} files without a reference in the log"

@@ -8,7 +8,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_table
 from labos.cli._people import describe_roles
 
 _name = click.argument("name", metavar="GROUP")
@@ -36,7 +36,7 @@ def add(name: str, asker: Asker) -> None:
     """Add a group with weight 1 and without members."""
     with asker.lab() as client:
         client.add_group(name, asker.user)
-        _tell(client.groups(), name, asker.as_json)
+        _tell(client.groups(), name, asker)
 
 
 @command.command("remove")
@@ -46,8 +46,7 @@ def remove(name: str, asker: Asker) -> None:
     """Remove a group and its roles. Its members are then in no group."""
     with asker.lab() as client:
         client.remove_group(name, asker.user)
-    if asker.as_json:
-        show_json({"group": name, "removed": True})
+    asker.end_with_json({"group": name, "removed": True})
 
 
 @command.command("list")
@@ -82,7 +81,7 @@ def add_member(name: str, member: str, asker: Asker) -> None:
     """Add a user to a group. The user gets the group's share of the lab and its roles."""
     with asker.lab() as client:
         client.add_member(name, member, asker.user)
-        _tell(client.groups(), name, asker.as_json)
+        _tell(client.groups(), name, asker)
 
 
 @members.command("remove")
@@ -93,9 +92,8 @@ def remove_member(name: str, member: str, asker: Asker) -> None:
     """Remove a user from a group."""
     with asker.lab() as client:
         client.remove_member(name, member, asker.user)
-        _tell(client.groups(), name, asker.as_json)
+        _tell(client.groups(), name, asker)
 
 
-def _tell(groups: list[dict[str, Any]], name: str, as_json: bool) -> None:
-    if as_json:
-        show_json(next(group for group in groups if group["name"] == name))
+def _tell(groups: list[dict[str, Any]], name: str, asker: Asker) -> None:
+    asker.end_with_json(next(group for group in groups if group["name"] == name))

@@ -6,7 +6,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import end_with_json, show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_log
 from labos.core.ids import local
 from labos.errors import NotFound
@@ -53,7 +53,8 @@ def command(
     if labware:
         if story is None:
             raise NotFound(f"There is no labware {labware!r} in this log.", remedy="List it: labos labware")
-        show_json(story) if as_json else _tell(story)
+        end_with_json(story, as_json)
+        _tell(story)
         return
     shown = [s for s in found.values() if gone is None or bool(s.gone) == gone]
     if barcode is not None:

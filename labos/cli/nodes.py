@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._exit import FAILED
+from labos.cli._exit import DONE, FAILED
 from labos.cli._query import Where, log_and_json, open_log, read_kernel_file
 from labos.core.ids import local
 from labos.errors import NotFound
@@ -50,7 +50,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     from labos.settings import find_kernel
 
     if check or modules:
-        _check(where, modules, as_json=where.as_json)
+        _check(where, modules)
         return
     if not where.lab and find_kernel(where.home) is None:
         if not where.database and not (where.home / "labos.db").exists() and not read_kernel_file(where.home):
@@ -67,24 +67,20 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     show_table(columns, rows)
 
 
-def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
+def _check(where: Where, names: Sequence[str]) -> None:
     from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_json, show_table
+    from labos.cli._out import show_table
 
     with need_lab_of(where) as client:
         found = [_drop_old_name(one) for one in client.check_nodes(names)]
-    if as_json:
-        show_json(found)
-    else:
-        show_table(
-            ("module", "answers", "driver", "labos", "unit", "firmware", "sees"),
-            [_list_columns(one) for one in found],
-        )
-        for one in found:
-            if one["answer"] not in ("IDLE", "BUSY"):
-                remedy = REMEDIES.get(one["answer"], "").format(module=local(one["module"]))
-                click.echo(f"{local(one['module'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
-    if any(one["answer"] not in ("IDLE", "BUSY") for one in found):
+    unable = [one for one in found if one["answer"] not in ("IDLE", "BUSY")]
+    where.end_with_json(found, FAILED if unable else DONE)
+    columns = ("module", "answers", "driver", "labos", "unit", "firmware", "sees")
+    show_table(columns, [_list_columns(one) for one in found])
+    for one in unable:
+        remedy = REMEDIES.get(one["answer"], "").format(module=local(one["module"]))
+        click.echo(f"{local(one['module'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
+    if unable:
         raise SystemExit(FAILED)
 
 

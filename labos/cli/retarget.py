@@ -9,7 +9,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import file_option, json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._specs import find_spec_path
 from labos.cli.validate import examine
@@ -76,27 +76,17 @@ def command(
     target.write_text(renamed, encoding="utf-8")
     verdict, _ = examine(str(target), new, read_payload(payloads), True)
     fits = verdict.sound and not proposal.misfits
-    if as_json:
-        show_json(
-            {
-                "fits": fits,
-                "file": str(target),
-                **msgspec.to_builtins(proposal),
-                "difference": list(compare_lines(text, renamed)),
-                "findings": msgspec.to_builtins(verdict.findings),
-            }
-        )
-    else:
-        show_table(
-            ("module", "becomes", "why"), [(m.module, m.becomes or "-", m.why) for m in proposal.matches]
-        )
-        for misfit in proposal.misfits:
-            click.echo(f"does not fit: {misfit}")
-        for line in compare_lines(text, renamed):
-            click.echo(line)
-        for finding in verdict.findings:
-            click.echo(f"{finding.severity}: {finding.as_error()}")
-        click.echo(f"{target}: written, " + ("no errors." if fits else "it cannot be used as it is."))
+    difference = list(compare_lines(text, renamed))
+    facts = {"fits": fits, "file": str(target), "difference": difference, "findings": verdict.findings}
+    end_with_json({**facts, **msgspec.to_builtins(proposal)}, as_json, int(not fits))
+    show_table(("module", "becomes", "why"), [(m.module, m.becomes or "-", m.why) for m in proposal.matches])
+    for misfit in proposal.misfits:
+        click.echo(f"does not fit: {misfit}")
+    for line in difference:
+        click.echo(line)
+    for finding in verdict.findings:
+        click.echo(f"{finding.severity}: {finding.as_error()}")
+    click.echo(f"{target}: written, " + ("no errors." if fits else "it cannot be used as it is."))
     if not fits:
         click.get_current_context().exit(1)
 

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import why_option
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json
 from labos.cli._query import Where, log_and_json, open_log
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
@@ -57,9 +57,7 @@ def command(where: Where, subject: str, meaning: str | None, why: str) -> None:
 
 
 def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:
-    if as_json:
-        show_json(found)
-        return
+    end_with_json(found, as_json)
     lines = [_line(msgspec.structs.asdict(each)) for each in found]
     click.echo("\n".join(lines) or f"{subject} has no signatures.")
 

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_log
 from labos.core.bench import StationState
 from labos.core.ids import StationName, local, workcell_of
@@ -67,10 +67,8 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
         shown = list_places(store, state, names)
     if occupied:
         shown = [place for place in shown if place.state != "empty" or place.maybe or place.expected]
-    if as_json:
-        at = iso_time(state.recorded_at)
-        show_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown})
-        return
+    at = iso_time(state.recorded_at)
+    end_with_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown}, as_json)
     title = f"After event {position}, {show_time(state.recorded_at)}"
     rows = [row for place in shown if not _is_bare(place, names) for row in _rows(place)]
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)

@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json, show_json
 from labos.cli._query import Where, log_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
@@ -276,15 +276,8 @@ def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
         _tell_damage(error, as_json)
-    if as_json:
-        facts = {
-            "whole": True,
-            "backup": found,
-            "state": hash_state(state),
-            "accounts": _count_accounts(people),
-        }
-        show_json(facts)
-        return
+    facts = {"whole": True, "backup": found, "state": hash_state(state), "accounts": _count_accounts(people)}
+    end_with_json(facts, as_json)
     end = iso_time(found.segments[-1].recorded_at)
     click.echo(
         f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
@@ -319,10 +312,8 @@ def _tell_accounts(people: AccountsCopy | None) -> None:
 
 
 def _tell_damage(error: LogDamaged, as_json: bool) -> NoReturn:
-    if as_json:
-        show_json({"whole": False, "fault": error.message, "position": error.position})
-    else:
-        click.echo(f"The backup is damaged. {error}")
+    end_with_json({"whole": False, "fault": error.message, "position": error.position}, as_json, 1)
+    click.echo(f"The backup is damaged. {error}")
     click.get_current_context().exit(1)
 
 
@@ -332,9 +323,7 @@ def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
         _tell_damage(error, as_json)
-    if as_json:
-        show_json({"whole": True, "detached": found, "accounts": _count_accounts(people)})
-        return
+    end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)}, as_json)
     first, last = found.segments[0], found.segments[-1]
     seals = ", all seals valid" if found.sealed else ""
     absent = f" ({found.blobs_absent} are elsewhere)" if found.blobs_absent else ""

@@ -133,8 +133,6 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
             answer_of(response.status_code, response.content)
         return bytes(response.content)
 
-    # -- runs --------------------------------------------------------------------------------
-
     # -- experiments -------------------------------------------------------------------------
 
     def start_experiment(

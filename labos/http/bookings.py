@@ -204,18 +204,18 @@ def make_calendar(service: LabService, query: CalendarQuery, now: int) -> Calend
         raise BadInput(
             f"The calendar would have more than {MOST_TIMES} times.", remedy="Ask for a shorter period."
         )
-    return CalendarView(since, until, [_make_booked_time(span, booking) for span, booking in found])
-
-
-def _make_booked_time(span: BookingSpan, booking: Booking) -> BookedTime:
-    return make_from(
-        BookedTime,
-        booking,
-        booking=booking.id,
-        begins_at=span.begins,
-        ends_at=span.ends,
-        now=booking.began == span.begins,
-    )
+    times = [
+        make_from(
+            BookedTime,
+            booking,
+            booking=booking.id,
+            begins_at=span.begins,
+            ends_at=span.ends,
+            now=booking.began == span.begins,
+        )
+        for span, booking in found
+    ]
+    return CalendarView(since, until, times)
 
 
 def find_target(service: LabService, name: str) -> str:

@@ -83,10 +83,6 @@ class GrantView(msgspec.Struct, frozen=True):
     role: str
 
 
-def list_user_views(state: LabState) -> list[UserView]:
-    return [make_user_view(state, name) for name in state.users.known]
-
-
 def make_user_view(state: LabState, name: str) -> UserView:
     """Raises NotFound."""
     user = state.users.known.get(name)
@@ -97,8 +93,8 @@ def make_user_view(state: LabState, name: str) -> UserView:
     return UserView(name, user.kind, user.disabled, user.since, group, dict(roles))
 
 
-def list_group_views(state: LabState) -> list[GroupView]:
-    return [make_group_view(state, name) for name in state.shares.groups]
+def list_groups(state: LabState) -> GroupList:
+    return GroupList([make_group_view(state, name) for name in state.shares.groups])
 
 
 def make_group_view(state: LabState, name: str) -> GroupView:

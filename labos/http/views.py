@@ -9,13 +9,12 @@ import msgspec
 import structlog
 
 from labos.core.actions import Action
-from labos.core.bench import Labware, StationState
+from labos.core.bench import StationState
 from labos.core.decide.access import list_in_motion, list_perhaps_in_motion
 from labos.core.ids import CampaignId, ModuleName, RunId, local
 from labos.core.interventions import Intervention
 from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
-from labos.core.open_experiments import Experiment
 from labos.core.runs import (
     DONE,
     FAILED,
@@ -286,11 +285,16 @@ def make_lab_view(
             for name, module in state.modules.by_name.items()
         ],
         stations=[make_station_view(name, station) for name, station in state.bench.stations.items()],
-        labware=[_make_labware_view(item) for item in state.bench.labware.values()],
+        labware=[
+            make_from(LabwareView, item, station=local(item.station), maybe=list(map(local, item.maybe)))
+            for item in state.bench.labware.values()
+        ],
         runs=[run_view(kernel, run, now, flying, waits=waits) for run in runs],
         queued=len(queued),
         interventions=[make_question_view(state, asked) for asked in state.interventions.open.values()],
-        experiments=[_make_experiment_view(item) for item in state.experiments.open.values()],
+        experiments=[
+            make_from(ExperimentView, item, runs=list(item.runs)) for item in state.experiments.open.values()
+        ],
         resources={
             key: LevelView(level.level, level.capacity) for key, level in state.resources.levels.items()
         },
@@ -310,16 +314,6 @@ def _make_lab_info(state: LabState, simulated: bool) -> LabInfo:
     return make_from(
         LabInfo, state.lab, simulated=simulated, workcells=dict(state.lab.workcells), access=access
     )
-
-
-def _make_labware_view(item: Labware) -> LabwareView:
-    return make_from(
-        LabwareView, item, station=local(item.station), maybe=[local(place) for place in item.maybe]
-    )
-
-
-def _make_experiment_view(item: Experiment) -> ExperimentView:
-    return make_from(ExperimentView, item, runs=list(item.runs))
 
 
 def make_module_view(

@@ -15,6 +15,7 @@ from labos.core.decide.users import (
     RevokeRole,
 )
 from labos.errors import Forbidden
+from labos.http import people
 from labos.http.bodies import By
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
@@ -29,8 +30,6 @@ from labos.http.people import (
     Revocation,
     UserList,
     UserView,
-    list_group_views,
-    list_user_views,
     make_group_view,
     make_user_view,
 )
@@ -56,7 +55,7 @@ _GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*":
 )
 def list_users(call: Call) -> UserList:
     state = call.kernel.state
-    return UserList(list_user_views(state), state.users.is_open)
+    return UserList([make_user_view(state, name) for name in state.users.known], state.users.is_open)
 
 
 @Operation(
@@ -132,7 +131,7 @@ async def _change_user(call: Call, command: AddUser | DisableUser | EnableUser, 
     example_answer={"groups": [_GROUP]},
 )
 def list_groups(call: Call) -> GroupList:
-    return GroupList(list_group_views(call.kernel.state))
+    return people.list_groups(call.kernel.state)
 
 
 @Operation(
@@ -162,7 +161,7 @@ async def add_group(call: Call, body: NewGroup) -> GroupView:
 async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
     """Its members are then in no group, and its roles are removed. The answer lists the remaining groups."""
     await call.kernel.execute(RemoveGroup(path.group), body.by)
-    return GroupList(list_group_views(call.kernel.state))
+    return people.list_groups(call.kernel.state)
 
 
 @Operation(
