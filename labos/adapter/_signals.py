@@ -127,13 +127,13 @@ class SignalNode(ForeignNode):
     # -- how it is ---------------------------------------------------------------------------
 
     @property
-    def tells_busy(self) -> bool:
+    def reports_busy(self) -> bool:
         return bool(self.mapping.state.busy)
 
     async def is_idle(self) -> bool:
         if self._list_silent():
             return False
-        if not self.tells_busy:
+        if not self.reports_busy:
             return await super().is_idle()
         seen = [(condition, await self._get(condition.pv)) for condition in self.mapping.state.busy]
         return not any(is_fulfilled(condition, now) or leaves_open(condition, now) for condition, now in seen)

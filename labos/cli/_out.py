@@ -64,7 +64,7 @@ def show_json(value: Any) -> None:
     click.echo(msgspec.json.format(_encode(value), indent=2))
 
 
-def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
+def report(sentence: str, facts: Any, *, as_json: bool) -> None:
     """Report what a command has done: a sentence, or its facts as JSON."""
     if as_json:
         show_json(facts)

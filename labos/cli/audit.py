@@ -7,7 +7,7 @@ import threading
 
 import click
 
-from labos.cli._audit import open_projector, tell_progress
+from labos.cli._audit import open_projector, show_progress
 from labos.cli._group import Suggesting
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options
@@ -54,8 +54,8 @@ def project(where: Where, follow: bool, every: float, as_json: bool) -> None:
     if follow and hasattr(os, "nice"):
         os.nice(CALM)
     with open_projector(where) as (_, database, projector):
-        position = projector.catch_up(tell_progress)
-        _tell(position, database.name, as_json)
+        position = projector.catch_up(show_progress)
+        _report_position(position, database.name, as_json)
         ended = threading.Event()
         while follow:
             try:
@@ -72,7 +72,7 @@ def rebuild(where: Where, as_json: bool) -> None:
     """Delete the tables and build them again from the log."""
     with open_projector(where) as (_, database, projector):
         database.reset()
-        _tell(projector.catch_up(tell_progress), database.name, as_json)
+        _report_position(projector.catch_up(show_progress), database.name, as_json)
 
 
 @command.command("status")
@@ -108,7 +108,7 @@ def reader(where: Where, role: str) -> None:
                 "SQLite has no roles: a user who may read the file may read all of it.",
                 remedy="Give the dashboard's user read permission for the file.",
             )
-        projector.catch_up(tell_progress)
+        projector.catch_up(show_progress)
         from labos.audit._postgres import PostgresAudit
 
         assert isinstance(database, PostgresAudit)
@@ -116,7 +116,7 @@ def reader(where: Where, role: str) -> None:
     click.echo(f"{role} may read the views (schema labos) and nothing else of LabOS.")
 
 
-def _tell(position: int, name: str, as_json: bool) -> None:
+def _report_position(position: int, name: str, as_json: bool) -> None:
     if as_json:
         show_json({"database": name, "position": position})
     else:

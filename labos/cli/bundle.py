@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._out import tell
+from labos.cli._out import report
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.errors import NotFound, SystemFailed
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
@@ -64,7 +64,7 @@ def command(
     except OSError as error:
         raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
     message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
-    tell(f"{message}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
+    report(f"{message}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
 
 
 def make_bundle_of(

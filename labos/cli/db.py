@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import show_json, tell
+from labos.cli._out import report, show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
@@ -72,7 +72,7 @@ def upgrade(where: Where, as_json: bool) -> None:
     found = read_database_status(where.url)
     if found.state == "current":
         message = f"The {found.name} is already at revision {found.revision}."
-        tell(message, {"before": found.revision, "revision": found.revision}, as_json=as_json)
+        report(message, {"before": found.revision, "revision": found.revision}, as_json=as_json)
         return
     owner = find_lease_holder(where.url)
     if owner:
@@ -85,7 +85,7 @@ def upgrade(where: Where, as_json: bool) -> None:
     revision = migrate(where.url)
     before = found.revision or "no revision"
     message = f"The {found.name} was upgraded from {before} to revision {revision}."
-    tell(message, {"before": found.revision, "revision": revision}, as_json=as_json)
+    report(message, {"before": found.revision, "revision": revision}, as_json=as_json)
 
 
 @command.command("restored")
@@ -102,7 +102,7 @@ def record_restored(where: Where, as_json: bool) -> None:
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
     message = f"The {found.name} continues with an epoch above {after}; it was {before}."
-    tell(message, {"before": before, "above": after}, as_json=as_json)
+    report(message, {"before": before, "above": after}, as_json=as_json)
 
 
 @command.command("writer")
@@ -133,7 +133,7 @@ def scrub(where: Where, as_json: bool) -> None:
     """
     left = scrub_words(where.url)
     message = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
-    tell(message, {"left": left}, as_json=as_json)
+    report(message, {"left": left}, as_json=as_json)
     if left:
         click.get_current_context().exit(1)
 
@@ -144,7 +144,7 @@ def scrub(where: Where, as_json: bool) -> None:
 def url(where: Where, as_json: bool) -> None:
     """Show which database is used, with its password hidden. It is the first of these that is set:
     --database, LABOS_DATABASE_URL, the database of the lab's kernel, labos.db in the lab's folder."""
-    tell(show_url(where.url), {"url": show_url(where.url)}, as_json=as_json)
+    report(show_url(where.url), {"url": show_url(where.url)}, as_json=as_json)
 
 
 def _list_facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:

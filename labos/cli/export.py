@@ -19,7 +19,7 @@ from labos.audit.sinks import JsonLines, Sink
 from labos.cli._audit import open_log_and_views
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
-from labos.cli._out import tell
+from labos.cli._out import report
 from labos.cli._query import Where, as_moment, json_option, log_options, now_ns, open_contents, open_log
 from labos.cli.bundle import make_bundle_of
 from labos.errors import BadInput, SystemFailed
@@ -109,7 +109,7 @@ def crate(
         files = _write(target, made.read_contents(blobs))
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-    tell(f"{target} holds {count} in {files} files.", facts, as_json=as_json)
+    report(f"{target} holds {count} in {files} files.", facts, as_json=as_json)
 
 
 def _read_program(path: Path) -> Program:
@@ -299,7 +299,7 @@ def _open_sink(
         position_file or where.home / f"kafka-{topic.name}.json",
         read_settings(settings) if settings else {},
         patience_s=None if follow else BROKER_S,
-        tell=lambda words: click.echo(words, err=True),
+        report=lambda words: click.echo(words, err=True),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import show_json, tell
+from labos.cli._out import report, show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.services.times import iso_time
@@ -45,7 +45,7 @@ def command() -> None:
 def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None:
     """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
     public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
-    tell(public.text, {"public_key": public.text, "name": public.name}, as_json=as_json)
+    report(public.text, {"public_key": public.text, "name": public.name}, as_json=as_json)
 
 
 @command.command("show")
@@ -57,7 +57,7 @@ def show(where: Where, witness: bool, as_json: bool) -> None:
     keys = SigningKeys(where.home)
     if witness:
         text = keys.read_signing_key(witness=True).public.text
-        tell(text, {"public_key": text}, as_json=as_json)
+        report(text, {"public_key": text}, as_json=as_json)
         return
     known = keys.list_public_keys()
     if not known:

@@ -53,7 +53,7 @@ def command(
     if labware:
         if story is None:
             raise NotFound(f"There is no labware {labware!r} in this log.", remedy="List it: labos labware")
-        show_json(story) if as_json else _tell(story)
+        show_json(story) if as_json else _show_history(story)
         return
     shown = [s for s in found.values() if gone is None or bool(s.gone) == gone]
     if barcode is not None:
@@ -78,7 +78,7 @@ def command(
     show_table(("id", "type", "barcode", "place", "of", "since", "first seen"), rows)
 
 
-def _tell(story: LabwareHistory) -> None:
+def _show_history(story: LabwareHistory) -> None:
     values = ", ".join(f"{name} = {shorten_value(value)}" for name, value in story.variables.items())
     last = "last " if story.gone else ""
     click.echo(f"{story.id} ({story.type}): {story.place}; {last}of {owner_name(story.owner)}")

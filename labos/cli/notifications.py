@@ -10,7 +10,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._out import report, show_json, show_table
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
@@ -106,7 +106,7 @@ def test(where: Where, contact: str, as_json: bool) -> None:
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
     text = f"A test message was sent to {contact} by {channel}: {message.id}"
-    tell(text, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
+    report(text, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
 
 
 @command.command("watch")

@@ -9,7 +9,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option, pki_option, why_option
-from labos.cli._out import show_json, tell
+from labos.cli._out import report, show_json
 from labos.cli._query import Where, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
@@ -25,11 +25,7 @@ address_option = click.option(
     "--address", multiple=True, metavar="HOST", help="A name or address at which a kernel or bus is reached."
 )
 days_option = click.option(
-    "--days",
-    type=click.IntRange(1, 36500),
-    metavar="N",
-    help="The number of days for which it is valid (default: 3650 for the authority, 365 for a certificate; "
-    "a renewed one: as before).",
+    "--days", type=click.IntRange(1, 36500), metavar="N", help="Validity in days (authority: 3650, else 365)."
 )
 
 
@@ -73,7 +69,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None, as_j
     authority.init(f"LabOS authority of {gethostname()}"[:64], site=ca, **more)
     facts = {"folder": str(authority.folder), "issues": authority.issues}
     who = "LabOS issues the certificates" if authority.issues else "the site issues the certificates"
-    tell(f"{authority.folder}: {who}.", facts, as_json=as_json)
+    report(f"{authority.folder}: {who}.", facts, as_json=as_json)
 
 
 @command.command("issue")
@@ -110,7 +106,7 @@ def issue(
     identity = _make_identity(where, kind, name, lab)
     more = {"days": days} if days else {}
     entry = authority.issue(identity, addresses=address, **more)
-    _tell_folder(authority, entry, as_json)
+    _report_folder(authority, entry, as_json)
 
 
 @command.command("admit")
@@ -152,7 +148,7 @@ def admit(
     """
     authority = _find_authority(where, pki)
     entry = authority.admit(_make_identity(where, kind, name, lab), certificate, key)
-    _tell_folder(authority, entry, as_json)
+    _report_folder(authority, entry, as_json)
 
 
 @command.command("list")
@@ -187,7 +183,7 @@ def renew(
     certificate, and those of the nodes that it starts, when a third of their validity is left."""
     authority = _find_authority(where, pki)
     entry = authority.renew(authority.find(name), addresses=address, days=days or 0)
-    _tell_folder(authority, entry, as_json)
+    _report_folder(authority, entry, as_json)
 
 
 @command.command("revoke")
@@ -203,7 +199,7 @@ def revoke(where: Where, name: str, why: str, pki: Path | None, as_json: bool) -
     authority = _find_authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
     message = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
-    tell(message, _list_facts(authority, entry), as_json=as_json)
+    report(message, _list_facts(authority, entry), as_json=as_json)
 
 
 def _find_authority(where: Where, pki: Path | None) -> Authority:
@@ -258,6 +254,6 @@ def _list_facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]
     }
 
 
-def _tell_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
+def _report_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
     facts = _list_facts(authority, entry)
-    tell(str(facts["folder"]), facts, as_json=as_json)
+    report(str(facts["folder"]), facts, as_json=as_json)

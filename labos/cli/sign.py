@@ -9,7 +9,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import why_option
-from labos.cli._out import show_json, tell
+from labos.cli._out import report, show_json
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
@@ -54,7 +54,7 @@ def command(where: Where, subject: str, meaning: str | None, why: str, as_json: 
             "campaign": client.sign_campaign,
         }[kind]
         signature = sign(subject, meaning, ask_password(f"Password of {user}"), why=why)
-    tell(_line(signature), signature, as_json=as_json)
+    report(_line(signature), signature, as_json=as_json)
 
 
 def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:

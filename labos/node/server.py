@@ -487,7 +487,7 @@ class NodeServer:
         stops: int,
     ) -> None:
         """Wait for the driver, and record the outcome, if it can be known."""
-        self._tell_driver(attempts)
+        self._set_current_action(attempts)
         try:
             outcome = await find_outcome(
                 spec.name,
@@ -532,7 +532,7 @@ class NodeServer:
         for attempt in answered:
             published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
             key = self._keys.result(self.module, attempt.action)
-            await self._publish(key, partial(_itself, published))
+            await self._publish(key, partial(_return_unchanged, published))
         if answered or self._condition.error or spec.recovers:
             await self._publish_state()
         await self._sync_if_possible()
@@ -552,7 +552,7 @@ class NodeServer:
         result = await call(self._methods[spec.name], kwargs, self._run_blocking)
         return await hand_over(result, self._files)
 
-    def _tell_driver(self, attempts: Sequence[Attempt]) -> None:
+    def _set_current_action(self, attempts: Sequence[Attempt]) -> None:
         """Set the action and the function for its handle, which the driver's method uses."""
 
         async def keep(handle: str) -> None:
@@ -632,5 +632,5 @@ class NodeServer:
         return task
 
 
-def _itself(message: ResultPublished) -> ResultPublished:
+def _return_unchanged(message: ResultPublished) -> ResultPublished:
     return message

@@ -103,14 +103,14 @@ class SilaNode(ForeignNode):
     # -- how it is ---------------------------------------------------------------------------
 
     @property
-    def tells_busy(self) -> bool:
+    def reports_busy(self) -> bool:
         return bool(self.mapping.state.busy)
 
     async def is_idle(self) -> bool:
         """By the properties of the mapping. Without them, the server is idle if it answers and no action can
         still be under way."""
         await self._learn()
-        if not self.tells_busy:
+        if not self.reports_busy:
             await self.client.check_alive()
             return await super().is_idle()
         seen = [(condition, await self._read_value(condition)) for condition in self.mapping.state.busy]
@@ -290,9 +290,9 @@ class SilaNode(ForeignNode):
         and is busy. Raises SilaError, Lost, OutcomeUnknown."""
 
         async def at_work() -> bool:
-            if not self.tells_busy:
+            if not self.reports_busy:
                 await self.client.check_alive()
-            return self.tells_busy and not await self.is_idle()
+            return self.reports_busy and not await self.is_idle()
 
         return await self.answer_to(
             asyncio.ensure_future(self.client.call(command, data, limit_s=None)),
