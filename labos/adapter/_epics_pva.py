@@ -53,10 +53,10 @@ class PvaChannels(Channels):
             ) from error
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
-        once = _Once(await self._prepare(name, value))
+        once = _SinglePut(await self._prepare(name, value))
         try:
             await self._context.put(name, once, wait=callback, get=False)
-        except _Again as again:
+        except _SecondPut as again:
             raise NoResponse(f"{name}: its server was lost before it answered") from again
         except self._Disconnected as error:
             raise NoResponse(f"{name}: {error}") from error
@@ -97,11 +97,11 @@ class PvaChannels(Channels):
         self._context.close()
 
 
-class _Again(Exception):
+class _SecondPut(Exception):
     """The library is about to send a value for the second time."""
 
 
-class _Once:
+class _SinglePut:
     """Gives the value at the first request only."""
 
     def __init__(self, value: Any) -> None:
@@ -110,7 +110,7 @@ class _Once:
     def __call__(self, wanted: Any) -> Any:
         if self._given:
             del wanted  # the traceback must not keep it
-            raise _Again
+            raise _SecondPut
         self._given = True
         if "index" in _list_fields(wanted.value):
             wanted.value.index = int(self._value)

@@ -104,7 +104,7 @@ class ForeignNode(Node):
         return "the foreign node"
 
     @property
-    def tells_busy(self) -> bool:
+    def reports_busy(self) -> bool:
         """Whether the foreign node reports that it is busy."""
         return True
 
@@ -269,7 +269,7 @@ class ForeignNode(Node):
             try:
                 return tasks[0].result()
             except OutcomeUnknown:
-                if not self.tells_busy:
+                if not self.reports_busy:
                     self._unseen[action] = until
                 raise
         finally:

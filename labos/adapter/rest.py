@@ -45,13 +45,13 @@ class RestNode(HttpNode):
     # -- how it is ---------------------------------------------------------------------------
 
     @property
-    def tells_busy(self) -> bool:
+    def reports_busy(self) -> bool:
         return self.mapping.state is not None and bool(self.mapping.state.busy)
 
     async def is_idle(self) -> bool:
         """By its status; a device without a status is only asked whether it answers."""
         status, _ = await self._ask_state()
-        return status not in ("busy", "not known") if self.tells_busy else await super().is_idle()
+        return status not in ("busy", "not known") if self.reports_busy else await super().is_idle()
 
     async def trouble(self) -> str:
         try:
@@ -143,7 +143,7 @@ class RestNode(HttpNode):
         """The result of an action whose answer comes at its end. Raises DeviceError, OutcomeUnknown, Lost."""
 
         async def at_work() -> bool:
-            return self.tells_busy and (await self._ask_state())[0] == "busy"
+            return self.reports_busy and (await self._ask_state())[0] == "busy"
 
         limit_s = self.limit_s(spec)
         # A device that does only one thing at a time perhaps reports no state while it works.

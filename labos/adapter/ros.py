@@ -111,12 +111,12 @@ class RosNode(ForeignNode):
         return self.mapping.state is not None and self._is_in_state(self.mapping.state.busy)
 
     @property
-    def tells_busy(self) -> bool:
+    def reports_busy(self) -> bool:
         return self.mapping.state is not None
 
     async def is_idle(self) -> bool:
         """By its state, if the node publishes one."""
-        if not self.tells_busy:
+        if not self.reports_busy:
             return await super().is_idle()
         return bool(self._state) and not self._is_busy and not self._is_strange
 
@@ -230,7 +230,7 @@ class RosNode(ForeignNode):
                 if fresh and self._state:
                     idle_s = 0.0 if self._is_busy else idle_s + self.poll_s
                     idle_limit_s = LATE_S if self._is_busy else idle_limit_s
-                elif not self.tells_busy:
+                elif not self.reports_busy:
                     idle_s += self.poll_s
                 if idle_s > idle_limit_s:
                     raise OutcomeUnknown(f"{call.service} has not answered for {idle_s:.0f} s: {NO_RECORD}")

@@ -42,7 +42,7 @@ class WeiJsonNode(ForeignNode):
         raise NotImplementedError
 
     @property
-    def tells_busy(self) -> bool:
+    def reports_busy(self) -> bool:
         return False
 
     async def trouble(self) -> str:

@@ -36,10 +36,10 @@ class Crate:
         """Add the description of a thing, unless it exists; returns its id. Empty properties are left out."""
         if id_ not in self._entities:
             self._entities[id_] = {"@id": id_, "@type": kind}
-            self.tell(id_, **properties)
+            self.add_properties(id_, **properties)
         return id_
 
-    def tell(self, id_: str, **properties: Any) -> None:
+    def add_properties(self, id_: str, **properties: Any) -> None:
         """Add properties to a described thing."""
         filled = {name: value for name, value in properties.items() if value not in (None, "", [], {})}
         self._entities[id_].update(filled)
@@ -72,7 +72,7 @@ class Crate:
 
     def encode_metadata(self) -> bytes:
         """``ro-crate-metadata.json``; the root lists all present files."""
-        self.tell("./", hasPart=make_link(*self._files))
+        self.add_properties("./", hasPart=make_link(*self._files))
         graph = {"@context": CONTEXT, "@graph": list(self._entities.values())}
         return msgspec.json.format(msgspec.json.encode(graph), indent=2) + b"\n"
 

@@ -113,10 +113,7 @@ def make_crate(
     runs = runs_of(asker, name)
     experiment = None if runs and runs[0].run == name else experiment_of(asker, name)
     if experiment is None and program is not None:
-        raise BadInput(
-            f"{name} is a run, and a run has no program.",
-            remedy="Name an experiment, or leave --program out.",
-        )
+        raise BadInput(f"{name} is a run: it has no program.", remedy="Name an experiment, or no --program.")
     crate = Crate()
     about = {"@id": "./"}
     crate.add("CreativeWork", METADATA, about=about, conformsTo=make_link(VERSION))
@@ -144,20 +141,20 @@ def make_crate(
             for run in runs
         ]
         for workflow in main - {workflows[run.run] for run, acted in zip(runs, done, strict=True) if acted}:
-            crate.tell(workflow, **{"@type": NOT_CARRIED_OUT})
+            crate.add_properties(workflow, **{"@type": NOT_CARRIED_OUT})
         main = {add_experiment(crate, log, experiment, crate_runs, program)}
     profiles = [PROCESS]
     if len(main) == 1 and (all(done) if experiment is None else any(done)):
         profiles += OF_ONE_WORKFLOW
-        crate.tell("./", mainEntity=make_link(*main))
-        crate.tell(METADATA, conformsTo=make_link(VERSION, OF_ONE_WORKFLOW[-1][0]))
+        crate.add_properties("./", mainEntity=make_link(*main))
+        crate.add_properties(METADATA, conformsTo=make_link(VERSION, OF_ONE_WORKFLOW[-1][0]))
     users = [run.user for run in runs] or [experiment.user for experiment in (experiment,) if experiment]
-    crate.tell("./", author=make_link(*(make_local_id("user", user) for user in users)))
+    crate.add_properties("./", author=make_link(*(make_local_id("user", user) for user in users)))
     for table, (words, columns, query) in _TABLES.items():
         _add_table(crate, asker, runs, table, words, columns.split(), query)
     for id_, title, version in profiles:
         crate.add("CreativeWork", id_, name=title, version=version)
-    crate.tell("./", conformsTo=make_link(*(id_ for id_, _, _ in profiles)))
+    crate.add_properties("./", conformsTo=make_link(*(id_ for id_, _, _ in profiles)))
     return crate
 
 

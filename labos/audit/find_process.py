@@ -26,7 +26,7 @@ ENOUGH_S = 4.0
 NICE = 10
 
 
-class _Enough(Exception):
+class _TimeUsed(Exception):
     """The update is interrupted, because a query waits."""
 
 
@@ -44,13 +44,13 @@ class Index:
         clock = SystemClock()
         began = clock.monotonic()
 
-        def enough(position: int, head: int) -> None:
+        def stop_in_time(position: int, head: int) -> None:
             if position < head and clock.monotonic() - began > ENOUGH_S:
-                raise _Enough
+                raise _TimeUsed
 
         # A replica of PostgreSQL cannot be written: its index is as recent as that of its primary.
-        with suppress(_Enough, StoreUnavailable):
-            self._projector.catch_up(enough)
+        with suppress(_TimeUsed, StoreUnavailable):
+            self._projector.catch_up(stop_in_time)
         with open_asker(self._url) as asker:
             return find(asker, question, self._store.head().position)
 

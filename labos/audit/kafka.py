@@ -45,7 +45,7 @@ OURS = {
 _URL = re.compile(r"kafka://([^/?#]+)/([A-Za-z0-9._-]{1,249})")
 _SETTING = re.compile(r"\s*([a-z][a-z0-9._-]*)\s*=\s*(.*?)\s*")
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 class Stored(msgspec.Struct, frozen=True):
@@ -84,10 +84,7 @@ def read_settings(path: Path) -> dict[str, str]:
             continue
         found = _SETTING.fullmatch(line)
         if found is None:
-            raise BadInput(
-                f"{path}:{number}: this line is not a setting.",
-                remedy="Write name=value, such as sasl.username=labos.",
-            )
+            raise BadInput(f"{path}:{number}: this line is not a setting.", remedy="Write it as name=value.")
         if found[1] in OURS:
             raise BadInput(
                 f"{path}:{number}: LabOS itself sets {found[1]}, to lose no event.",
@@ -97,13 +94,13 @@ def read_settings(path: Path) -> dict[str, str]:
     return settings
 
 
-class _BeginAnew(Exception):
+class _ProducerFailed(Exception):
     """The producer cannot continue without a gap."""
 
 
 class KafkaSink:
     """The topic, at the position up to which it has the lab's events. ``patience_s`` is how long a broker may
-    be unreachable (None: without limit); ``tell`` is called once when it is unreachable and once when it is
+    be unreachable (None: without limit); ``report`` is called once when it is unreachable and once when it is
     back."""
 
     def __init__(
@@ -114,12 +111,12 @@ class KafkaSink:
         settings: Mapping[str, str],
         *,
         patience_s: float | None = None,
-        tell: Tell = lambda words: None,
+        report: Report = lambda words: None,
     ) -> None:
         """Raises BadInput for settings that the client library refuses, and while another process carries
         events to this topic; SystemFailed for a broker that does not answer in time."""
         _need_library()
-        self._topic, self._file, self._tell = topic, file, tell
+        self._topic, self._file, self._report = topic, file, report
         self._source = source_of(lab)
         self._lab = lab.encode()
         self._settings = {
@@ -141,11 +138,11 @@ class KafkaSink:
         if not self._lock.acquire(f"process {os.getpid()}"):
             raise BadInput(
                 f"Another process already sends events to {topic.name} ({self._lock.note()}).",
-                remedy="Stop that process first.",
+                remedy="End that process.",
             )
         try:
             self.position = self._find_position()
-        except _BeginAnew as why:
+        except _ProducerFailed as why:
             self._lock.release()
             raise self._describe_failure(str(why)) from None
         except BaseException:
@@ -162,7 +159,7 @@ class KafkaSink:
                 self._send(producer, record)
                 written = record.head.position
             self._wait(lambda: producer.flush(WAIT_S) == 0)
-        except _BeginAnew as why:
+        except _ProducerFailed as why:
             self._restart(str(why))
             return
         self.position = written
@@ -232,14 +229,14 @@ class KafkaSink:
             self._failure = error.str()
         elif not self._is_away:
             self._is_away = True
-            self._tell(f"Kafka at {self._topic.brokers} is unavailable ({error.str()}). LabOS tries again.")
+            self._report(f"Kafka at {self._topic.brokers} is unavailable ({error.str()}). LabOS tries again.")
 
     def _on_delivery(self, error: KafkaError | None, message: Message) -> None:
         if error is not None and not self._failure:
             self._failure = error.str()
         elif error is None and self._is_away:
             self._is_away = False
-            self._tell(f"Kafka at {self._topic.brokers} accepts events again.")
+            self._report(f"Kafka at {self._topic.brokers} accepts events again.")
 
     def _wait(self, is_done: Callable[[], bool]) -> None:
         """Wait until it is done. Raises SystemFailed after ``patience_s``, and _BeginAnew for a producer that
@@ -249,7 +246,7 @@ class KafkaSink:
             if self._patience_s is not None and time.monotonic() - began > self._patience_s:
                 raise self._describe_failure(f"no answer in {self._patience_s:g} s")
         if self._failure:
-            raise _BeginAnew(self._failure)
+            raise _ProducerFailed(self._failure)
 
     def _describe_failure(self, why: str) -> SystemFailed:
         return SystemFailed(

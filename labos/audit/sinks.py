@@ -86,9 +86,7 @@ class JsonLines:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise BadInput(
-                f"Another process is writing {self._path}.", remedy="Stop that process first."
-            ) from None
+            raise BadInput(f"Another process is writing {self._path}.", remedy="End that process.") from None
 
     def _find_end(self) -> tuple[int, str]:
         """Position and source of the last complete line; the rest after it is cut off."""

@@ -97,7 +97,7 @@ class LabThread:
 
     def leave_to_standby(self) -> None:
         """Close the lab so that a standby can take over, if one is ready; from any thread."""
-        self._tell(self._begin_leaving)
+        self._call_in_loop(self._begin_leaving)
 
     def _begin_leaving(self) -> None:
         self._leaving = asyncio.get_running_loop().create_task(self._leave_to_standby())
@@ -115,14 +115,14 @@ class LabThread:
         # Not `join`: if it is interrupted, Python 3.11 takes a living thread for an ended one.
         while not self._ended.is_set():
             try:
-                self._tell(lambda: self._end.set() if self._end is not None else None)
+                self._call_in_loop(lambda: self._end.set() if self._end is not None else None)
                 self._ended.wait(0.2)
             except KeyboardInterrupt:
                 supervisor = self._lab.supervised if self._lab is not None else None
                 if supervisor is not None:
-                    self._tell(supervisor.hurry)
+                    self._call_in_loop(supervisor.hurry)
 
-    def _tell(self, function: object) -> None:
+    def _call_in_loop(self, function: object) -> None:
         if self._loop is not None and callable(function):
             try:
                 self._loop.call_soon_threadsafe(function)

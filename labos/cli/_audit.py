@@ -39,7 +39,7 @@ def open_log_and_views(
     """The log and the views, which include all events of the log up to now. Raises BadInput,
     StoreUnavailable."""
     with open_projector(where) as (store, _, projector):
-        projector.catch_up(tell_progress)
+        projector.catch_up(show_progress)
         with open_asker(where.url, limit_s) as asker:
             yield store, asker
 
@@ -59,12 +59,12 @@ def forget_erased(where: Where) -> bool:
         return False
     with open_projector(where) as (_, database, projector):
         if database.is_made:
-            projector.catch_up(tell_progress)
+            projector.catch_up(show_progress)
             return True
     return False
 
 
-def tell_progress(position: int, head: int) -> None:
+def show_progress(position: int, head: int) -> None:
     """Show the progress on one line that changes, on a terminal."""
     if head < SHOWN_FROM or not sys.stderr.isatty():
         return

@@ -89,4 +89,4 @@ def give(labware: str, to: str, name: str, force: bool, why: str, asker: Asker) 
         owner = f"{to}:{name}" if name else to
         client.give(labware, owner, asker.user, force=force, note=why)
     message = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
-    asker.tell(message, {"labware": labware, "owner": owner})
+    asker.report(message, {"labware": labware, "owner": owner})

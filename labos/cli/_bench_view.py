@@ -67,7 +67,7 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
         kind = world.kind(plate)
         return f"{known[plate]} ({kind})" if plate in known else kind
 
-    there = world.places()
+    there = world.list_contents()
     expected = [f"{place}: " for place in (FLOOR, *_list_possible(state, plates, there))]
     # An action that the device has just finished is not in the log yet.
     expected += [f"{local(action.module)} did {action.name} " for action in state.actions.open.values()]

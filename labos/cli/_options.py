@@ -22,9 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 SPEED_HELP = "Speed-up factor: simulated time divided by real time."
 speed_option = click.option(
-    "--speed",
-    type=click.FloatRange(min=0.01),
-    help=f"{SPEED_HELP} If not given: 1 for a new lab; an existing lab keeps its factor.",
+    "--speed", type=click.FloatRange(min=0.01), help=f"{SPEED_HELP} A new lab has 1 if not given."
 )
 
 
@@ -152,11 +150,11 @@ class Asker(msgspec.Struct, frozen=True):
 
         end_with_json(value, self.as_json)
 
-    def tell(self, sentence: str, facts: Any) -> None:
+    def report(self, sentence: str, facts: Any) -> None:
         """Report what a command has done."""
-        from labos.cli._out import tell
+        from labos.cli._out import report
 
-        tell(sentence, facts, as_json=self.as_json)
+        report(sentence, facts, as_json=self.as_json)
 
 
 def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:

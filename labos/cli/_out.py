@@ -73,7 +73,7 @@ def end_with_json(value: Any, as_json: bool, code: int = 0) -> None:
         click.get_current_context().exit()
 
 
-def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
+def report(sentence: str, facts: Any, *, as_json: bool) -> None:
     """Report what a command has done: a sentence, or its facts as JSON."""
     if as_json:
         show_json(facts)

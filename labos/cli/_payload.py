@@ -24,11 +24,11 @@ def read_payload(given: Sequence[str]) -> dict[str, Any]:
     """The merged payloads: a later value replaces an earlier one. Raises BadInput, SpecError."""
     values: dict[str, Any] = {}
     for text in given:
-        _lay_over(values, _one(text))
+        _lay_over(values, _read_payload(text))
     return values
 
 
-def _one(text: str) -> dict[str, Any]:
+def _read_payload(text: str) -> dict[str, Any]:
     import yaml
 
     if text.lstrip().startswith("{"):

@@ -116,7 +116,7 @@ def _change(verb: str, target: str, asker: Asker, why: str = "") -> None:
     was = " already" if done["already"] else ""
     state = f"is paused{was}" if verb == "pause" else f"goes on{was}"
     facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
-    asker.tell(f"{_capitalise_first(_target_name(done))} {state}.{_describe_reason(done)}", facts)
+    asker.report(f"{_capitalise_first(_target_name(done))} {state}.{_describe_reason(done)}", facts)
 
 
 def _capitalise_first(text: str) -> str:
@@ -150,7 +150,7 @@ def resolve(intervention: str | None, choice: str | None, why: str, result: str 
         with asker.lab() as client:
             client.resolve(intervention, choice, asker.user, why, read_result(result))
         facts = {"id": intervention, "choice": choice}
-        asker.tell(f"{intervention} is answered: {choice}.", facts)
+        asker.report(f"{intervention} is answered: {choice}.", facts)
         return
     questions = open_questions(asker.home)
     asker.end_with_json(questions)
@@ -180,7 +180,7 @@ def place(station: str, labware: str, asker: Asker) -> None:
         name = client.place(station, labware, asker.user)
         where = find_stations(client, [name]).get(name, station)
     facts = {"labware": name, "type": labware, "station": where}
-    asker.tell(f"{name or labware} stands at {where}.", facts)
+    asker.report(f"{name or labware} stands at {where}.", facts)
 
 
 @click.command("barcode")
@@ -196,7 +196,7 @@ def barcode(labware: str, barcode: str, replace: bool, asker: Asker) -> None:
     """
     with asker.lab() as client:
         client.barcode(labware, barcode, asker.user, replace=replace)
-    asker.tell(f"{labware} has the barcode {barcode}.", {"labware": labware, "barcode": barcode})
+    asker.report(f"{labware} has the barcode {barcode}.", {"labware": labware, "barcode": barcode})
 
 
 @click.command("out-of-service")
@@ -221,7 +221,7 @@ def out_of_service(module: str, why: str, until: str | None, asker: Asker) -> No
     with asker.lab() as client:
         client.take_out(module, why, asker.user, back_at)
     message = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
-    asker.tell(message, {"module": module, "in_service": False, "back_at": back_at})
+    asker.report(message, {"module": module, "in_service": False, "back_at": back_at})
 
 
 @click.command("in-service")
@@ -235,4 +235,4 @@ def in_service(module: str, asker: Asker) -> None:
     """
     with asker.lab() as client:
         client.put_back(module, asker.user)
-    asker.tell(f"{module} is in service.", {"module": module, "in_service": True})
+    asker.report(f"{module} is in service.", {"module": module, "in_service": True})

@@ -13,7 +13,7 @@ import msgspec
 
 from labos.cli._options import json_option as json_option
 from labos.cli._options import refuse_password
-from labos.cli._out import end_with_json, tell
+from labos.cli._out import end_with_json, report
 from labos.cli._remote import folder_or_database, is_given, needs_folder
 from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
@@ -55,9 +55,9 @@ class Where(msgspec.Struct, frozen=True):
         """With ``--json``, show the value and end the command with this exit code."""
         end_with_json(value, self.as_json, code)
 
-    def tell(self, sentence: str, facts: Any) -> None:
+    def report(self, sentence: str, facts: Any) -> None:
         """Report what a command has done."""
-        tell(sentence, facts, as_json=self.as_json)
+        report(sentence, facts, as_json=self.as_json)
 
 
 def name_own_database(home: Path) -> str:

@@ -18,22 +18,14 @@ _OPTIONS = (
     click.option("--runs", type=click.IntRange(min=0), help="The maximum number of runs; 0: no limit."),
     click.option("--lab-time", metavar="TIME", help="The maximum module time, such as `20 h`; 0: no limit."),
     click.option(
-        "--consumable",
-        "consumables",
-        multiple=True,
-        metavar="KIND=AMOUNT",
-        help="The maximum consumption of this kind, such as tips=96; may be repeated.",
+        "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="Maximum, such as tips=96."
     ),
     click.option("--until", metavar="RULE", help="The stop rule; empty for none."),
     click.option(
         "--stop-after", type=click.IntRange(min=0), help="Stop after this number of failed rows; 0: never."
     ),
     click.option(
-        "--tag",
-        "tags",
-        multiple=True,
-        metavar="TAG",
-        help="New tags, which replace the present ones; may be repeated.",
+        "--tag", "tags", multiple=True, metavar="TAG", help="New tags, which replace the present ones."
     ),
 )
 

@@ -77,7 +77,7 @@ def command(
             client.leave(workcell, asker.user, changes, why)
             listed = [{"station": station, "what": what} for station, what in changes]
             facts = {"workcell": workcell, "granted": False, "changed": listed}
-            asker.tell(_describe_going_on(workcell, changes), facts)
+            asker.report(_describe_going_on(workcell, changes), facts)
             return
         parking = client.enter(workcell, asker.user, why, park=not no_park)
         if not asker.as_json:

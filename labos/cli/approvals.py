@@ -157,11 +157,7 @@ def _strip_control(text: str) -> str:
 @click.option("--runs", type=click.IntRange(min=0), help="For a campaign: the maximum number of rows.")
 @click.option("--lab-time", metavar="TIME", help="For a campaign: the maximum module time, such as `20 h`.")
 @click.option(
-    "--consumable",
-    "consumables",
-    multiple=True,
-    metavar="KIND=AMOUNT",
-    help="For a campaign: the maximum consumption of this kind, such as tips=96; may be repeated.",
+    "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="Maximum, such as tips=96."
 )
 @click.option(
     "--alike",
@@ -209,7 +205,7 @@ def approve(
                 click.confirm(f"Approve {subject}?", abort=True)
         approved = client.approve(subject, asker.user, digest, comment=why, **wanted)
     facts = {"subject": subject, "approved": True, "digest": approved}
-    asker.tell(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
+    asker.report(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
 
 
 @click.command("refuse")
@@ -222,7 +218,7 @@ def refuse(subject: str, why: str, asker: Asker) -> None:
     with asker.lab() as client:
         refused = client.refuse(subject, asker.user, comment=why)
     facts = {"subject": subject, "approved": False, "digest": refused}
-    asker.tell(f"{subject} is refused.", facts)
+    asker.report(f"{subject} is refused.", facts)
 
 
 def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,7 @@ import threading
 
 import click
 
-from labos.cli._audit import open_projector, tell_progress
+from labos.cli._audit import open_projector, show_progress
 from labos.cli._group import Suggesting
 from labos.cli._query import Where, log_and_json, log_options
 from labos.errors import BadInput
@@ -52,8 +52,8 @@ def project(where: Where, follow: bool, every: float) -> None:
     if follow and hasattr(os, "nice"):
         os.nice(CALM)
     with open_projector(where) as (_, database, projector):
-        position = projector.catch_up(tell_progress)
-        _tell(where, position, database.name)
+        position = projector.catch_up(show_progress)
+        _report_position(where, position, database.name)
         ended = threading.Event()
         while follow:
             try:
@@ -69,7 +69,7 @@ def rebuild(where: Where) -> None:
     """Delete the tables and build them again from the log."""
     with open_projector(where) as (_, database, projector):
         database.reset()
-        _tell(where, projector.catch_up(tell_progress), database.name)
+        _report_position(where, projector.catch_up(show_progress), database.name)
 
 
 @command.command("status")
@@ -82,7 +82,7 @@ def status(where: Where) -> None:
     at = round((mark.at_s or 0) * 1e9)
     facts = {"database": database.name, "position": mark.position, "behind": behind}
     until = f", which was recorded at {show_time(at)}" if at else ""
-    where.tell(
+    where.report(
         f"The {database.name} is at event {mark.position}{until}: {behind} behind the log.",
         {**facts, "log": head.position, "recorded": iso_time(at) if at else ""},
     )
@@ -104,7 +104,7 @@ def reader(where: Where, role: str) -> None:
                 "SQLite has no roles: a user who may read the file may read all of it.",
                 remedy="Give the dashboard's user read permission for the file.",
             )
-        projector.catch_up(tell_progress)
+        projector.catch_up(show_progress)
         from labos.audit._postgres import PostgresAudit
 
         assert isinstance(database, PostgresAudit)
@@ -112,5 +112,5 @@ def reader(where: Where, role: str) -> None:
     click.echo(f"{role} may read the views (schema labos) and nothing else of LabOS.")
 
 
-def _tell(where: Where, position: int, name: str) -> None:
-    where.tell(f"The {name} is at event {position}.", {"database": name, "position": position})
+def _report_position(where: Where, position: int, name: str) -> None:
+    where.report(f"The {name} is at event {position}.", {"database": name, "position": position})

@@ -111,7 +111,7 @@ def add(
             last_at=parse_when(last, now, where) if last else 0,
             force=force,
         )
-    _tell(found, asker)
+    _report_booking(found, asker)
 
 
 @command.command("change", short_help="Change the times or the holder of a booking.")
@@ -159,7 +159,7 @@ def change(
             changes["last_at"] = parse_when(last, now, where)
         given = {name: value for name, value in changes.items() if value is not None}
         found = client.change_booking(booking, asker.user, **given)
-    _tell(found, asker)
+    _report_booking(found, asker)
 
 
 @command.command("cancel", short_help="Cancel a booking, or one time of it.")
@@ -179,7 +179,7 @@ def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
         begins_at = _find_time_on(client, booking, on) if on else 0
         client.cancel_booking(booking, asker.user, begins_at=begins_at, why=why or "")
     message = f"{booking} is cancelled{f' on {on}' if on else ''}."
-    asker.tell(message, {"booking": booking, "begins_at": begins_at, "cancelled": True})
+    asker.report(message, {"booking": booking, "begins_at": begins_at, "cancelled": True})
 
 
 @command.command("show")
@@ -215,6 +215,6 @@ def _find_time_on(client: Any, booking: str, on: str) -> int:
     return int(times[0])
 
 
-def _tell(found: dict[str, Any], asker: Asker) -> None:
+def _report_booking(found: dict[str, Any], asker: Asker) -> None:
     over = f" It overlaps with {', '.join(found['over'])}." if found["over"] else ""
-    asker.tell(f"{found['id']}: {describe_booking(found)}.{over}", found)
+    asker.report(f"{found['id']}: {describe_booking(found)}.{over}", found)

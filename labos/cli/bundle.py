@@ -51,7 +51,7 @@ def command(where: Where, subject: str, file: Path, checkpoint: Path | None, wit
     except OSError as error:
         raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
     message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
-    where.tell(f"{message}, proven by the checkpoint of size {about.size}.", about)
+    where.report(f"{message}, proven by the checkpoint of size {about.size}.", about)
 
 
 def make_bundle_of(

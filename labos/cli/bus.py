@@ -43,8 +43,7 @@ def command(
     pki: Path | None,
     home: str | None,
 ) -> None:
-    """Run the bus in its own process until Ctrl-C. Kernels and nodes connect to it (`labos up --bus
-    ENDPOINT`).
+    """Run only the bus until Ctrl-C. Kernels and nodes connect to it (`labos up --bus ENDPOINT`).
 
     Without this command the bus is part of the kernel: while no kernel runs, nodes have no connection. The
     bus stores nothing. You can stop and start it at any time; kernels and nodes reconnect. A Zenoh router

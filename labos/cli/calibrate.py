@@ -44,7 +44,7 @@ def command(module: str, report: Path | None, asker: Asker, **details: Any) -> N
     of = f"{found['module']} ({found['what']})" if found["what"] else found["module"]
     valid = f", valid until {found['until']}" if found["until"] else ""
     kept = f" Its report is kept as {found['file']}." if found["file"] else ""
-    asker.tell(f"The calibration of {of} is recorded{valid}.{kept}", found)
+    asker.report(f"The calibration of {of} is recorded{valid}.{kept}", found)
 
 
 def _read(report: Path) -> bytes:

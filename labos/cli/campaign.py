@@ -200,7 +200,7 @@ def pause(campaign: str, asker: Asker, why: str) -> None:
     """Pause a campaign: submit no further row, and start none of its waiting runs. Active runs continue."""
     with asker.lab() as client:
         client.pause_campaign(campaign, asker.user, why=why)
-    asker.tell(f"{campaign} is paused.", {"campaign": campaign, "paused": True})
+    asker.report(f"{campaign} is paused.", {"campaign": campaign, "paused": True})
 
 
 @command.command("resume")
@@ -210,7 +210,7 @@ def resume(campaign: str, asker: Asker) -> None:
     """Resume a paused campaign."""
     with asker.lab() as client:
         client.resume_campaign(campaign, asker.user)
-    asker.tell(f"{campaign} continues.", {"campaign": campaign, "paused": False})
+    asker.report(f"{campaign} continues.", {"campaign": campaign, "paused": False})
 
 
 @command.command("archive")
@@ -223,7 +223,7 @@ def archive(campaign: str, asker: Asker, undo: bool) -> None:
     with asker.lab() as client:
         client.archive_campaign(campaign, asker.user, undo=undo)
     message = f"{campaign} is shown in lists again." if undo else f"{campaign} is archived."
-    asker.tell(message, {"campaign": campaign, "archived": not undo})
+    asker.report(message, {"campaign": campaign, "archived": not undo})
 
 
 @command.command("cancel")
@@ -235,7 +235,7 @@ def cancel(campaign: str, asker: Asker, why: str, stay: bool) -> None:
     """Cancel a campaign: submit no further row, and cancel its runs."""
     with asker.lab() as client:
         client.cancel_campaign(campaign, asker.user, why=why, stay=stay)
-    asker.tell(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True})
+    asker.report(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True})
 
 
 @command.command("amend")

@@ -92,7 +92,7 @@ def command(
         return
     with open_database(where) as store:
         made = publish(store, where.home, targets)
-    _tell(made, where.as_json)
+    _report_checkpoint(made, where.as_json)
     if made.faults:
         click.get_current_context().exit(1)
 
@@ -113,7 +113,7 @@ def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json:
                         if gained < 0 or gained >= every or due:
                             made = publish(store, where.home, targets)
                             last_ns = now_ns()
-                            _tell(made, as_json)
+                            _report_checkpoint(made, as_json)
                 except StoreUnavailable as error:
                     click.echo(f"labos: {error}", err=True)
                 pause.wait(POLL_S)
@@ -121,7 +121,7 @@ def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json:
             pass
 
 
-def _tell(made: PublishResult, as_json: bool) -> None:
+def _report_checkpoint(made: PublishResult, as_json: bool) -> None:
     if as_json:
         show_json(
             {

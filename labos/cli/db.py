@@ -67,7 +67,7 @@ def upgrade(where: Where) -> None:
     found = read_database_status(where.url)
     if found.state == "current":
         message = f"The {found.name} is already at revision {found.revision}."
-        where.tell(message, {"before": found.revision, "revision": found.revision})
+        where.report(message, {"before": found.revision, "revision": found.revision})
         return
     owner = find_lease_holder(where.url)
     if owner:
@@ -80,7 +80,7 @@ def upgrade(where: Where) -> None:
     revision = migrate(where.url)
     before = found.revision or "no revision"
     message = f"The {found.name} was upgraded from {before} to revision {revision}."
-    where.tell(message, {"before": found.revision, "revision": revision})
+    where.report(message, {"before": found.revision, "revision": revision})
 
 
 @command.command("restored")
@@ -96,7 +96,7 @@ def record_restored(where: Where) -> None:
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
     message = f"The {found.name} continues with an epoch above {after}; it was {before}."
-    where.tell(message, {"before": before, "above": after})
+    where.report(message, {"before": before, "above": after})
 
 
 @command.command("writer")
@@ -126,7 +126,7 @@ def scrub(where: Where) -> None:
     """
     left = scrub_words(where.url)
     message = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
-    where.tell(message, {"left": left})
+    where.report(message, {"left": left})
     if left:
         click.get_current_context().exit(1)
 
@@ -136,7 +136,7 @@ def scrub(where: Where) -> None:
 def url(where: Where) -> None:
     """Show which database is used, with its password hidden. It is the first of these that is set:
     --database, LABOS_DATABASE_URL, the database of the lab's kernel, labos.db in the lab's folder."""
-    where.tell(show_url(where.url), {"url": show_url(where.url)})
+    where.report(show_url(where.url), {"url": show_url(where.url)})
 
 
 def _list_facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:

@@ -133,7 +133,7 @@ def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]
 def _show_progress(url: str) -> Iterator[None]:
     """Show the progress as long as the block lasts: an overview in a terminal, else lines."""
     over = threading.Event()
-    watch = _show_live if sys.stdout.isatty() else _tell
+    watch = _show_live if sys.stdout.isatty() else _show_events
     watcher = threading.Thread(target=watch, args=(url, over), name="watcher", daemon=True)
     watcher.start()
     try:
@@ -143,7 +143,7 @@ def _show_progress(url: str) -> Iterator[None]:
         watcher.join(5.0)
 
 
-def _tell(url: str, over: threading.Event) -> None:
+def _show_events(url: str, over: threading.Event) -> None:
     from labos.cli._narrate import Narrator
     from labos.client import LabClient
 

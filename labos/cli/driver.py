@@ -70,13 +70,13 @@ def torture_command(
     if folder is not None and folder.exists():
         raise BadInput(f"{folder} already exists.", remedy="Name a new folder.")
 
-    def tell(finding: Finding) -> None:
+    def show(finding: Finding) -> None:
         if not (as_json or (only and finding.verdict == "left out")):
             why = f": {finding.why}" if finding.why else ""
             took = f" ({finding.seconds:.1f} s)" if finding.verdict != "left out" else ""
             click.echo(f"{finding.tier:6}  {finding.check:18}  {MARKS[finding.verdict]}{took}{why}")
 
-    report = asyncio.run(torture(driver, tell=tell, only=only, motion_s=motion_s, folder=folder))
+    report = asyncio.run(torture(driver, show=show, only=only, motion_s=motion_s, folder=folder))
     enough = not report.failed if only else RANKS.index(report.badge) >= RANKS.index(at_least)
     end_with_json(report, as_json, int(not enough))
     _show(report)

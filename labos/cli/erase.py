@@ -62,7 +62,7 @@ def command(
     with asker.lab() as client:
         if refuse:
             client.refuse_erasure(refuse, asker.user)
-            asker.tell(f"{refuse} was refused.", {"erasure": refuse})
+            asker.report(f"{refuse} was refused.", {"erasure": refuse})
             return
         if not asks:
             _show(client.erasures(), as_json=asker.as_json)
@@ -74,7 +74,7 @@ def command(
             done = client.erase_words(because, asker.user, records=list(records), user=author or "")
     if done["erased"] and not lab_of(asker.home):
         forget_erased(Where(Settings.make(asker.home).home))
-    asker.tell(_describe_erasure(done), done)
+    asker.report(_describe_erasure(done), done)
 
 
 def _describe_erasure(done: dict[str, Any]) -> str:

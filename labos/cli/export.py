@@ -103,7 +103,7 @@ def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, pr
         files = _write(target, made.read_contents(blobs))
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-    where.tell(f"{target} holds {count} in {files} files.", facts)
+    where.report(f"{target} holds {count} in {files} files.", facts)
 
 
 def _read_program(path: Path) -> Program:
@@ -283,7 +283,7 @@ def _open_sink(
         position_file or where.home / f"kafka-{topic.name}.json",
         read_settings(settings) if settings else {},
         patience_s=None if follow else BROKER_S,
-        tell=lambda words: click.echo(words, err=True),
+        report=lambda words: click.echo(words, err=True),
     )
 
 

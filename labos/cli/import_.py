@@ -98,7 +98,7 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     if as_json:
         show_json(_show(outcome))
     else:
-        _tell(outcome)
+        _show_outcome(outcome)
     if outcome.refused:
         raise click.exceptions.Exit(1)
 
@@ -226,7 +226,7 @@ def _show(outcome: ImportOutcome) -> dict[str, Any]:
     return shown
 
 
-def _tell(outcome: ImportOutcome) -> None:
+def _show_outcome(outcome: ImportOutcome) -> None:
     rows = [
         (file.target, f"{file.kind} ({file.dialect})", _describe_counts(file.counts), str(len(file.assumed)))
         for file in outcome.written
@@ -240,12 +240,12 @@ def _tell(outcome: ImportOutcome) -> None:
     for left in outcome.refused:
         for finding in left.why:
             click.echo(f"refused: {finding.as_error()}")
-    _tell_assumed(outcome)
+    _show_assumptions(outcome)
     counts = (len(outcome.written), len(outcome.skipped), len(outcome.refused))
     click.echo("{} written, {} skipped, {} refused.".format(*counts))
 
 
-def _tell_assumed(outcome: ImportOutcome) -> None:
+def _show_assumptions(outcome: ImportOutcome) -> None:
     """The assumptions, the most important first; the others are comments in the files."""
     findings = sorted(
         (finding for file in outcome.written for finding in file.assumed if finding.assumed),

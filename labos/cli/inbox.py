@@ -50,7 +50,7 @@ def inbox(where: Where, module: str | None) -> None:
     asked = [story.id for story in stories if story.kind != PlannedWork.KIND]
     if not entries:
         click.echo("No planned work waits now.")
-        _tell_asked(asked)
+        _show_open_questions(asked)
         return
     rows = [
         [
@@ -64,10 +64,10 @@ def inbox(where: Where, module: str | None) -> None:
     ]
     show_table(["id", "for", "due", "run", "work"], rows)
     click.echo("When the work is done: labos confirm ID. If it cannot be done: labos confirm ID --not-done")
-    _tell_asked(asked)
+    _show_open_questions(asked)
 
 
-def _tell_asked(asked: list[str]) -> None:
+def _show_open_questions(asked: list[str]) -> None:
     """Questions that wait for a person and are not planned work."""
     if asked:
         click.echo(f"Other open questions: {', '.join(asked)}. See: labos interventions")
@@ -108,4 +108,4 @@ def confirm(intervention: str, not_done: bool, why: str, result: str | None, ask
         choice = "not_done" if not_done else "done"
         client.resolve(intervention, choice, asker.user, why, read_result(result))
     message = f"{intervention} is confirmed{' as not done' if not_done else ''}."
-    asker.tell(message, {"id": intervention, "choice": choice})
+    asker.report(message, {"id": intervention, "choice": choice})

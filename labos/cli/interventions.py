@@ -48,7 +48,7 @@ def command(where: Where, everything: bool) -> None:
         click.echo()
     waiting = [story for story in shown if story.open]
     for story in waiting:
-        _tell(story, now, places.get(story.id, ""))
+        _show_question(story, now, places.get(story.id, ""))
     if not waiting:
         click.echo("No question is open.")
     if not everything and len(stories) > len(shown):
@@ -63,7 +63,7 @@ def _find_places(state: LabState) -> dict[str, str]:
     }
 
 
-def _tell(story: InterventionHistory, now: int, place: str) -> None:
+def _show_question(story: InterventionHistory, now: int, place: str) -> None:
     waited = show_span(max(now - story.requested_at, 0) / 1e9)
     due = f", due {show_time(story.due_at)}{' (late)' if story.overdue else ''}" if story.due_at else ""
     click.echo(f"{story.id}  {story.text}")

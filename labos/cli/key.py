@@ -43,7 +43,7 @@ def command() -> None:
 def create(where: Where, name: str | None, witness: bool) -> None:
     """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
     public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
-    where.tell(public.text, {"public_key": public.text, "name": public.name})
+    where.report(public.text, {"public_key": public.text, "name": public.name})
 
 
 @command.command("show")
@@ -54,7 +54,7 @@ def show(where: Where, witness: bool) -> None:
     keys = SigningKeys(where.home)
     if witness:
         text = keys.read_signing_key(witness=True).public.text
-        where.tell(text, {"public_key": text})
+        where.report(text, {"public_key": text})
         return
     known = keys.list_public_keys()
     if not known:

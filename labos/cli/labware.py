@@ -54,7 +54,7 @@ def command(
         if story is None:
             raise NotFound(f"There is no labware {labware!r} in this log.", remedy="List it: labos labware")
         end_with_json(story, as_json)
-        _tell(story)
+        _show_history(story)
         return
     shown = [s for s in found.values() if gone is None or bool(s.gone) == gone]
     if barcode is not None:
@@ -77,7 +77,7 @@ def command(
     show_table(("id", "type", "barcode", "place", "of", "since", "first seen"), rows)
 
 
-def _tell(story: LabwareHistory) -> None:
+def _show_history(story: LabwareHistory) -> None:
     values = ", ".join(f"{name} = {shorten_value(value)}" for name, value in story.variables.items())
     last = "last " if story.gone else ""
     click.echo(f"{story.id} ({story.type}): {story.place}; {last}of {owner_name(story.owner)}")

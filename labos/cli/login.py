@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
-from labos.cli._out import tell
+from labos.cli._out import report
 
 if TYPE_CHECKING:
     from labos.client import LabClient
@@ -111,7 +111,7 @@ def login(
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
-    tell(f"You are signed in as {found['user']} at {place}, until {until}.", facts, as_json=as_json)
+    report(f"You are signed in as {found['user']} at {place}, until {until}.", facts, as_json=as_json)
 
 
 def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
@@ -133,14 +133,14 @@ def logout(url: str, home: str | None, as_json: bool) -> None:
     with _find_lab(url, home) as client:
         place = client.token_place
         if not (kept := find_kept_token(place)):
-            tell(
+            report(
                 f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
             )
             return
     with suppress(NotSignedIn), _find_lab(url, home, kept) as client:  # also if LABOS_TOKEN is set
         client.sign_out()  # else the token was not valid any more
     keep_token(place, "")
-    tell(f"You are signed out of {place}.", {"place": place, "signed_out": True}, as_json=as_json)
+    report(f"You are signed out of {place}.", {"place": place, "signed_out": True}, as_json=as_json)
 
 
 def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:

@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
 from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
-from labos.cli._out import end_with_json, tell
+from labos.cli._out import end_with_json, report
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
 
@@ -57,8 +57,7 @@ def command() -> None:
 @click.option(
     "--finish-s",
     type=float,
-    help="How many seconds an action in progress may continue after a stop (default: 30 for a simulated "
-    "device; a real one continues to the end of the action).",
+    help="How many seconds an action may continue after a stop (simulated: 30, real: to its end).",
 )
 def start(
     driver: str,
@@ -157,7 +156,7 @@ def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, 
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
     was, now = asyncio.run(_correct(path, epoch, position, cut_name(asker.user), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
-    asker.tell(f"{path}: {now} (it was {was}).", facts)
+    asker.report(f"{path}: {now} (it was {was}).", facts)
 
 
 @command.command("trace")
@@ -175,7 +174,7 @@ def trace_command(module: str, off: bool, asker: Asker) -> None:
     with asker.lab() as client:
         file = client.trace(module, asker.user, on=not off)
     message = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
-    asker.tell(message, {"module": module, "file": file, "on": not off})
+    asker.report(message, {"module": module, "file": file, "on": not off})
 
 
 @command.command("accept-unit")
@@ -206,7 +205,7 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     else:
         forget_unit(file)
     message = f"{module}: {serial or 'the next unit'} is accepted (it was {was or 'none'}). Reset the module."
-    tell(message, {"module": module, "serial": serial, "was": was}, as_json=as_json)
+    report(message, {"module": module, "serial": serial, "was": was}, as_json=as_json)
 
 
 command.add_command(install)

@@ -103,7 +103,7 @@ def test(where: Where, contact: str) -> None:
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
     text = f"A test message was sent to {contact} by {channel}: {message.id}"
-    where.tell(text, {"contact": contact, "channel": channel, "message": message.id})
+    where.report(text, {"contact": contact, "channel": channel, "message": message.id})
 
 
 @command.command("watch")

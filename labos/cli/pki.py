@@ -10,7 +10,7 @@ import msgspec
 
 from labos.cli._group import Suggesting
 from labos.cli._options import pki_option, why_option
-from labos.cli._out import tell
+from labos.cli._out import report
 from labos.cli._query import Where, log_and_json, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
@@ -26,11 +26,7 @@ address_option = click.option(
     "--address", multiple=True, metavar="HOST", help="A name or address at which a kernel or bus is reached."
 )
 days_option = click.option(
-    "--days",
-    type=click.IntRange(1, 36500),
-    metavar="N",
-    help="The number of days for which it is valid (default: 3650 for the authority, 365 for a certificate; "
-    "a renewed one: as before).",
+    "--days", type=click.IntRange(1, 36500), metavar="N", help="Validity in days (authority: 3650, else 365)."
 )
 
 
@@ -73,7 +69,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> N
     authority.init(f"LabOS authority of {gethostname()}"[:64], site=ca, **more)
     facts = {"folder": str(authority.folder), "issues": authority.issues}
     who = "LabOS issues the certificates" if authority.issues else "the site issues the certificates"
-    where.tell(f"{authority.folder}: {who}.", facts)
+    where.report(f"{authority.folder}: {who}.", facts)
 
 
 @command.command("issue")
@@ -108,7 +104,7 @@ def issue(
     identity = _make_identity(where, kind, name, lab)
     more = {"days": days} if days else {}
     entry = authority.issue(identity, addresses=address, **more)
-    _tell_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry, where.as_json)
 
 
 @command.command("admit")
@@ -142,7 +138,7 @@ def admit(
     """
     authority = _find_authority(where, pki)
     entry = authority.admit(_make_identity(where, kind, name, lab), certificate, key)
-    _tell_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry, where.as_json)
 
 
 @command.command("list")
@@ -171,7 +167,7 @@ def renew(where: Where, name: str, address: tuple[str, ...], days: int | None, p
     certificate, and those of the nodes that it starts, when a third of their validity is left."""
     authority = _find_authority(where, pki)
     entry = authority.renew(authority.find(name), addresses=address, days=days or 0)
-    _tell_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry, where.as_json)
 
 
 @command.command("revoke")
@@ -186,7 +182,7 @@ def revoke(where: Where, name: str, why: str, pki: Path | None) -> None:
     authority = _find_authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
     message = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
-    where.tell(message, _list_facts(authority, entry))
+    where.report(message, _list_facts(authority, entry))
 
 
 def _find_authority(where: Where, pki: Path | None) -> Authority:
@@ -234,6 +230,6 @@ def _list_facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]
     return {**found.pop("identity"), **found, "folder": str(authority.credentials(entry.identity).folder)}
 
 
-def _tell_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
+def _report_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
     facts = _list_facts(authority, entry)
-    tell(str(facts["folder"]), facts, as_json=as_json)
+    report(str(facts["folder"]), facts, as_json=as_json)

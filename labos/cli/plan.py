@@ -160,7 +160,7 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
     lab, lengths, pace = _ask_lab(where)
     outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
     where.end_with_json(outline)
-    _tell(outline)
+    _show_outline(outline)
 
 
 def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
@@ -302,7 +302,7 @@ def _list_stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workce
     return [[local(place) for place in places] for places in found]
 
 
-def _tell(outline: Outline) -> None:
+def _show_outline(outline: Outline) -> None:
     from labos.planning.certified import describe_certificate
     from labos.services.describe import shorten_value
     from labos.services.times import show_span
@@ -326,7 +326,7 @@ def _tell(outline: Outline) -> None:
         f"\n{outline.workflow} on {outline.workcell}: {len(rows)} steps, "
         f"{show_span(outline.total_s)} alone on the bench; {len(outline.critical)} are critical (*)."
     )
-    click.echo(_tell_origin(outline))
+    click.echo(_describe_origin(outline))
     for line in describe_choices({step.key: step.choices for step in outline.steps if step.choices}):
         click.echo(line)
     for step in outline.steps:
@@ -358,7 +358,7 @@ def _tell(outline: Outline) -> None:
     click.echo(f"Labware at the end: {', '.join(outline.outputs) or 'nowhere'}.")
 
 
-def _tell_origin(outline: Outline) -> str:
+def _describe_origin(outline: Outline) -> str:
     """The origin of the times."""
     from labos.services.times import show_span
 

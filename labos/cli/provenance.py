@@ -73,12 +73,12 @@ def command(
     elif only:
         _list(graph, only, direction)
     else:
-        _tell(graph)
+        _show_graph(graph)
     if not graph.whole:
         click.echo(f"There is more than {most} links: --most follows more.", err=True)
 
 
-def _tell(graph: Graph) -> None:
+def _show_graph(graph: Graph) -> None:
     click.echo(f"{_write_label(graph, str(graph.subject))}, at event {graph.position}")
     for name, value in graph.facts.items():
         if value != []:

@@ -53,7 +53,7 @@ def command(where: Where, subject: str, meaning: str | None, why: str) -> None:
             "campaign": client.sign_campaign,
         }[kind]
         signature = sign(subject, meaning, ask_password(f"Password of {user}"), why=why)
-    where.tell(_line(signature), signature)
+    where.report(_line(signature), signature)
 
 
 def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from labos.cli._options import home_option, json_option
-from labos.cli._out import tell
+from labos.cli._out import report
 from labos.errors import NotFound, Refused, SystemFailed
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
         store.close()
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
     message = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
-    tell(message, facts, as_json=as_json)
+    report(message, facts, as_json=as_json)
 
 
 def expect_to_listen(pid: int, number: int) -> None:

@@ -44,7 +44,7 @@ def teach(module: str, station: str, pose: str, why: str, kind: str, asker: Aske
         version = client.teach(module, station, numbers, asker.user, why, labware_type=kind)
     what = f"{station} with a {kind}" if kind else station
     facts = {"module": module, "station": station, "type": kind, "version": version}
-    asker.tell(f"{module} now reaches {what} with version {version} of the pose.", facts)
+    asker.report(f"{module} now reaches {what} with version {version} of the pose.", facts)
 
 
 @click.command("locations")

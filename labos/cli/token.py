@@ -98,4 +98,4 @@ def revoke(token: str, asker: Asker) -> None:
     """Revoke a token. ID is the one that `labos token list` shows. The token is invalid from now on."""
     with asker.lab() as client:
         client.revoke_token(token)
-    asker.tell(f"The token {token} is revoked.", {"token": token, "revoked": True})
+    asker.report(f"The token {token} is revoked.", {"token": token, "revoked": True})

@@ -148,7 +148,7 @@ def password(name: str, asker: Asker) -> None:
     with lab_or_its_folder(asker.home) as client:
         present = ask_password("Your present password") if client.identity()["user"] == name else ""
         client.set_password(name, ask_password(f"New password of {name}", twice=True), present)
-    asker.tell(f"{name} has a new password.", {"user": name, "password_set": True})
+    asker.report(f"{name} has a new password.", {"user": name, "password_set": True})
 
 
 @command.command("name")
@@ -160,7 +160,7 @@ def rename(name: str, person: str | None, mail: str | None, asker: Asker) -> Non
     """Record a user's name and mail address. They are stored outside the log. The log has only ids."""
     with lab_or_its_folder(asker.home) as client:
         client.set_person(name, name=person, mail=mail)
-    asker.tell(f"The name and address of {name} are recorded.", {"user": name, "name": person, "mail": mail})
+    asker.report(f"Name and address of {name} are recorded.", {"user": name, "name": person, "mail": mail})
 
 
 @command.command("erase")
@@ -174,7 +174,7 @@ def erase(name: str, asker: Asker) -> None:
     """
     with lab_or_its_folder(asker.home) as client:
         client.erase_person(name)
-    asker.tell(f"The personal data of {name} is erased. Only the id is left.", {"user": name, "erased": True})
+    asker.report(f"Personal data of {name} is erased. Only the id is left.", {"user": name, "erased": True})
 
 
 @command.command("link")
@@ -191,7 +191,7 @@ def link(name: str, issuer: str, subject: str, asker: Asker) -> None:
     """
     with lab_or_its_folder(asker.home) as client:
         client.link_identity(name, issuer, subject)
-    asker.tell(f"{subject} of {issuer} is {name} here.", {"user": name, "issuer": issuer, "subject": subject})
+    asker.report(f"{subject} of {issuer} is {name}.", {"user": name, "issuer": issuer, "subject": subject})
 
 
 def _row(user: dict[str, Any]) -> tuple[str, ...]:

@@ -93,7 +93,7 @@ def command(
     if where.as_json:
         show_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)})
     else:
-        _tell(verdict, compiled)
+        _show_verdict(verdict, compiled)
     if not verdict.sound:
         click.get_current_context().exit(1)
 
@@ -212,7 +212,7 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
             verdict.unreachable.append(local(name))
 
 
-def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
+def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
     from labos.planning.certified import describe_certificate
 
     for finding in verdict.findings:

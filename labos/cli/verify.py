@@ -198,7 +198,7 @@ def command(
             }
         )
     else:
-        _tell(fault, end, seen, file, written=written, signed=signed is not None)
+        _report_log(fault, end, seen, file, written=written, signed=signed is not None)
         if compared is not None and not fault:
             number = (
                 "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
@@ -253,7 +253,7 @@ def _describe_log(fault: str, end: Checkpoint) -> str:
     return fault or f"{end.position} records in an unbroken chain."
 
 
-def _tell(
+def _report_log(
     fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | None, *, written: bool, signed: bool
 ) -> None:
     if fault:
@@ -275,7 +275,7 @@ def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool
         found, state = verify_backup(folder, key=key, archive=archive)
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
-        _tell_damage(error, as_json)
+        _report_damage(error, as_json)
     facts = {"whole": True, "backup": found, "state": hash_state(state), "accounts": _count_accounts(people)}
     end_with_json(facts, as_json)
     end = iso_time(found.segments[-1].recorded_at)
@@ -288,7 +288,7 @@ def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
     click.echo(f"State {hash_state(state)}")
-    _tell_accounts(people)
+    _report_accounts(people)
 
 
 def _accounts_of(folder: Path, lab: str, key: bytes) -> AccountsCopy | None:
@@ -304,14 +304,14 @@ def _count_accounts(people: AccountsCopy | None) -> dict[str, int] | None:
     return None if people is None else {"users": people.users, "copied_at": people.copied_at}
 
 
-def _tell_accounts(people: AccountsCopy | None) -> None:
+def _report_accounts(people: AccountsCopy | None) -> None:
     if people is None:
         click.echo("It contains no accounts of users.")
     else:
         click.echo(f"The accounts of {people.users} users are intact, as of {iso_time(people.copied_at)}.")
 
 
-def _tell_damage(error: LogDamaged, as_json: bool) -> NoReturn:
+def _report_damage(error: LogDamaged, as_json: bool) -> NoReturn:
     end_with_json({"whole": False, "fault": error.message, "position": error.position}, as_json, 1)
     click.echo(f"The backup is damaged. {error}")
     click.get_current_context().exit(1)
@@ -322,7 +322,7 @@ def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
         found = verify_detached(folder, key=key)
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
-        _tell_damage(error, as_json)
+        _report_damage(error, as_json)
     end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)}, as_json)
     first, last = found.segments[0], found.segments[-1]
     seals = ", all seals valid" if found.sealed else ""
@@ -341,7 +341,7 @@ def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
         f"Lab {found.lab}, position {last.last}, hash {last.hash}, last event {iso_time(last.recorded_at)}"
     )
     click.echo("The state was not computed: this needs all segments from position 1 on.")
-    _tell_accounts(people)
+    _report_accounts(people)
 
 
 def _write(file: Path, end: Checkpoint) -> None:

@@ -133,7 +133,7 @@ class Experiment(LoggedEvents):
                 if self._part_of is None:
                     error.add_note(f"{self.id} stays open: start the program again with --resume {self.id}.")
             else:
-                why = "ended" if error is None else _on_one_line(f"failed: {type(error).__name__}: {error}")
+                why = "ended" if error is None else _join_lines(f"failed: {type(error).__name__}: {error}")
                 self.lab.end_experiment(self.id, why, self.user)
         except LabosError:
             if error is None:
@@ -400,7 +400,7 @@ def _read_contents(files: Iterable[str | Path] | Mapping[str, bytes]) -> Iterato
             raise BadInput(f"{path} cannot be read: {why}.", remedy="Name an existing file.") from None
 
 
-def _on_one_line(why: str) -> str:
+def _join_lines(why: str) -> str:
     """The part of an error's text that the lab accepts as a reason."""
     return "".join(char if char.isprintable() else " " for char in why)[:LONGEST_WHY]
 

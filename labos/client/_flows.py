@@ -88,7 +88,7 @@ def run(
     for step in flow.steps:
         error = _carry_out(record, computations, key, flow, step, state)
         if error is not None:
-            why = _one_line(error)
+            why = _join_lines(error)
             ended = {"state": "failed", "flow_id": str(key), "step": step.name, "error": why}
             record.keep(f"{key} ended", "flow", flow.name, ended)
             return FlowResult(flow.name, "failed", state, step.name, why)
@@ -122,7 +122,7 @@ def _carry_out(
                 "step": step.name,
                 "attempt": attempt,
             }
-            facts["error"] = _one_line(error.error)
+            facts["error"] = _join_lines(error.error)
             record.keep(f"{this} failed", "flow", flow.name, facts)
             if record.find_note(f"{key}/{step.name}#{attempt + 1}") is None:
                 time.sleep(min(pause, LONGEST_WAIT_S))
@@ -132,5 +132,5 @@ def _carry_out(
     return None
 
 
-def _one_line(error: BaseException) -> str:
+def _join_lines(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"[:LONGEST_ERROR]

@@ -224,7 +224,7 @@ class ServiceRecord:
     def keep_shared(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         return self._keep(f"{self._service}: {name}", {"state": name, **facts})
 
-    def all_known(self, fact: str) -> set[str]:
+    def list_known(self, fact: str) -> set[str]:
         notes = list(self._record.past.notes.values())
         return {
             str(note["facts"][fact])

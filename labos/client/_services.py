@@ -63,8 +63,8 @@ class Computations:
             args,
             named,
             where=where,
-            then=lambda computed: self._tell(key, kind, computed, what),
-            failed=lambda error: self._tell_failure(key, kind, error, what),
+            then=lambda computed: self._log_computation(key, kind, computed, what),
+            failed=lambda error: self._log_failure(key, kind, error, what),
             unavailable=lambda: self._record.give_back(key),
             sent=lambda attempt: self._record.find_sent(f"{key} attempt {attempt}", "Globus Compute"),
         )
@@ -115,7 +115,7 @@ class Computations:
             self._computing.close(drop=drop, wait=wait)
             self._computing = None
 
-    def _tell(self, key: str, kind: str, computed: Computed, what: str) -> Any:
+    def _log_computation(self, key: str, kind: str, computed: Computed, what: str) -> Any:
         """Log the computation: the event is in the log before the application has the result."""
         from labos.services.compute._work import encode
 
@@ -143,7 +143,7 @@ class Computations:
             return measured.value
         return self._read_value(kept)  # the killed program had logged it in the meantime
 
-    def _tell_failure(self, key: str, kind: str, failed: ComputeFailed, what: str) -> None:
+    def _log_failure(self, key: str, kind: str, failed: ComputeFailed, what: str) -> None:
         facts = {
             "code": failed.code,
             "arguments": failed.arguments,

@@ -98,7 +98,7 @@ class Week(msgspec.Struct):
         return sum(self.consumed[day].get(kind, 0.0) for day in days)
 
 
-class Had(msgspec.Struct):
+class Workload(msgspec.Struct):
     """The number of runs under way and of waiting runs of a user or group, and the use in a week."""
 
     running: int = 0
@@ -119,8 +119,8 @@ class Shares(msgspec.Struct):
     group_of: dict[str, str] = {}
     usage: dict[str, Usage] = {}
     group_usage: dict[str, Usage] = {}
-    had: dict[str, Had] = {}
-    group_had: dict[str, Had] = {}
+    had: dict[str, Workload] = {}
+    group_had: dict[str, Workload] = {}
     users: dict[RunId, str] = {}
     started: dict[RunId, bool] = {}
     clocks: dict[ActionId, int] = {}
@@ -141,12 +141,12 @@ class Shares(msgspec.Struct):
         together = self.group_usage.get(group.name)
         return (together.compute_level(now) if together is not None else 0.0) / group.weight, own
 
-    def list_limits(self, user: str) -> list[tuple[str, Quota, Had]]:
+    def list_limits(self, user: str) -> list[tuple[str, Quota, Workload]]:
         """The quotas that apply to a user: the name of their user or group, the quota, and the use of it."""
-        found = [(user, self.find_member(user).quota, self.had.get(user, Had()))]
+        found = [(user, self.find_member(user).quota, self.had.get(user, Workload()))]
         group = self.groups.get(self.group_of.get(user, ""))
         if group is not None:
-            found.append((f"the group {group.name}", group.quota, self.group_had.get(group.name, Had())))
+            found.append((f"the group {group.name}", group.quota, self.group_had.get(group.name, Workload())))
         return [item for item in found if item[1] != _NO_QUOTA]
 
 
@@ -208,7 +208,7 @@ def _count_groups(shares: Shares, at: int) -> None:
         together = shares.group_usage.setdefault(name, Usage(at=at))
         usage = shares.usage.get(user)
         together.used_ns += usage.compute_level(at) if usage is not None else 0.0
-        own, had = shares.had.get(user), shares.group_had.setdefault(name, Had())
+        own, had = shares.had.get(user), shares.group_had.setdefault(name, Workload())
         if own is None:
             continue
         had.running += own.running
@@ -220,13 +220,13 @@ def _count_groups(shares: Shares, at: int) -> None:
                 _add_consumed(had.week, day, kind, amount)
 
 
-def _list_had(shares: Shares, user: str) -> list[Had]:
+def _list_had(shares: Shares, user: str) -> list[Workload]:
     """The use of a user and of the user's group."""
-    own = shares.had.get(user) or shares.had.setdefault(user, Had())
+    own = shares.had.get(user) or shares.had.setdefault(user, Workload())
     group = shares.group_of.get(user)
     if group is None:
         return [own]
-    return [own, shares.group_had.get(group) or shares.group_had.setdefault(group, Had())]
+    return [own, shares.group_had.get(group) or shares.group_had.setdefault(group, Workload())]
 
 
 def _find_usage(table: dict[str, Usage], name: str, at: int) -> Usage:

@@ -136,7 +136,7 @@ class LoggedRequest(msgspec.Struct, frozen=True):
             raise _refuse_reused(self.key)
         return True
 
-    async def tell(self) -> Response:
+    async def find_answer(self) -> Response:
         """The answer to a known request. Raises AlreadyDone."""
         return await self.answer(self.mark, await self.marks.find(self.mark))
 
@@ -144,7 +144,7 @@ class LoggedRequest(msgspec.Struct, frozen=True):
 async def _carry_out_marked(logged: LoggedRequest, work: Callable[[], Awaitable[Response]]) -> Response:
     """Carry out a request under its mark, unless the mark is in the log. Raises AlreadyDone, KeyReused."""
     if await logged.is_known():
-        return await logged.tell()
+        return await logged.find_answer()
     MARK.set(f"{logged.mark}:{logged.asked[:ASKED]}")
     return await work()
 

@@ -114,7 +114,7 @@ class Gate:
             self._check(who, need, by_home)
         except LabosError as error:
             if isinstance(error, NotSignedIn | Forbidden):
-                self._tell(request, error)
+                self._report_refusal(request, error)
             raise
         return who
 
@@ -199,7 +199,7 @@ class Gate:
                 remedy="Create one with a higher role: labos token create --scope " + need,
             )
 
-    def _tell(self, request: Request, error: LabosError) -> None:
+    def _report_refusal(self, request: Request, error: LabosError) -> None:
         for tell in self.on_refusal:
             tell("not_signed_in" if isinstance(error, NotSignedIn) else "forbidden")
         address = request.client.host if request.client is not None else ""

@@ -125,7 +125,7 @@ class KernelLink:
         if asked.logged is not None and await asked.logged.is_known():
             # The kernel keeps its answers; the log has them too, but reading it takes longer.
             known = await self._recall(asked)
-            return known if known is not None else await asked.logged.tell()
+            return known if known is not None else await asked.logged.find_answer()
         refusal: LabosError | None = None
         found: Response | None = None
         if not operation.at_kernel:

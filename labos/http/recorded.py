@@ -50,7 +50,7 @@ class _NotInTheLog(Exception):
     """The answer depends on facts that are not in the log."""
 
 
-class _Then:
+class _StoppedClock:
     """A clock that stands still at the time of a record."""
 
     def __init__(self, at_ns: int) -> None:
@@ -70,7 +70,7 @@ class RecordedKernel(FoldedLab):
 
     def __init__(self, state: LabState, records: Sequence[Record], mark: str) -> None:
         self.state, self._records, self._mark = state, records, mark
-        self.clock: Clock = _Then(records[0].head.recorded_at)
+        self.clock: Clock = _StoppedClock(records[0].head.recorded_at)
         self.ids = Uuid7Ids()
         self.listeners: list[Listener] = []
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()

@@ -393,7 +393,7 @@ class LabService:
             known = self.kernel.state.experiments.requests[command.request]
             await asyncio.to_thread(expect_same_experiment, self.parts.store, command, known)
         experiment = self.kernel.state.experiments.requests[command.request]
-        self.hear(experiment, user)
+        self.note_heartbeat(experiment, user)
         return str(experiment)
 
     def expect_role(self, actor: str, needs: Role, cell: str = "") -> None:
@@ -402,7 +402,7 @@ class LabService:
         if lacks is not None:
             raise make_error(lacks)
 
-    def hear(self, experiment: str, actor: str) -> None:
+    def note_heartbeat(self, experiment: str, actor: str) -> None:
         """The application is running. Raises Forbidden for another user's experiment: a heartbeat means that
         its sender continues the experiment."""
         self.check_noting(experiment, actor)
@@ -417,13 +417,13 @@ class LabService:
     async def note(
         self, experiment: str, kind: str, name: str, facts: dict[str, Any], actor: str, key: str = ""
     ) -> None:
-        self.hear(experiment, actor)
+        self.note_heartbeat(experiment, actor)
         await self.kernel.execute(NoteExperiment(ExperimentId(experiment), kind, name, facts, key), actor)
 
     async def resume_experiment(self, experiment: str, name: str, actor: str) -> None:
         """An application was started again."""
         await self.kernel.execute(ResumeExperiment(ExperimentId(experiment), name), actor)
-        self.hear(experiment, actor)
+        self.note_heartbeat(experiment, actor)
 
     async def end_experiment(self, experiment: str, why: str, actor: str) -> None:
         """The application has ended; a repetition has no further effect."""

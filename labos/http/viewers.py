@@ -94,7 +94,7 @@ class Viewers:
         if entries:
             self._durable = entries[-1].position
             if self._link is not None and self._notice is None:
-                self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._tell)
+                self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._send_notice)
 
     def on_reopened(self) -> None:
         """New events are reported with the next commit."""
@@ -174,14 +174,14 @@ class Viewers:
         _log.warning("viewers_ended")
         self._end()
 
-    def _tell(self) -> None:
+    def _send_notice(self) -> None:
         self._notice = None
         if self._link is None:
             return
         try:
             self._link.send(_encode(Grown(self._durable)))
         except BlockingIOError:
-            self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._tell)
+            self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._send_notice)
         except OSError:
             self._end()
 
@@ -202,7 +202,7 @@ class _Server:
         self._tasks: set[asyncio.Task[None]] = set()
         self._ends: dict[str, set[StreamEnd]] = {}
 
-    def hear(self, message: Message, fds: Sequence[int]) -> None:
+    def handle_message(self, message: Message, fds: Sequence[int]) -> None:
         match message:
             case Follow(_, key, lasts_s) if fds:
                 if len(self._tasks) >= self._most:
@@ -286,7 +286,7 @@ async def serve(link: socket.socket) -> None:
     server: _Server | None = None
     keeping: asyncio.Task[None] | None = None
 
-    def hear() -> None:
+    def receive() -> None:
         nonlocal server, keeping
         while not over.done():
             try:
@@ -304,10 +304,10 @@ async def serve(link: socket.socket) -> None:
                 server = _Server(message)
                 keeping = loop.create_task(server.keep_up())
             elif server is not None:
-                server.hear(message, fds)
+                server.handle_message(message, fds)
 
-    loop.add_reader(link, hear)
-    hear()
+    loop.add_reader(link, receive)
+    receive()
     await over
     if keeping is not None:
         keeping.cancel()

@@ -81,7 +81,7 @@ class Life(ABC):
             self._why = error.message
             self._not_before = time.monotonic() + self._pause_s
             self._pause_s = min(self._pause_s * 2, LONGEST_PAUSE_S)
-            self._tell(error)
+            self._note_error(error)
             self.close()
             raise
         self._pause_s, self._not_before = FIRST_PAUSE_S, 0.0
@@ -111,10 +111,10 @@ class Life(ABC):
         try:
             yield
         except LinkError as error:
-            self._tell(error)
+            self._note_error(error)
             if isinstance(error, LinkLost):
                 self.close()
             raise
 
-    def _tell(self, error: LinkError) -> None:
+    def _note_error(self, error: LinkError) -> None:
         note(self.name, "!", f"{type(error).__name__}: {error.message}".encode("ascii", "replace"))

@@ -239,7 +239,7 @@ class GenericDevice:
         shelves = [f"{place}." for place in own]
         return [
             place
-            for place, plates in self.world.places().items()
+            for place, plates in self.world.list_contents().items()
             if plates and (place in own or place.startswith(tuple(shelves)))
         ]
 

@@ -67,7 +67,7 @@ class JournalFile(Protocol):
     async def close(self) -> None: ...
 
 
-class _Nowhere:
+class _ReadOnlyStorage:
     """The storage of a journal that is only read."""
 
     async def read(self) -> bytes:
@@ -83,7 +83,7 @@ class _Nowhere:
         pass
 
 
-_NOWHERE = _Nowhere()
+_READ_ONLY = _ReadOnlyStorage()
 
 
 class JournalError(NodeError):
@@ -122,7 +122,7 @@ class Journal:
     @classmethod
     def read(cls, data: bytes) -> Journal:
         """The journal in a file, only for reading. Raises JournalDamaged."""
-        journal = cls(_NOWHERE)
+        journal = cls(_READ_ONLY)
         journal.memory.replay(read_lines(data)[0])
         return journal
 

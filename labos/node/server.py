@@ -474,7 +474,7 @@ class NodeServer:
         stops: int,
     ) -> None:
         """Wait for the driver, and record the outcome, if it can be known."""
-        self._tell_driver(attempts)
+        self._set_current_action(attempts)
         try:
             outcome = await find_outcome(
                 spec.name,
@@ -539,7 +539,7 @@ class NodeServer:
         result = await call(self._methods[spec.name], kwargs, self._worker)
         return await hand_over(result, self._files)
 
-    def _tell_driver(self, attempts: Sequence[Attempt]) -> None:
+    def _set_current_action(self, attempts: Sequence[Attempt]) -> None:
         """Set the action and the function for its handle, which the driver's method uses."""
 
         async def keep(handle: str) -> None:

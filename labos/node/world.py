@@ -318,7 +318,7 @@ class World:
         with self._turn():
             return place in self._capacity
 
-    def places(self) -> dict[str, list[str]]:
+    def list_contents(self) -> dict[str, list[str]]:
         """All places with their plates, bottom to top."""
         with self._turn():
             return {place: list(plates) for place, plates in sorted(self._plates.items()) if plates}

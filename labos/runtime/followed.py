@@ -149,7 +149,7 @@ class FollowedKernel(FoldedLab):
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait({self._task})
-        self._tell_waiting(
+        self._answer_waiting(
             self._waiting, StoreUnavailable("This process is shutting down.", remedy="Ask again.")
         )
 
@@ -189,18 +189,18 @@ class FollowedKernel(FoldedLab):
                 if str(error) != logged:
                     _log.warning("log_not_read", why=str(error))
                 logged = str(error)
-                self._tell_waiting(asked, error)
+                self._answer_waiting(asked, error)
                 await asyncio.sleep(LOST_PAUSE_S)
             except Exception as error:  # the next attempt may succeed, and no request may wait without end
                 _log.exception("log_not_followed")
-                self._tell_waiting(asked, StoreUnavailable(f"The log could not be followed: {error!r}."))
+                self._answer_waiting(asked, StoreUnavailable(f"The log could not be followed: {error!r}."))
                 await asyncio.sleep(LOST_PAUSE_S)
             else:
                 logged = ""
-                self._tell_waiting(asked)
+                self._answer_waiting(asked)
 
     @staticmethod
-    def _tell_waiting(asked: Sequence[asyncio.Future[None]], error: LabosError | None = None) -> None:
+    def _answer_waiting(asked: Sequence[asyncio.Future[None]], error: LabosError | None = None) -> None:
         for future in asked:
             if future.done():
                 continue

@@ -68,7 +68,7 @@ def serve(link: socket.socket) -> tuple[str, ...] | None:
             try:
                 pid = os.fork()
             except OSError as error:
-                _tell(link, ChildStarted(0, str(error)))
+                _send_answer(link, ChildStarted(0, str(error)))
             else:
                 if pid == 0:
                     signal.set_wakeup_fd(-1)
@@ -78,7 +78,7 @@ def serve(link: socket.socket) -> tuple[str, ...] | None:
                     link.close()
                     _set_up_process(words, *fds)
                     return words
-                _tell(link, ChildStarted(pid))
+                _send_answer(link, ChildStarted(pid))
             for fd in fds:
                 os.close(fd)
 
@@ -91,10 +91,10 @@ def _report_ended_children(link: socket.socket) -> None:
             return
         if pid == 0:
             return
-        _tell(link, ChildEnded(pid, os.waitstatus_to_exitcode(status)))
+        _send_answer(link, ChildEnded(pid, os.waitstatus_to_exitcode(status)))
 
 
-def _tell(link: socket.socket, answer: Answer) -> None:
+def _send_answer(link: socket.socket, answer: Answer) -> None:
     with contextlib.suppress(OSError):  # the kernel has gone: the next read from the link shows it
         link.send(msgspec.json.encode(answer))
 

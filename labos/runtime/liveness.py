@@ -19,7 +19,7 @@ class Liveness:
         self._instances: dict[ModuleName, list[str]] = {}
         self._heard: dict[tuple[ModuleName, str], float] = {}
 
-    def hear(self, module: ModuleName, instance: str, now: float, keep: str, others: int | None) -> bool:
+    def remember(self, module: ModuleName, instance: str, now: float, keep: str, others: int | None) -> bool:
         """Note that an instance is alive. If there are too many, the one that was silent longest is
         forgotten, but never ``keep``. For a module outside all workcells, ``others`` is the number of modules
         in workcells: false if there are too many modules besides these, and it is not remembered."""

@@ -22,8 +22,8 @@ SHARE = 0.1
 
 LEAST_PAUSE_S = 0.001
 
-Tell = Callable[[int, int], None]
-Check = Callable[[Tell], Any]
+NoteProgress = Callable[[int, int], None]
+Check = Callable[[NoteProgress], Any]
 """A check of the whole log. It reports its progress from time to time (records, of how many), and returns the
 damage that it found, a value with ``position`` and ``reason``, or None."""
 
@@ -71,7 +71,7 @@ class LogCheck:
 
     def _work(self) -> None:
         try:
-            found = self._check(self._tell)
+            found = self._check(self._note_progress)
         except _Stopped:
             return
         except LabosError as error:  # the database is away: the next start checks again
@@ -88,7 +88,7 @@ class LogCheck:
         except RuntimeError:  # the loop is closed: the next start checks again
             pass
 
-    def _tell(self, checked: int, total: int) -> None:
+    def _note_progress(self, checked: int, total: int) -> None:
         self.checked, self.total = checked, total
         worked_s = time.thread_time()
         pause_s = max((worked_s - self._worked_s) * (1 / SHARE - 1), LEAST_PAUSE_S)

@@ -96,7 +96,7 @@ class Reconciler(ObservingListener[InterventionId]):
             return True  # it is at none of its possible places: a person has to find it
         for station, what in sights.items():
             if station in wanted and self._open(about) is not None:
-                self._tell(module, station, what)
+                self._report_sight(module, station, what)
         return True
 
     def _are_all_empty(self, about: InterventionId, sights: Mapping[StationName, Any]) -> bool:
@@ -108,7 +108,7 @@ class Reconciler(ObservingListener[InterventionId]):
         doubtful = [item.maybe for item in known if item.maybe and wanted.issuperset(item.maybe)]
         return any(all(sights.get(place) in (0, False) for place in maybe) for maybe in doubtful)
 
-    def _tell(self, module: ModuleName, station: StationName, what: Any) -> None:
+    def _report_sight(self, module: ModuleName, station: StationName, what: Any) -> None:
         command = read_sight(self._kernel.state, station, what, local(module))
         if command is None:
             return

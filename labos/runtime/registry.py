@@ -145,7 +145,8 @@ class Registry:
             known = {}
         keep = known[module].instance if module in known else ""
         now = self._kernel.clock.monotonic()
-        heard = self._living.hear(module, instance, now, keep, len(known) if module not in known else None)
+        others = None if module in known else len(known)
+        heard = self._living.remember(module, instance, now, keep, others)
         if not heard:
             self._dispatcher.doubts.note("too_many_nodes", "", f"there is another node of {module}")
         return heard

@@ -42,7 +42,7 @@ class Child(Protocol):
     def poll(self) -> ExitCode | None:
         """The code with which it ended; None while it runs."""
 
-    def let_go(self) -> None:
+    def close_stdin(self) -> None:
         """Close its standard input, so that it works without supervision."""
 
 
@@ -67,7 +67,7 @@ class PlainChild:
     def poll(self) -> ExitCode | None:
         return self._process.poll()
 
-    def let_go(self) -> None:
+    def close_stdin(self) -> None:
         if self._process.stdin is not None:
             self._process.stdin.close()
 
@@ -109,7 +109,7 @@ class ForkedChild:
             self.code = CODE_UNKNOWN
         return self.code
 
-    def let_go(self) -> None:
+    def close_stdin(self) -> None:
         if self._stdin >= 0:
             os.close(self._stdin)
             self._stdin = -1
@@ -215,7 +215,7 @@ class ForkServer:
             return
         child = self._children[answer.pid] = ForkedChild(answer.pid, stdin, self._is_alive)
         if asked.done():
-            child.let_go()  # the caller was cancelled
+            child.close_stdin()  # the caller was cancelled
         else:
             asked.set_result(child)
 

@@ -209,12 +209,12 @@ class Supervisor:
     def _ask_to_stop(self, node: NodeProcess) -> None:
         child = self._children.get(node.module)
         if child is not None and not self._detach:
-            child.let_go()
+            child.close_stdin()
         elif node.pid:
             _send_signal(node.pid)
 
     def _let_go(self, module: str) -> None:
-        self._children.pop(module).let_go()
+        self._children.pop(module).close_stdin()
 
     # -- processes of an earlier kernel ------------------------------------------------------
 

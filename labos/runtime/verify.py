@@ -66,7 +66,7 @@ class Verifier(ObservingListener[ActionId]):
                 if unseen and self._is_at_work(action):
                     give_up = clock.monotonic() + self._patience_s
                 if self._describe_places(action) == before and (not unseen or clock.monotonic() >= give_up):
-                    self._tell(action, observed, unseen)
+                    self._report_observation(action, observed, unseen)
                     return
                 await asyncio.sleep(PAUSE_S)
         except LabosError as error:
@@ -102,7 +102,7 @@ class Verifier(ObservingListener[ActionId]):
                     unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
         return tuple(observed), cut("; ".join(unseen))
 
-    def _tell(self, action: Action, observed: tuple[Seen, ...], unseen: str) -> None:
+    def _report_observation(self, action: Action, observed: tuple[Seen, ...], unseen: str) -> None:
         self.observed += 1
         self._submit(VerifyAction(action.id, observed, unseen), action)
         for sight in observed:

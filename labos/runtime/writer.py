@@ -248,13 +248,13 @@ class ThreadWriter:
             self._head = self._store.append(self._head, records)
         except StoreError as error:
             self._head = None
-            self._tell(self._report_failure, error, turn)
+            self._call_in_loop(self._report_failure, error, turn)
         except Exception as error:
             self._head = None
             why = StoreUnavailable(f"The store failed unexpectedly: {error!r}.")
-            self._tell(self._report_failure, why, turn)
+            self._call_in_loop(self._report_failure, why, turn)
         else:
-            self._tell(self._note_durable, self._head.position, turn, time.monotonic() - began)
+            self._call_in_loop(self._note_durable, self._head.position, turn, time.monotonic() - began)
 
     def _serve(self, function: Callable[[EventStore], Any], future: asyncio.Future[Any] | None) -> None:
         if future is not None and future.done():
@@ -263,12 +263,12 @@ class ThreadWriter:
             result = function(self._store)
         except Exception as error:
             if future is not None:
-                self._tell(_fail, future, error)
+                self._call_in_loop(_fail, future, error)
         else:
             if future is not None:
-                self._tell(_answer, future, result)
+                self._call_in_loop(_answer, future, result)
 
-    def _tell(self, function: Callable[..., None], *args: Any) -> None:
+    def _call_in_loop(self, function: Callable[..., None], *args: Any) -> None:
         try:
             self._loop.call_soon_threadsafe(function, *args)
         except RuntimeError:  # the loop is closed: no caller waits any more

@@ -68,7 +68,7 @@ def measure_capacity(
     # Every turn starts a step, so the loop ends with the steps of all copies.
     why = ""
     while len(bench.state.runs.active) < cap:
-        wait = bench.let_in()
+        wait = bench.start_oldest()
         if wait is None:
             continue
         why = describe_wait(wait)
@@ -123,7 +123,7 @@ class _PaperBench:
         for name in list(self.state.bench.labware):
             self._fold(LabwareHandedOver(LabwareId(name), "", user_owner(USER)))
 
-    def let_in(self) -> Wait | None:
+    def start_oldest(self) -> Wait | None:
         """Start the oldest waiting copy; returns the reason to wait if it cannot start."""
         run = next(iter(self.state.runs.queued.values()))
         found = Wait(reasons.Gone())

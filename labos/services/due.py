@@ -23,7 +23,7 @@ def describe_due(
     not submitted. ``searches``: the lab looks for orders of its own."""
     dated = [story for story in stories if story.due_at]
     alive = {story.id for story in dated if not story.over}
-    found = {story.id: _tell_past(story) for story in dated if story.over}
+    found = {story.id: _describe_past(story) for story in dated if story.over}
     if not alive:
         return found
     orders: dict[str, OwnOrder] | None = {} if searches else None
@@ -37,7 +37,7 @@ def describe_due(
     return found
 
 
-def _tell_past(story: RunHistory) -> str:
+def _describe_past(story: RunHistory) -> str:
     if story.status != "completed":
         return show_time(story.due_at)
     late = story.ended_at > story.due_at

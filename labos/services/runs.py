@@ -125,7 +125,7 @@ class RunBook:
 def run_histories(log: Log) -> dict[str, RunHistory]:
     """Every run of the log, in order of submission."""
     book = RunBook(read_catalogue(log))
-    _tell(book, decode_events(log.select(LogQuery(types=FAMILIES))))
+    _add_events(book, decode_events(log.select(LogQuery(types=FAMILIES))))
     return book.runs
 
 
@@ -145,11 +145,11 @@ def run_history(log: Log, run: str, upto: int | None = None) -> RunHistory:
         # For runs that were submitted before `planned_by` was recorded.
         names = read_catalogue(log, upto)
     book = RunBook(names, keep=run)
-    _tell(book, own)
+    _add_events(book, own)
     return book.runs[run]
 
 
-def _tell(book: RunBook, pairs: Iterable[tuple[Event, Envelope]]) -> None:
+def _add_events(book: RunBook, pairs: Iterable[tuple[Event, Envelope]]) -> None:
     for event, head in pairs:
         book.add(event, head)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.shares import Had, Member, Quota
+from labos.core.shares import Member, Quota, Workload
 from labos.core.state import LabState
 
 
@@ -38,7 +38,7 @@ def make_ledger(state: LabState, now: int) -> list[ShareAccount]:
     for name, members in groups.items():
         among = sum(shares.find_member(user).weight for user in members)
         for user in members:
-            member, had = shares.find_member(user), shares.had.get(user, Had())
+            member, had = shares.find_member(user), shares.had.get(user, Workload())
             accounts.append(
                 ShareAccount(
                     user=user,
@@ -61,5 +61,5 @@ def _find_weight(state: LabState, name: str, members: list[str]) -> float:
     return group.weight if group is not None else state.shares.members.get(members[0], Member()).weight
 
 
-def _list_kinds(had: Had) -> list[str]:
+def _list_kinds(had: Workload) -> list[str]:
     return sorted({kind for kinds in had.week.consumed.values() for kind in kinds})

@@ -25,7 +25,7 @@ def list_differences(
     has its own bench."""
     found = [f"{m.device} {m.facts['what']} at {m.place}" for m in world.crashes()]
     plates = find_plates_by_labware(world, records)
-    places = world.places()
+    places = world.list_contents()
     pieces = [item for item in state.bench.labware.values() if workcell in ("", workcell_of(item.station))]
     carried = {item.id: way for item in pieces if (way := _list_possible_places(state, item))}
     for labware, way in carried.items():
@@ -96,7 +96,7 @@ def list_bench_contents(
     """The visible content of each station of a simulated bench, bottom to top: labware by its id in the log,
     else by its type; with its lid. The content of a waste is not visible."""
     names = {plate: name for name, plate in find_plates_by_labware(world, records).items()}
-    places = world.places()
+    places = world.list_contents()
 
     def name_plate(plate: str) -> str:
         name = names.get(plate, "")

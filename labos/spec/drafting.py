@@ -53,7 +53,7 @@ def draft_modules(
                 "driver": "",
                 "active": True,
             }
-            _tell_module(entry, ("modules", index), wanted, remarks)
+            _warn_of_missing_driver(entry, ("modules", index), wanted, remarks)
         elif entry.active and known is not None and entry.about is None:
             more = _draft_extends(known, wanted, places, remarks, ("modules", index), described)
             change = {"extends": more} if more else {}
@@ -344,7 +344,7 @@ def _is_taught(stations: Stations, file: WorkcellFile, module: str, place: str) 
 # -- what is told --------------------------------------------------------------------------------
 
 
-def _tell_module(
+def _warn_of_missing_driver(
     entry: ModuleEntry, path: tuple[str | int, ...], uses: Sequence[Use], remarks: Remarks
 ) -> None:
     what = f"the model {entry.model!r}" if entry.model else "no model"

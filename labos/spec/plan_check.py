@@ -55,8 +55,8 @@ class PlanCheck:
 
     def __init__(self, bench: InitialBench, steps: Steps, remarks: Remarks) -> None:
         self.bench, self.steps, self.remarks = bench, steps, remarks
-        self._error = self._tell(certain=steps.is_chain())
-        self._warning = self._tell(certain=False)
+        self._error = self._make_reporter(certain=steps.is_chain())
+        self._warning = self._make_reporter(certain=False)
 
     def do_dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
         """Returns also the plan in which only steps may be skipped for which this is possible."""
@@ -97,7 +97,7 @@ class PlanCheck:
         dry.run([(index, plan.steps[index]) for index in order])
         return dry
 
-    def _tell(self, *, certain: bool) -> Tell:
+    def _make_reporter(self, *, certain: bool) -> Tell:
         say = self.remarks.error if certain else self.remarks.add_warning
 
         def tell(index: int, message: str, remedy: str) -> None:

@@ -136,7 +136,7 @@ class SpanRecorder:
         if run is not None:
             run.keys = self._list_keys(event.run)
             trace, parent = self._make_trace_id(event.run), self._make_id("run", event.run)
-            self._tell(trace, ("wait", event.run), parent, "wait for start", run.submitted_at, at)
+            self._emit_span(trace, ("wait", event.run), parent, "wait for start", run.submitted_at, at)
 
     def _on_run_ended(self, event: r.RunEnd, at: int, durable_at: int) -> None:
         run = self._runs.pop(event.run, None)
@@ -147,7 +147,7 @@ class SpanRecorder:
         outcome = event.TYPE.rpartition(".")[2]
         error = event.why or outcome if isinstance(event, r.RunFailed | r.RunCancelled) else ""
         attributes = {**run.attributes, "labos.outcome": outcome}
-        self._tell(
+        self._emit_span(
             self._make_trace_id(event.run),
             ("run", event.run),
             0,
@@ -176,7 +176,7 @@ class SpanRecorder:
         attributes: dict[str, Attribute] = {"labos.run": name, "labos.step": key}
         trace, parent = self._make_trace_id(name), self._make_id("run", name)
         end = step.end or step.start
-        self._tell(
+        self._emit_span(
             trace, ("step", name, number), parent, f"step {key}", step.start, end, attributes, step.error
         )
 
@@ -214,8 +214,8 @@ class SpanRecorder:
         trace = self._make_trace_id(action.run or event.action)
         parent = self._make_id("step", action.run, action.step) if action.run else 0
         end = max(at, durable_at)
-        self._tell(trace, attempt, parent, action.name, action.requested_at, end, attributes, error)
-        self._tell_parts(trace, attempt, action, at, end)
+        self._emit_span(trace, attempt, parent, action.name, action.requested_at, end, attributes, error)
+        self._emit_parts(trace, attempt, action, at, end)
         run = self._runs.get(action.run)
         step = run.steps.get(action.step) if run is not None else None
         if run is not None and step is not None:
@@ -231,7 +231,7 @@ class SpanRecorder:
             step.end = at
             step.error = "" if event.effects == "all" else f"settled as {event.effects} by {event.by}"
 
-    def _tell_parts(
+    def _emit_parts(
         self, trace: int, attempt: tuple[object, ...], action: _OpenAction, at: int, end: int
     ) -> None:
         """Emit the parts of the time of an action. Unknown parts are left out."""
@@ -239,7 +239,7 @@ class SpanRecorder:
 
         def part(name: str, start: int, until: int) -> None:
             if until > start:
-                self._tell(trace, (*attempt, name), parent, name, start, until)
+                self._emit_span(trace, (*attempt, name), parent, name, start, until)
 
         sent = action.durable_at  # unknown for an action that an earlier kernel has sent
         began = action.accepted_at or sent
@@ -256,7 +256,7 @@ class SpanRecorder:
 
     # -- ids -----------------------------------------------------------------------------------
 
-    def _tell(
+    def _emit_span(
         self,
         trace: int,
         key: tuple[object, ...],

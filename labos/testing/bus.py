@@ -64,7 +64,7 @@ class Network:
         """A message arrives at a process. A message that is held back is delivered after the next one."""
         held = self._held.pop(process, None)
         if held is not None:
-            self.faults.tell("reordering")
+            self.faults.record("reordering")
             hand_over()
             held()
         elif self.faults.waits_for_next():

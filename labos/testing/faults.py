@@ -137,15 +137,15 @@ class Faults:
         self.deaths.append((point, self.now()))
         powerless = self._draw("power_cut", point)
         if powerless:
-            self.tell("power_cut")
+            self.record("power_cut")
         other = self.choose_peer(process) if self._draw("both_die", point) else None
         process.kill(powerless=powerless)
         if other is not None and other.alive:
-            self.tell("both_die")
+            self.record("both_die")
             other.kill(powerless=powerless)
 
     def _freeze(self, process: Process, fault: str) -> None:
-        self.tell(fault)
+        self.record(fault)
         process.freeze()
         low, high = self.rates.frozen_s
         loop, outside = asyncio.get_running_loop(), contextvars.Context()
@@ -155,7 +155,7 @@ class Faults:
     def _jump(self, process: Process) -> None:
         """Set the clock of the machine wrong by hours, until a person corrects it."""
         assert process.clock is not None
-        self.tell("clock_jump")
+        self.record("clock_jump")
         process.clock.set(self.rng.uniform(-LONGEST_JUMP_S, LONGEST_JUMP_S))
         loop, outside = asyncio.get_running_loop(), contextvars.Context()
         loop.call_later(self.rng.uniform(1.0, MENDS_AFTER_S), process.clock.set, 0.0, context=outside)
@@ -167,7 +167,7 @@ class Faults:
         """Whether the fault happens now."""
         if self.calm or self.rng.random() >= self.chance(fault):
             return False
-        self.tell(fault)
+        self.record(fault)
         return True
 
     def waits_for_next(self) -> bool:
@@ -191,10 +191,10 @@ class Faults:
         longest = 0.01 if self.calm else self.rates.longest_delay_s
         takes = self.rng.random() ** 3 * longest + 0.0001
         if takes > LONG_S:
-            self.tell("delay")
+            self.record("delay")
         return takes
 
-    def tell(self, fault: str) -> None:
+    def record(self, fault: str) -> None:
         """Record that a fault has occurred."""
         self.struck[fault] += 1
         self.occurred.append((fault, self.now()))

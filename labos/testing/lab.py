@@ -35,7 +35,7 @@ ALL_DAY_S = 14 * 24 * 3600.0
 """The virtual time after which an unfinished lab counts as stalled."""
 
 
-def _stands_at(station: StationName, state: LabState) -> bool:
+def _is_occupied(station: StationName, state: LabState) -> bool:
     return state.bench.stations[station].count > 0
 
 
@@ -188,7 +188,7 @@ class SimulatedLab(People):
             self.world.stock(local(load.station), load.labware, load.count)
             if "sealed" in load.set:
                 self.world.work("person", "seal", local(load.station))
-            await self._insist(load, partial(_stands_at, load.station))
+            await self._insist(load, partial(_is_occupied, load.station))
         alive = [m.name for m in self.stand.workcell.modules if local(m.name) not in self.dead]
         await self._await(
             lambda state: all(state.modules.by_name[name].status == ModuleStatus.IDLE for name in alive)

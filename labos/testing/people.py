@@ -71,7 +71,7 @@ class People(Processes):
         """Stations that the person clears and has not reported to a kernel yet."""
         self._people: list[asyncio.Task[None]] = []
 
-    async def _tell(self, kernel: Kernel, command: Command) -> None:
+    async def _execute(self, kernel: Kernel, command: Command) -> None:
         await self._ask(kernel, kernel.execute(command, "person"))
 
     async def _ask(self, kernel: Kernel, work: Coroutine[Any, Any, Any]) -> None:
@@ -92,7 +92,7 @@ class People(Processes):
                     if done is not None and done(kernel.state):
                         await self._ask(kernel, kernel.flush())
                         return
-                    await self._tell(kernel, command)
+                    await self._execute(kernel, command)
                     if done is None:
                         return
             except (LabosError, TimeoutError, Killed):
@@ -162,7 +162,7 @@ class People(Processes):
             amount = level.capacity - level.level
             self.world.supply(local(module), resource, amount)
             fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
-            await self._tell(kernel, fresh)
+            await self._execute(kernel, fresh)
         for stack in {why.place: True for why in whys if isinstance(why, reasons.StackEmpty)}:
             await self._reload(kernel, StationName(stack))
 
@@ -191,7 +191,7 @@ class People(Processes):
                 with self._suspend_faults():
                     for plate in self.world.at(bench_name(kernel.state.bench.stations[place].spec)):
                         self.world.carry(plate, "")
-                    await self._tell(kernel, UnloadStation(place, "person"))
+                    await self._execute(kernel, UnloadStation(place, "person"))
             self._cleared.discard(place)
 
     async def _reload(self, kernel: Kernel, stack: StationName) -> None:
@@ -202,7 +202,7 @@ class People(Processes):
         if count > 0 and stack not in kernel.state.bench.uncertain_at:
             self._reach_in(kernel)
             self.world.stock(local(stack), kind, count)
-            await self._tell(kernel, LoadStation(stack, kind, count))
+            await self._execute(kernel, LoadStation(stack, kind, count))
 
     async def _act_as_person(self) -> None:
         """The person: from time to time looks at the bench and answers questions."""
@@ -245,7 +245,7 @@ class People(Processes):
         module = kernel.state.modules.by_name[ModuleName(name)]
         lost = local(name) in self.dead and local(name) not in self.mended
         if module.status == ModuleStatus.GONE and lost and not module.out_of_service:
-            await self._tell(kernel, TakeOut(module.spec.name, "switched off"))
+            await self._execute(kernel, TakeOut(module.spec.name, "switched off"))
         return module.status != ModuleStatus.GONE or bool(module.out_of_service)
 
     async def _may_touch(self, kernel: Kernel) -> bool:
@@ -255,7 +255,7 @@ class People(Processes):
         if not self.asks_access:
             return True
         self._inside = True
-        await self._tell(kernel, RequestAccess(cell, "person"))
+        await self._execute(kernel, RequestAccess(cell, "person"))
         for _ in range(round(LOOK_S)):
             access = kernel.state.lab.access.get(cell)
             if access is not None and access.granted:
@@ -296,7 +296,7 @@ class People(Processes):
         moved = bool(remembered) or self.world.last_motion() > before
         try:
             with self._suspend_faults(moved):
-                await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
+                await self._execute(kernel, ResolveIntervention(question.id, choice, "person", result={}))
         except (LabosError, TimeoutError, Killed):
             self._unreported[about] = choice if moved else ""
             raise
@@ -318,7 +318,7 @@ class People(Processes):
             if station.spec.kind == "waste" and station.level and room < min(2, station.spec.capacity):
                 self._reach_in(kernel)
                 self.world.empty(local(name))
-                await self._tell(kernel, UnloadStation(name, "person"))
+                await self._execute(kernel, UnloadStation(name, "person"))
                 self.emptied += 1
 
     async def _stop(self, module: ModuleName, after_s: float) -> None:
@@ -353,7 +353,7 @@ class People(Processes):
         plan = Plan(f"do {local(module)}.reset", self.stand.workcell.name, (step,))
         runs = kernel.state.runs
         if all(run.workflow != plan.workflow for run in (*runs.active.values(), *runs.queued.values())):
-            await self._tell(kernel, SubmitRun(plan, "person"))
+            await self._execute(kernel, SubmitRun(plan, "person"))
             self.resets += 1
 
 

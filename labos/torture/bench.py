@@ -71,7 +71,7 @@ class Bench:
 
     def clear(self) -> None:
         """A person takes all plates and lids away."""
-        for plates in self.world.places().values():
+        for plates in self.world.list_contents().values():
             for plate in plates:
                 self.world.carry(plate, "")
 
@@ -99,7 +99,7 @@ class Bench:
                     self._stock(here or self._find_own_station(), plate)
         for effect in effects:
             if isinstance(effect, Requires) and effect.of == "labware" and effect.variable == "sealed":
-                for full in self.world.places() if effect.value else ():
+                for full in self.world.list_contents() if effect.value else ():
                     self.world.work("somebody", "seal", full)
 
     def _stock(self, place: str, kind: str) -> None:
@@ -158,7 +158,7 @@ class Bench:
 
     def find_place(self, plate: str) -> str:
         """The place of a plate; empty if it is out of the lab."""
-        return next((place for place, plates in self.world.places().items() if plate in plates), "")
+        return next((place for place, plates in self.world.list_contents().items() if plate in plates), "")
 
     def find_misplaced(self, case: Case, effect: AnyEffect, plate: str) -> str:
         """The error in the place of a plate after an action that moved it; empty if there is none."""
@@ -170,7 +170,7 @@ class Bench:
             target = lid_of(beneath[0]) if beneath else target
         if here == target or (here == "" and target.rpartition(".")[2] in ("trash", "waste")):
             return ""
-        return f"its effects say that the labware stands at {target}; it is {here or 'nowhere'}"
+        return f"according to its effects the labware stands at {target}; it is {here or 'nowhere'}"
 
 
 def find_name(spec: ActionSpec, name: str) -> str:

@@ -22,14 +22,15 @@ async def check_about(on: Session) -> None:
         raise Failed("; ".join(flaws))
     report = await on.kernel.about()
     if report.simulated == on.is_wired:
-        raise Failed(f"about says simulated = {report.simulated}")
+        raise Failed(f"about reports simulated = {report.simulated}")
 
 
 def _find_ambiguous_names(on: Session) -> list[str]:
     """Names that are unknown, ambiguous or missing."""
     about = on.about
     flaws = [
-        f"TORTURE has a case for {name}, which is no action" for name in find_unknown_cases(about, on.torture)
+        f"TORTURE has a case for {name}, which is not an action"
+        for name in find_unknown_cases(about, on.torture)
     ]
     for kind, names in (
         ("action", [name for spec in about.actions for name in (spec.name, *spec.aliases)]),
@@ -87,7 +88,7 @@ def _find_undeclared(on: Session) -> list[str]:
             if isinstance(effect, Carrying) and not (about.manipulator and "gripper" in stations):
                 flaws.append(f"{case.action} moves labware, but the driver is no manipulator with a gripper")
     flaws += [
-        f"the station {station.name} depends on {name}, which is no variable"
+        f"the station {station.name} depends on {name}, which is not a variable"
         for station in about.stations
         for name in station.access
         if name not in about.variables
@@ -120,12 +121,12 @@ async def check_happy_path(on: Session) -> None:
             await on.await_rest()
             if (later := on.list_deeds(done)) != deeds:
                 raise Failed(
-                    f"{case.action} says that it is done, but its device goes on: "
+                    f"{case.action} reports its end, but its device continues: "
                     f"{describe_deeds(later - deeds)}"
                 )
         on.reference[key_of(case)] = deeds
         if moves_labware(spec) and not deeds:
-            raise Failed(f"{case.action} says that it has moved something, but nothing moved on the bench")
+            raise Failed(f"{case.action} reports that it has moved something, but nothing moved on the bench")
         for effect, plate in plates:
             if wrong := on.bench.find_misplaced(case, effect, plate):
                 raise Failed(f"{case.action}: {wrong}; it did {describe_deeds(deeds)}")
@@ -136,7 +137,7 @@ async def check_happy_path(on: Session) -> None:
 
 def _check_declined(name: str, why: str, outcome: Outcome) -> None:
     if outcome.succeeded or outcome.effects != "none" or why not in outcome.error:
-        raise Failed(f"{name} should decline with {why!r}; it says {outcome.error or 'that it succeeded'}")
+        raise Failed(f"{name} should fail with {why!r}; it reports {outcome.error or 'success'}")
 
 
 def _check_consumed(
@@ -153,7 +154,7 @@ def _check_consumed(
         left = on.bench.world.find_level("device", resource)
         if had is None or left is None or len(uses) < len(amounts) or abs(had - left - sum(uses)) < 1e-6:
             continue
-        raise Failed(f"{spec.name} says that it uses {sum(uses):g} {resource}; it used {had - left:g}")
+        raise Failed(f"{spec.name} declares that it uses {sum(uses):g} {resource}; it used {had - left:g}")
 
 
 async def check_set_points(on: Session) -> str:
@@ -227,7 +228,7 @@ async def _check_variables(on: Session, name: str, effects: tuple[Any, ...]) -> 
             continue
         if seen[effect.variable] != effect.value:
             raise Failed(
-                f"after {name}, {effect.variable} should be {effect.value!r}; observe says "
+                f"after {name}, {effect.variable} should be {effect.value!r}; observe reports "
                 f"{seen[effect.variable]!r}"
             )
 
@@ -236,17 +237,15 @@ async def check_invalid_arguments(on: Session) -> None:
     """Wrong arguments and unknown actions are refused permanently, and nothing moves."""
     since = on.bench.mark()
     calls = [(case.action, *wrong) for case in on.cases for wrong in list_wrong_args(case, on.spec(case))]
-    for name, what, args in [*calls, ("no_such_action", "an action that there is none of", {})]:
+    for name, what, args in [*calls, ("no_such_action", "an unknown action", {})]:
         reply = await on.kernel.send(on.kernel.request(name, args))
         if reply.status != "refused":
             outcome = reply.outcome or await on.kernel.outcome(on.kernel.request(name, args), END_S)
-            raise Failed(f"{name} takes {what}: {outcome.error if outcome else reply.status}")
+            raise Failed(f"{name} accepts {what}: {outcome.error if outcome else reply.status}")
         if reply.transient or not reply.why:
-            raise Failed(
-                f"{name} refuses {what} as if it could be asked again: {reply.why or 'without a word'}"
-            )
+            raise Failed(f"{name} refuses {what} only for the time being: {reply.why or 'without a reason'}")
     if deeds := on.bench.list_deeds(since, gates=False):
-        raise Failed(f"it did {describe_deeds(deeds)} when asked with wrong arguments")
+        raise Failed(f"it did {describe_deeds(deeds)} after a request with wrong arguments")
 
 
 async def check_duplicate_id(on: Session) -> None:
@@ -255,15 +254,15 @@ async def check_duplicate_id(on: Session) -> None:
     done = await on.begin_to_middle(case, 0.2)
     again = await on.kernel.send(done.start)
     if again.status not in ("running", "accepted", "finished"):
-        raise Failed(f"asked for again while it runs, it answers {again.status}: {again.why}")
+        raise Failed(f"requested again while it runs, it answers {again.status}: {again.why}")
     outcome = await on.end(done)
     late = await on.kernel.send(done.start)
     if (late.status, late.outcome) != ("finished", outcome):
-        raise Failed(f"asked for again after its end, it answers {late.status} and not what it said before")
+        raise Failed(f"requested again after its end, it answers {late.status}, and not as before")
     await on.await_rest()
     await on.judge(done, outcome)
     if not outcome.succeeded:
-        raise Failed(f"{case.action} fails when it is asked for twice: {outcome.error}")
+        raise Failed(f"{case.action} fails when it is requested twice: {outcome.error}")
 
 
 async def check_busy(on: Session) -> None:
@@ -271,7 +270,7 @@ async def check_busy(on: Session) -> None:
     case = on.choose_motion()
     done, state, other = await _ask_while_it_works(on, case)
     if other.reply.status != "refused" or not other.reply.transient:
-        raise Failed(f"asked for {case.action} while it works, it answers {other.reply.status}")
+        raise Failed(f"when {case.action} is requested while it works, it answers {other.reply.status}")
     if state.status != "BUSY" or done.start.action not in state.running:
         raise Failed(f"while it works, its state is {state.status}, running {state.running}")
     for query in (c for c in on.cases if not on.spec(c).exclusive and not c.refused):
@@ -285,9 +284,9 @@ async def check_busy(on: Session) -> None:
             raise Failed(f"{query.action} is a pure query, but fails while it works: {why}")
     outcome = await on.end(done)
     if not outcome.succeeded:
-        raise Failed(f"{case.action} fails because something else was asked: {outcome.error}")
+        raise Failed(f"{case.action} fails because something else was requested: {outcome.error}")
     if (await on.kernel.ask(other.start)).status != "void":
-        raise Failed("what was refused may still run later")
+        raise Failed("a refused action may still run later")
 
 
 async def _ask_while_it_works(on: Session, case: Case) -> tuple[Attempt, StateReport, Attempt]:
@@ -302,7 +301,7 @@ async def _ask_while_it_works(on: Session, case: Case) -> tuple[Attempt, StateRe
         if other.reply.status != "refused":
             await on.kernel.outcome(other.start, END_S)
             await on.recover()
-    raise Failed(f"{case.action} is over before anything else can be asked: name a longer `motion`")
+    raise Failed(f"{case.action} has ended before anything else can be requested: declare a longer `motion`")
 
 
 def require_wire(on: Session) -> None:

@@ -51,9 +51,9 @@ async def check_true_state(on: Session) -> None:
     for resource, level in report.levels.items():
         left = on.bench.world.find_level("device", resource)
         if resource not in on.about.levels and resource not in on.about.units:
-            raise Failed(f"resources tells of {resource}, which about does not name")
+            raise Failed(f"resources reports {resource}, which about does not name")
         if left is not None and abs(left - level) > max(0.02 * left, 10):
-            raise Failed(f"resources says {level:g} {resource}; there are {left:g}")
+            raise Failed(f"resources reports {level:g} {resource}; there are {left:g}")
     state = await on.kernel.state()
     if (state.status, state.error, state.running) != ("IDLE", "", []):
         raise Failed(f"at rest, its state is {state.status} {state.error} {state.running}")
@@ -71,7 +71,7 @@ async def check_device_error(on: Session) -> None:
         done = await on.ask_for(case)
         outcome = await on.end(done)
         if outcome.succeeded:
-            raise Failed(f"{fault.name}: {case.action} says that it succeeded")
+            raise Failed(f"{fault.name}: {case.action} reports success")
         on.mend(fault)
         await on.recover()
         await on.check_works_again(case)
@@ -101,7 +101,7 @@ async def _end_by_person(on: Session, done: Attempt) -> None:
         return
     state = await on.kernel.state()
     if state.status != "ERROR" or not state.error:
-        raise Failed(f"{done.case.action} neither goes on nor ends, and nothing says why")
+        raise Failed(f"{done.case.action} neither continues nor ends, and reports no reason")
     await on.kernel.admin("stop", STOP_S, by="torture")
 
 
@@ -122,16 +122,16 @@ async def _check_stopping(on: Session, command: str) -> None:
     done, reply, outcome = await _stop_midway(on, case, command)
     await observe_bench(on, done)
     if not reply.done and not reply.why:
-        raise Failed(f"{command} fails without a word")
+        raise Failed(f"{command} fails without a message")
     if outcome.succeeded and on.list_deeds(done) != expected:
-        raise Failed(f"{case.action} says that it succeeded; it did {describe_deeds(on.list_deeds(done))}")
+        raise Failed(f"{case.action} reports success; it did {describe_deeds(on.list_deeds(done))}")
     if command == "estop":
         state = await on.kernel.state()
         if state.status != "ERROR" or not state.stopped_at:
             raise Failed(f"after an emergency stop its state is {state.status}")
         other = await on.ask_for(case)
         if other.reply.status != "refused":
-            raise Failed(f"after an emergency stop it takes {case.action}")
+            raise Failed(f"after an emergency stop it accepts {case.action}")
     await on.recover()
     await on.check_works_again(case)
 
@@ -149,9 +149,9 @@ async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Attempt, 
         if not (reply.done and outcome.succeeded) or on.spec(case).by_person:
             return done, reply, outcome
         if on.bench.motions(stopped):
-            raise Failed(f"{command} is said to be done, but {case.action} went on to its end")
+            raise Failed(f"{command} reports success, but {case.action} went on to its end")
         await on.recover()
-    raise Failed(f"{case.action} is over before it can be stopped: name a longer `motion`")
+    raise Failed(f"{case.action} has ended before it can be stopped: declare a longer `motion`")
 
 
 async def unplug_before(on: Session) -> None:
@@ -165,7 +165,7 @@ async def unplug_before(on: Session) -> None:
     outcome = await on.end(done)
     if outcome.succeeded or outcome.effects != "none":
         raise Failed(
-            f"unplugged, {case.action} says effects = {outcome.effects}: {outcome.error or 'success'}"
+            f"unplugged, {case.action} reports effects = {outcome.effects}: {outcome.error or 'success'}"
         )
     await on.recover()
     await on.check_works_again(case)
@@ -234,7 +234,7 @@ async def say_unasked(on: Session) -> str:
     case = on.choose_motion()
     require_wire(on)
     if not on.torture.unasked:
-        return "its device says nothing unasked"
+        return "its device sends no message without a question"
     for stray in on.torture.unasked:
         for order in await _find_orders(on):
             await _spoil_one_reply(on, "precede", order, stray)
@@ -300,7 +300,7 @@ async def _spoil_reply(on: Session, mode: Mode) -> None:
 def _check_spoiled(relay: Relay) -> None:
     """Raises LeftOut if the device gave no reply that could be spoiled."""
     if not relay.spoiled_count:
-        raise LeftOut("its device said nothing that could be spoiled")
+        raise LeftOut("its device sent nothing that could be garbled")
 
 
 async def _settle(on: Session, done: Attempt, outcome: Outcome) -> None:
@@ -412,7 +412,7 @@ async def _check_remembered(on: Session, done: Attempt) -> None:
     """Check that a restarted node knows the attempt. Raises Failed."""
     again = await on.kernel.send(done.start)
     if again.status not in ("interrupted", "running", "finished"):
-        raise Failed(f"started again, it tells {done.case.action} as {again.status}: {again.why}")
+        raise Failed(f"after the restart, it reports {done.case.action} as {again.status}: {again.why}")
 
 
 async def _check_reconciled(on: Session, done: Attempt, outcome: Outcome | None) -> None:
@@ -420,7 +420,7 @@ async def _check_reconciled(on: Session, done: Attempt, outcome: Outcome | None)
     twice. Raises Failed."""
     deeds, expected = on.list_deeds(done), on.reference[key_of(done.case)]
     if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
-        raise Failed(f"started again, it did again: {describe_deeds(twice)}")
+        raise Failed(f"after the restart, it repeated: {describe_deeds(twice)}")
     if outcome is not None:
         await on.judge(done, outcome)
     if outcome is not None and outcome.effects in ("all", "none"):
@@ -446,11 +446,11 @@ async def check_reconciliation(on: Session) -> str:
     the device's sensors or its own record, and it was right each time."""
     require_wire(on)
     if not on.sights:
-        raise LeftOut("what its motion does shows in nothing that could be observed")
+        raise LeftOut("no observation shows the effects of its motion")
     settled = sum(there for _, there in on.sights)
     if not settled:
         unknown = f"{len(on.sights)} unknown outcomes of {on.sights[0][0]}"
-        raise LeftOut(f"nothing that it sees or keeps a record of settles one of {unknown}")
+        raise LeftOut(f"neither an observation nor a record settles one of {unknown}")
     return f"{settled} of {len(on.sights)} unknown outcomes"
 
 

@@ -19,7 +19,7 @@ async def observe_bench(on: Session, done: Attempt) -> None:
     for place, there in sights.items():
         if there is not None and there != bool(on.bench.world.at(place)):
             raise Failed(
-                f"observe says that {place} holds {'something' if there else 'nothing'}, but it holds "
+                f"observe reports that {place} holds {'something' if there else 'nothing'}, but it holds "
                 f"{', '.join(on.bench.world.at(place)) or 'nothing'}"
             )
     settled = [
@@ -56,5 +56,5 @@ def _is_variable_settled(on: Session, done: Attempt, effect: Any, seen: dict[str
     if not deeds or deeds != on.reference.get(key_of(done.case)):
         return True  # the bench does not say how far a door is that stopped on its way
     if seen[effect.variable] != effect.value:
-        raise Failed(f"observe says {effect.variable} = {seen[effect.variable]!r}; it is {effect.value!r}")
+        raise Failed(f"observe reports {effect.variable} = {seen[effect.variable]!r}; it is {effect.value!r}")
     return True

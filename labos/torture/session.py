@@ -264,8 +264,8 @@ class Session:
     def _read_last_words(self) -> str:
         with contextlib.suppress(OSError):
             lines = (self.folder / "node.log").read_text("utf-8", "replace").strip().splitlines()
-            return lines[-1] if lines else "it says nothing"
-        return "it says nothing"
+            return lines[-1] if lines else "it reports nothing"
+        return "it reports nothing"
 
     # -- the bench ---------------------------------------------------------------------------
 
@@ -338,25 +338,25 @@ class Session:
         if not outcome.succeeded:
             await self.await_rest()
             if not outcome.error:
-                raise Failed(f"{name} failed without a word")
+                raise Failed(f"{name} failed without a message")
             if any(outcome.error.startswith(f"{kind}: ") for kind in _SURPRISES):
-                raise Failed(f"{name} ended with a surprise in the driver: {outcome.error}")
+                raise Failed(f"{name} ended with an unexpected error in the driver: {outcome.error}")
         deeds = self.list_deeds(done)
         if outcome.effects == "none" and deeds:
             raise Failed(
-                f"{name} says that nothing was done, but it did: {describe_deeds(deeds)} ({outcome.error})"
+                f"{name} reports that nothing was done, but it did: {describe_deeds(deeds)} ({outcome.error})"
             )
         if expected is None:
             return
         if outcome.effects == "all" and deeds != expected:
             raise Failed(
-                f"{name} says that all was done; it should have done {describe_deeds(expected)}, "
+                f"{name} reports that all was done; it should have done {describe_deeds(expected)}, "
                 f"it did {describe_deeds(deeds)}"
             )
         twice = {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}
         if twice:
             raise Failed(
-                f"{name} did more than it was asked for: {describe_deeds(twice)} in place of "
+                f"{name} did more than was requested: {describe_deeds(twice)} in place of "
                 f"{describe_deeds(expected)}"
             )
 
@@ -412,7 +412,7 @@ class Session:
     def choose_motion(self) -> Case:
         """An action that is long enough to be interrupted. Raises LeftOut, Failed."""
         if not self.reference:
-            raise Failed("not made: no action does what it should")
+            raise Failed("not made: no action has its declared effects")
         names = [case for case in self.cases if not case.refused and self.spec(case).exclusive]
         if self.torture.motion:
             names = [case for case in names if case.action == self.torture.motion]
@@ -437,7 +437,7 @@ class Session:
                 return done
             await self.kernel.outcome(done.start, END_S)
             await self.await_rest()
-        raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
+        raise Failed(f"{case.action} has ended before it can be interrupted: declare a longer `motion`")
 
     async def interrupt(self, case: Case, switch_off: Callable[[], None]) -> Attempt:
         """Start a motion, and switch the device off during it. If the motion has just ended, which can happen
@@ -451,7 +451,7 @@ class Session:
             self.switch_on()
             await self.end(done)
             await self.recover()
-        raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
+        raise Failed(f"{case.action} has ended before it can be interrupted: declare a longer `motion`")
 
     def read_motion_s(self, case: Case) -> float:
         """How long its device moves (s) according to the bench, independent of its node's report."""
@@ -531,7 +531,7 @@ class Session:
         await self.await_idle()
         spec = self.about.action("reset")
         if (deeds := self.bench.list_deeds(before, gates=False)) and not (spec and spec.effects):
-            raise Failed(f"a reset, which tells of no effects, did {describe_deeds(deeds)}")
+            raise Failed(f"a reset, which declares no effects, did {describe_deeds(deeds)}")
 
     async def await_idle(self) -> None:
         """Wait until the module is IDLE. Raises Failed."""

@@ -22,7 +22,7 @@ from labos.torture.session import Failed, LeftOut, Session
 
 Check = Callable[[Session], Awaitable[str | None]]
 """A check; the text that it returns is shown beside its result."""
-Tell = Callable[[Finding], None]
+Show = Callable[[Finding], None]
 
 MOTION_S = 1.0
 """The duration of the longest motion under torture."""
@@ -84,7 +84,7 @@ def is_person(node: type[Node]) -> bool:
 async def torture(
     driver: str,
     *,
-    tell: Tell = lambda finding: None,
+    show: Show = lambda finding: None,
     only: Collection[str] = (),
     motion_s: float = MOTION_S,
     folder: Path | None = None,
@@ -96,9 +96,9 @@ async def torture(
     node = load_driver(driver)
     if is_person(node):
         raise BadInput(
-            f"{node.driver or driver} has no badge: all that it offers is done by a person, who has no wire "
-            "that could be unplugged.",
-            remedy="What can go wrong between a lab and a person is tried at the inbox.",
+            f"{node.driver or driver} has no badge: a person carries out all its actions, so there is no "
+            "wire to unplug.",
+            remedy="Test such steps in a lab, with labos inbox.",
         )
     declared = find_declaration(node)
     began = time.monotonic()
@@ -106,9 +106,9 @@ async def torture(
         home = folder or Path(temporary)
         home.mkdir(parents=True, exist_ok=True)
         session = Session(driver, node, declared, home, motion_s)
-        findings = await _run(session, only, tell)
+        findings = await _run(session, only, show)
     about = node.describe()
-    badge, limits = badge_of(findings) if not only else ("none", "only some checks were asked for")
+    badge, limits = badge_of(findings) if not only else ("none", "only some checks were requested")
     return Report(
         driver=about.driver or driver,
         version=about.version,
@@ -120,14 +120,14 @@ async def torture(
     )
 
 
-async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
+async def _run(on: Session, only: Collection[str], show: Show) -> list[Finding]:
     findings: list[Finding] = []
     lost = ""
     await on.open()
     try:
         for name, (tier, check) in CHECKS.items():
             if only and name not in only and name != PREPARES:
-                finding = Finding(name, tier, "left out", "it was not asked for")
+                finding = Finding(name, tier, "left out", "it was not requested")
             elif name in on.torture.left_out:
                 finding = Finding(name, tier, "left out", on.torture.left_out[name])
             elif lost or (lost := await _bring_back(on)):
@@ -135,7 +135,7 @@ async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
             else:
                 finding = await _run_check(on, name, tier, check)
             findings.append(finding)
-            tell(finding)
+            show(finding)
     finally:
         await on.close()
     return findings

@@ -105,7 +105,7 @@ def leaves_the_bench_clean(client: LabClient, world: World) -> None:
     until(lambda: any(s.key == "Pipette" and s.requested_at for s in client.status(run).steps), "it pipettes")
     client.cancel(run, "bo")
     assert client.wait(run).status == "cancelled"
-    assert {place.partition(".")[0] for place in world.places() if not place.startswith("lid:")} == {
+    assert {place.partition(".")[0] for place in world.list_contents() if not place.startswith("lid:")} == {
         "platecrane"
     }
 
@@ -126,7 +126,7 @@ def test_a_cancelled_assay_leaves_no_plate_on_the_bench(tmp_path: Path, cell: st
         until_clean(client)
         ends = {run.workflow: run.status for run in map(client.status, run_ids(client))}
         world = World(str(lab.runtime.settings.world(where)))
-        places = {place.partition(".")[0] for place in world.places() if not place.startswith("lid:")}
+        places = {place.partition(".")[0] for place in world.list_contents() if not place.startswith("lid:")}
     assert ends["clear_incubator"] == "completed"
     assert places <= {"sciclops", "platecrane"}, "only fresh plates are left"
     assert world.crashes() == []
@@ -151,7 +151,7 @@ def test_after_its_program_was_killed_plates_leave_the_incubator_if_a_person_say
         closed = lab.runs()[-1]
         assert (closed.workflow, closed.succeeded) == ("clear_incubator", True)
         assert [step.key.split("[")[1].partition("]")[0] for step in closed.steps] == ["2", "2", "5", "5"]
-        assert not [place for place in lab.world.places() if place.startswith("liconic")]
+        assert not [place for place in lab.world.list_contents() if place.startswith("liconic")]
         assert lab.world.crashes() == []
 
 

@@ -131,7 +131,7 @@ def test_what_is_lost_on_the_way_is_not_put_down(
             assert told.value.effects == "unknown"
 
     run(body)
-    assert world.places() == {"floor": ["plate1"]}
+    assert world.list_contents() == {"floor": ["plate1"]}
 
 
 def test_what_cannot_be_reached_is_refused_before_anything_moves(

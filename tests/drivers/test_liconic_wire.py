@@ -40,10 +40,10 @@ def test_takes_a_plate_in_and_hands_it_out(stx: LiconicOnWire, world: World, por
         (plate,) = world.stock("liconic.exchange", "plate")
         assert (await node.observe())["labware"] == {"exchange": True, "gripper": False}
         await node.load_plate(2, 7)
-        assert world.places() == {"liconic.stacker2_slot7": [plate]}
+        assert world.list_contents() == {"liconic.stacker2_slot7": [plate]}
         assert (await node.observe())["labware"] == {"exchange": False, "gripper": False}
         await node.retrieve("stacker2_slot7")
-        assert world.places() == {"liconic.exchange": [plate]}
+        assert world.list_contents() == {"liconic.exchange": [plate]}
         await node.close()
 
     run(body)
@@ -174,7 +174,7 @@ def test_simulated_behind_its_wire(world: World) -> None:
         await node.connect()
         world.stock("liconic.exchange", "plate")
         await node.load_plate(3, 22)
-        assert list(world.places()) == ["liconic.stacker3_slot22"]
+        assert list(world.list_contents()) == ["liconic.stacker3_slot22"]
         await node.close()
 
     run(body)

@@ -181,7 +181,7 @@ def test_lids_and_waste(arm: PF400OnWire, world: World) -> None:
             await node.transfer("sealer.default", "wc.trash")
 
     run(body)
-    assert world.places() == {}
+    assert world.list_contents() == {}
     assert [m.plate for m in world.motions("discard")] == ["plate1"]
     assert world.crashes() == []
 
@@ -254,7 +254,7 @@ def test_what_is_lost_on_the_way_is_not_put_down(arm: PF400OnWire, world: World)
             assert told.value.effects == "unknown"
 
     run(body)
-    assert world.places() == {"floor": ["plate1"]}
+    assert world.list_contents() == {"floor": ["plate1"]}
 
 
 def test_a_question_that_fails_before_a_motion_has_no_effects(arm: PF400OnWire) -> None:

@@ -136,7 +136,7 @@ def test_its_incubator_driver_takes_a_plate_in(world: World, tmp_path: Path) -> 
         await incubator.take_in_plate(cor_96_wellplate_360uL_Fb("any"), racks[1].sites[6])
 
     driving_an_incubator(world, tmp_path / "port", use)
-    assert world.places() == {"liconic.stacker2_slot7": [plate]}
+    assert world.list_contents() == {"liconic.stacker2_slot7": [plate]}
     assert world.crashes() == []
 
 
@@ -154,7 +154,7 @@ def test_its_incubator_driver_hands_it_out_and_sets_the_climate(world: World, tm
         rack.sites[21].assign_child_resource(cor_96_wellplate_360uL_Fb("any"))
         assert not await incubator.check_transfer_sensor()
         await incubator.fetch_plate_to_loading_tray(rack.sites[21].resource)
-        assert world.places() == {"liconic.exchange": [plate]}
+        assert world.list_contents() == {"liconic.exchange": [plate]}
         assert await incubator.check_transfer_sensor()
         assert not await incubator.check_shovel_sensor()
         await incubator.set_temperature(37.0)

@@ -54,7 +54,7 @@ def test_an_arm_carries_a_plate_however_its_places_are_written(bench: Bench, wor
         arm = await bench.start(PF400, "pf400")
         (plate,) = world.stock("ot2.deck2", "plate")
         await arm.transfer("rpl/ot2.positions.deck2", "camera_module.plate_station", "wide", "narrow")
-        assert world.places() == {"camera_module.plate_station": [plate]}
+        assert world.list_contents() == {"camera_module.plate_station": [plate]}
 
     asyncio.run(body())
 
@@ -87,7 +87,7 @@ def test_waste_takes_any_number(bench: Bench, world: World) -> None:
         for chute in ("wc.bin", "wc.trash", "wc.bin"):
             world.stock("a.nest", "plate")
             await arm.transfer("a.nest", chute)
-        assert world.places() == {}
+        assert world.list_contents() == {}
         assert len(world.motions("discard")) == 3
 
     asyncio.run(body())
@@ -112,13 +112,13 @@ def test_an_arm_switched_off_halfway_keeps_the_plate_in_its_hand(
         arm = await bench.start(driver, "arm", pace=1)
         (plate,) = world.stock("a.nest", "plate")
         await halfway(asyncio.create_task(arm.transfer("a.nest", "b.nest")), 0.55 * transfer_s)
-        assert world.places() == {"hand:arm": [plate]}
+        assert world.list_contents() == {"hand:arm": [plate]}
 
         again = await bench.start(driver, "arm", pace=1)
         assert await again.is_idle()
         assert await again.observe() == {"labware": {"gripper": True}}
         await again.put_down("b.nest")
-        assert world.places() == {"b.nest": [plate]}
+        assert world.list_contents() == {"b.nest": [plate]}
         assert await again.observe() == {"labware": {"gripper": False}}
 
     lab_seconds(body)
@@ -130,7 +130,7 @@ def test_an_arm_switched_off_early_or_late(share: float, where: str, bench: Benc
         arm = await bench.start(PF400, "pf400", pace=1)
         (plate,) = world.stock("a.nest", "plate")
         await halfway(asyncio.create_task(arm.transfer("a.nest", "b.nest")), share * 30)
-        assert world.places() == {where: [plate]}
+        assert world.list_contents() == {where: [plate]}
 
     lab_seconds(body)
 
@@ -151,7 +151,7 @@ def test_a_stop_ends_the_motion_and_holds_until_reset(bench: Bench, world: World
         assert refused.value.effects == "none"
         await arm.reset()
         await arm.put_down("b.nest")
-        assert list(world.places()) == ["b.nest"]
+        assert list(world.list_contents()) == ["b.nest"]
 
     lab_seconds(body)
 
@@ -218,7 +218,7 @@ def test_an_incubator_carries_to_its_slots_and_back(bench: Bench, world: World) 
         incubator = await bench.start(Liconic, "liconic")
         (plate,) = world.stock("liconic.exchange", "plate")
         await incubator.load_plate(2, 7)
-        assert world.places() == {"liconic.stacker2_slot7": [plate]}
+        assert world.list_contents() == {"liconic.stacker2_slot7": [plate]}
         world.stock("liconic.exchange", "plate")
         with pytest.raises(DeviceError, match="transfer station") as refused:
             await incubator.unload_plate(2, 7)

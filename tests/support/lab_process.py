@@ -136,7 +136,7 @@ class Up:
         """Every place of the simulated bench that holds plates."""
         world = World(str(self.home / "world" / "rpl.db"))
         try:
-            return world.places()
+            return world.list_contents()
         finally:
             world.close()
 

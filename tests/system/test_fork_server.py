@@ -121,7 +121,7 @@ def test_a_frozen_server_is_done_without(tmp_path: Path) -> None:
         assert not is_alive(frozen)
         assert parent_of(second.pid) == os.getpid()
         for child in (first, second):
-            child.let_go()
+            child.close_stdin()
         await until(lambda: first.poll() is not None and second.poll() is not None)
 
     asyncio.run(main())

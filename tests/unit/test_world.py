@@ -35,9 +35,9 @@ def test_a_plate_goes_through_a_hand(world: World) -> None:
     (plate,) = world.stock("a", "pcr")
     assert world.kind(plate) == "pcr"
     assert world.grip("arm", "a") == plate
-    assert world.places() == {"hand:arm": [plate]}
+    assert world.list_contents() == {"hand:arm": [plate]}
     assert world.release("arm", "b") == plate
-    assert world.places() == {"b": [plate]}
+    assert world.list_contents() == {"b": [plate]}
     assert [motion.verb for motion in world.motions()] == ["stock", "grip", "release"]
 
 
@@ -86,7 +86,7 @@ def test_waste_ends_a_plate(world: World) -> None:
     (plate,) = world.stock("a", "pcr")
     world.grip("arm", "a")
     assert world.discard("arm", "bin") == plate
-    assert world.places() == {}
+    assert world.list_contents() == {}
 
 
 def test_what_was_done_to_a_plate_last(world: World) -> None:
@@ -114,7 +114,7 @@ def test_a_file_outlives_its_process(tmp_path: Path) -> None:
     path = tmp_path / "bench.db"
     assert output(elsewhere(path, "world.stock('a', 'pcr'); print(world.grip('arm', 'a'))")) == "plate1"
     world = World(str(path))
-    assert world.places() == {"hand:arm": ["plate1"]}
+    assert world.list_contents() == {"hand:arm": ["plate1"]}
     assert world.kind("plate1") == "pcr"
     world.close()
 
@@ -131,7 +131,7 @@ def test_two_processes_share_one_bench(tmp_path: Path) -> None:
         "except Crash as crash:\n    print(crash)",
     )
     assert output(taken).splitlines() == [plate, "arm reaches into a closed gate at block"]
-    assert here.places() == {"hand:arm": [plate]}
+    assert here.list_contents() == {"hand:arm": [plate]}
     assert len(here.crashes()) == 1
     here.gate("cycler", "block", shut=False)
     assert output(elsewhere(path, "print(world.release('arm', 'block'))")) == plate
@@ -158,5 +158,9 @@ def test_processes_at_once_lose_nothing(tmp_path: Path) -> None:
         output(process)
     motions = here.motions()
     assert [motion.seq for motion in motions] == list(range(1, 3 + 3 * rounds * 4 + 1))
-    assert {place: len(plates) for place, plates in here.places().items()} == {"a0": 1, "a1": 1, "a2": 1}
+    assert {place: len(plates) for place, plates in here.list_contents().items()} == {
+        "a0": 1,
+        "a1": 1,
+        "a2": 1,
+    }
     here.close()

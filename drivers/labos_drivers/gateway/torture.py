@@ -24,7 +24,7 @@ def _make_fail(gateway: GatewayOnWire[Any], world: World) -> None:
 
 
 def _take_away(gateway: GatewayOnWire[Any], world: World) -> None:
-    for place, plates in world.places().items():
+    for place, plates in world.list_contents().items():
         if place.startswith(f"{gateway.device.name}."):
             world.carry(plates[-1], "")
 

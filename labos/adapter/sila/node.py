@@ -103,7 +103,7 @@ class SilaNode(ConditionNode):
         """By the properties of the mapping. Without them, the server is idle if it answers and no action can
         still be under way."""
         await self._learn()
-        if not self.tells_busy:
+        if not self.reports_busy:
             await self.client.check_alive()
         return await super().is_idle()
 
@@ -269,9 +269,9 @@ class SilaNode(ConditionNode):
         and is busy. Raises SilaError, Lost, OutcomeUnknown."""
 
         async def at_work() -> bool:
-            if not self.tells_busy:
+            if not self.reports_busy:
                 await self.client.check_alive()
-            return self.tells_busy and not await self.is_idle()
+            return self.reports_busy and not await self.is_idle()
 
         return await self.answer_to(
             asyncio.ensure_future(self.client.call(command, data, limit_s=None)),

@@ -290,7 +290,7 @@ async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileRefere
 )
 async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
     """The application is running."""
-    call.service.hear(path.experiment, call.user)
+    call.service.note_heartbeat(path.experiment, call.user)
     return HeartbeatReply()
 
 

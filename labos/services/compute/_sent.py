@@ -35,7 +35,7 @@ class SendingRecord(Protocol):
 
     def keep_shared(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]: ...
 
-    def all_known(self, fact: str) -> set[str]:
+    def list_known(self, fact: str) -> set[str]:
         """The values that this fact has in any computation of the experiment."""
 
 
@@ -54,7 +54,7 @@ class MemoryRecord:
 
     find_shared, keep_shared = find_own, keep
 
-    def all_known(self, fact: str) -> set[str]:
+    def list_known(self, fact: str) -> set[str]:
         return {str(facts[fact]) for facts in self._kept.values() if fact in facts}
 
 

@@ -151,7 +151,7 @@ class GlobusExecutor(ComputesOnce, Executor):
             answer = wait_for(SERVICE, self._patience, lambda: self._sending.submit(self._endpoint, batch))
             opened = {"task_group": str(answer["task_group_id"]), "task": _find_only_task(answer)}
             known = sent.keep_shared(name, {"endpoint": self._endpoint, **opened})
-        own = {str(known["task"]), *sent.all_known("task")}
+        own = {str(known["task"]), *sent.list_known("task")}
         there = wait_for(SERVICE, self._patience, lambda: self._list_tasks(known["task_group"]))
         group = self._groups[sent.of] = _Group(known["task_group"], own, there - own)
         return group

@@ -155,7 +155,7 @@ class Notifier:
             # Notices in the outbox are sent all the same: this error may be why the kernel stopped.
             _log.warning("log_not_read", why=str(error))
         if self._dead:
-            self._tell_of_death()
+            self._notify_of_death()
         self.send_due()
         return self.outbox.find_next_time()
 
@@ -204,7 +204,7 @@ class Notifier:
     def _take_in(self, event: Event, head: Envelope) -> None:
         now = self.clock.now_ns()
         if isinstance(event, KernelStarted):
-            items = self._tell_restart(event, head, now)
+            items = self._make_restart_items(event, head, now)
             self._started = (head.id, head.position)
             self.outbox.take_in(items, now, position=head.position, epoch=event.epoch)
             return
@@ -221,7 +221,7 @@ class Notifier:
             return True
         return bool(notice.key) and self.outbox.is_open(notice.key)
 
-    def _tell_restart(self, event: KernelStarted, head: Envelope, now: int) -> list[OutboxItem]:
+    def _make_restart_items(self, event: KernelStarted, head: Envelope, now: int) -> list[OutboxItem]:
         """A new kernel finds out by itself which nodes are alive; and it shows that a kernel runs again."""
         items: list[OutboxItem] = [
             SettledNotice(EVERY_MODULE, "a new kernel is connecting to its nodes", all=True, quietly=True)
@@ -232,7 +232,7 @@ class Notifier:
             items.append((notice, plan(self.book, notice, now)))
         return [*items, SettledNotice(KERNEL, "the kernel runs again")]
 
-    def _tell_of_death(self) -> None:
+    def _notify_of_death(self) -> None:
         """The kernel has stopped. People are notified once for each start of a kernel, also if the outbox
         cannot be written: a full disk may be why the kernel stopped."""
         now = self.clock.now_ns()

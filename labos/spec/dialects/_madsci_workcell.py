@@ -78,7 +78,7 @@ class _Workcell:
         ways = TransferTemplates(self.reader, self.modules, self.places).read()
         if ways:
             out.put("transfers", ways, at, at)
-        self._tell_unused(nodes)
+        self._ignore_unused(nodes)
         done = self.reader.finish(out)
         done.moved = self.moved
         return done
@@ -222,7 +222,7 @@ class _Workcell:
             config.put(table, SourceMapping(at), at, at)
         config[table].put(place, value, at, at)
 
-    def _tell_unused(self, nodes: str) -> None:
+    def _ignore_unused(self, nodes: str) -> None:
         used = {nodes, "name", "description", "locations", "manager_type", "manager_id", "workcell_id"}
         for key in self.data:
             if key not in (*used, *KEYS) and not _SERVERS.fullmatch(key):

@@ -112,7 +112,7 @@ class _Workflow:
         arguments = self._arguments(index, step, used, used_key)
         node = self._find_named(step, used, "node", (*path, used_key))
         action = self._find_named(step, used, "action", (*path, used_key))
-        self._tell_unused(step, used, path, used_key)
+        self._ignore_unused(step, used, path, used_key)
         if action is None:
             raise self.source.error("A step has no action.", path, remedy="Write `action:`.")
         if node is None and action[0] in TRANSFERS:
@@ -315,7 +315,7 @@ class _Workflow:
             return
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)
 
-    def _tell_unused(self, step: SourceMapping, used: SourceMapping, path: Path_, used_key: str) -> None:
+    def _ignore_unused(self, step: SourceMapping, used: SourceMapping, path: Path_, used_key: str) -> None:
         known = {
             "name",
             "key",

@@ -50,7 +50,7 @@ def rewrite_workcell(source: Source, report: FindingList) -> Source:
         places = others.get(str(module["name"]))
         if places is not None:
             modules[-1]["config"].put("representations", places)
-    _tell_positions(reader, modules, locations)
+    _add_positions(reader, modules, locations)
     names = {str(module["name"]) for module in modules}
     nobodys = {
         owner: places for owner, places in others.items() if owner not in names and owner != "workcell"
@@ -124,7 +124,7 @@ def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locat
             owner.put(place, SourceList(at))
 
 
-def _tell_positions(reader: Reader, modules: SourceList, locations: SourceMapping) -> None:
+def _add_positions(reader: Reader, modules: SourceList, locations: SourceMapping) -> None:
     """Add the joint values of ``positions`` to the configuration of every module. As in WEI, the node of the
     module that a step uses gets these values, and not LabOS' name for the place. A module's own values take
     precedence. Joint values that are all 0 count as not taught."""

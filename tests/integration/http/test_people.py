@@ -141,10 +141,10 @@ def test_runs_experiments_and_campaigns_are_the_askers_own(tmp_path: Path) -> No
             with pytest.raises(Forbidden):
                 await attempt()
         with pytest.raises(Forbidden):
-            service.hear(mine, "bo")
+            service.note_heartbeat(mine, "bo")
         with pytest.raises(Forbidden):
             service.check_noting(mine, "bo")
-        service.hear(mine, "ada")
+        service.note_heartbeat(mine, "ada")
         campaign, _ = await submit_campaign(
             service, NewCampaign(text=CAMPAIGN, workflow=FLOW, user=on_behalf("robot", "ada")), "key"
         )

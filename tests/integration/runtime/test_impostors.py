@@ -223,15 +223,15 @@ def test_one_bad_answer_keeps_no_other_module_from_being_stopped(tmp_path: Path,
 
 def test_living_never_forgets_the_one_that_is_in_use() -> None:
     living = Liveness()
-    assert living.hear(ARM, "first", 0.0, "first", None)
+    assert living.remember(ARM, "first", 0.0, "first", None)
     for n in range(1000):
-        assert living.hear(ARM, f"i{n}", float(n + 1), "first", None)
+        assert living.remember(ARM, f"i{n}", float(n + 1), "first", None)
     assert len(living.list_instances(ARM)) == MOST_INSTANCES
     assert "first" in living.list_instances(ARM)
     for n in range(1000):
-        living.hear(ModuleName(f"x/{n}"), "i", 0.0, "", 1)
+        living.remember(ModuleName(f"x/{n}"), "i", 0.0, "", 1)
     assert len(living.modules) == MOST_STRANGERS + 1
-    assert not living.hear(ModuleName("x/last"), "i", 0.0, "", 1)
+    assert not living.remember(ModuleName("x/last"), "i", 0.0, "", 1)
     for module in living.modules:
         for instance in list(living.list_instances(module)):
             living.forget(module, instance)

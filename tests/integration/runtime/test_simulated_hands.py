@@ -65,7 +65,7 @@ class Witness:
         self.seen: list[dict[str, list[str]]] = []
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
-        self.seen.append(self._world.places())
+        self.seen.append(self._world.list_contents())
 
     def on_reopened(self) -> None:
         pass
@@ -114,7 +114,7 @@ def test_a_bench_is_furnished_and_filled_as_declared(tmp_path: Path) -> None:
         pass
 
     world = on_a_bench(tmp_path, nothing)
-    assert world.places() == {"stack": ["plate1", "plate2"]}
+    assert world.list_contents() == {"stack": ["plate1", "plate2"]}
     assert world.find_level("dev", "tips") == 10.0
 
 
@@ -167,9 +167,9 @@ def test_what_is_taken_away_is_what_the_log_means(tmp_path: Path) -> None:
     async def work(kernel: Kernel, world: World, store: Flaky) -> None:
         await kernel.execute(LoadStation(A, "plate", 1), "ada")
         await kernel.execute(UnloadStation(STACK, "ada", count=1), "ada")
-        assert world.places() == {"a": ["plate3"], "stack": ["plate1"]}
+        assert world.list_contents() == {"a": ["plate3"], "stack": ["plate1"]}
         await kernel.execute(UnloadStation(A, "ada"), "ada")
-        assert world.places() == {"stack": ["plate1"]}
+        assert world.list_contents() == {"stack": ["plate1"]}
         world.use("dev", "tips", 4.0)
         await kernel.execute(Replenish(DEV, "tips", 10.0, instead=True), "ada")
         assert world.find_level("dev", "tips") == 10.0
@@ -193,6 +193,6 @@ def test_what_somebody_who_reaches_in_has_changed_is_changed(tmp_path: Path) -> 
         await kernel.execute(RequestAccess("cell", "ada"), "ada")
         changes = (ReportedChange(B, "P1"), ReportedChange(A, "tube"))
         await kernel.execute(EndAccess("cell", "ada", "", changes), "ada")
-        assert world.places() == {"a": ["plate4"], "b": ["plate3"], "stack": ["plate1", "plate2"]}
+        assert world.list_contents() == {"a": ["plate4"], "b": ["plate3"], "stack": ["plate1", "plate2"]}
 
     on_a_bench(tmp_path, work)

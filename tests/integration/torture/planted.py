@@ -61,7 +61,7 @@ BUGS: dict[str, Bug] = {
     "describes nothing": Bug("about", (('        """Shake the plate."""\n', ""),), "has no description"),
     "has a default that it would refuse": Bug("about", (("] = 800.0", "] = 80.0"),), "would refuse"),
     "does not tell what it uses": Bug(
-        "happy path", ((', Consumes("grease", 1)', ""),), "says that it uses 0 grease"
+        "happy path", ((', Consumes("grease", 1)', ""),), "declares that it uses 0 grease"
     ),
     "uses twice as much": Bug(
         "happy path", (('self.name, "grease", 1)', 'self.name, "grease", 2)'),), "used 2"
@@ -90,10 +90,10 @@ BUGS: dict[str, Bug] = {
                 "    @action(Needs",
             ),
         ),
-        "goes on",
+        "but its device continues",
     ),
     "takes the rest before the start for the end": Bug(
-        "happy path", ((ENDS, 'if state == "IDLE":'),), "goes on"
+        "happy path", ((ENDS, 'if state == "IDLE":'),), "but its device continues"
     ),
     "takes a restart for the end": Bug(
         "restart",
@@ -118,7 +118,7 @@ BUGS: dict[str, Bug] = {
                 "        return\n",
             ),
         ),
-        "says that all was done",
+        "reports that all was done",
     ),
     "is surprised by a second error": Bug(
         "device error",
@@ -128,7 +128,7 @@ BUGS: dict[str, Bug] = {
                 "dict(zip(['FAULT 7'], ['blocked']))[state]",
             ),
         ),
-        "surprise",
+        "unexpected error",
     ),
     "waits for ever": Bug(
         "device error",
@@ -136,7 +136,7 @@ BUGS: dict[str, Bug] = {
             (POLL, 'while (state := self.ask("STAT")) != "NEVER":'),
             ("START_S, MOTION_S = 1.0, 1.0, 10.0", "START_S, MOTION_S = 1.0, 1e9, 1e9"),
         ),
-        "neither goes on nor ends, and nothing says why",
+        "neither continues nor ends, and reports no reason",
     ),
     "fails without a word": Bug(
         "device error",
@@ -146,7 +146,7 @@ BUGS: dict[str, Bug] = {
                 'DeviceError("", effects="none")',
             ),
         ),
-        "without a word",
+        "without a message",
     ),
     "takes a refusal for a start": Bug(
         "device error",
@@ -162,7 +162,7 @@ BUGS: dict[str, Bug] = {
                 "        begun = asked = time.monotonic()\n",
             ),
         ),
-        "says that all was done",
+        "reports that all was done",
     ),
     # -- the wire
     "says that nothing moved": Bug(
@@ -220,7 +220,7 @@ BUGS: dict[str, Bug] = {
                 '        if state == "OK":\n            return\n        raise DeviceError(f"It says {state}:',
             ),
         ),
-        "says that all was done",
+        "reports that all was done",
     ),
     "takes noise for a refusal": Bug(
         "garbled reply", ((ANSWER, '        if answer != "OK":'),), "nothing was"
@@ -228,7 +228,7 @@ BUGS: dict[str, Bug] = {
     "is surprised by noise": Bug(
         "garbled reply",
         (("        if not answer.isdecimal():\n", '        if answer == "":\n'),),
-        "surprise",
+        "unexpected error",
     ),
     "takes what was said unasked for an answer": Bug(
         "unasked",
@@ -302,7 +302,7 @@ BUGS: dict[str, Bug] = {
                 '        return {"labware": {"plate": False}}\n\n' + STOP,
             ),
         ),
-        "observe says",
+        "observe reports",
     ),
     "starts two things at once": Bug(
         "about",
@@ -329,7 +329,7 @@ BUGS: dict[str, Bug] = {
         "node killed", (('self.ask, "STAT") == "IDLE"', 'self.ask, "STAT") != ""'),), "ready for new"
     ),
     "believes that all went well": Bug(
-        "power cut", (take_up("        return None\n"),), "says that all was done"
+        "power cut", (take_up("        return None\n"),), "reports that all was done"
     ),
     "takes an error after a restart for the end": Bug(
         "node killed",
@@ -341,7 +341,7 @@ BUGS: dict[str, Bug] = {
                 '            raise DeviceError("Nobody knows how it ended.")\n'
             ),
         ),
-        "says that all was done",
+        "reports that all was done",
     ),
     "believes that nothing was done": Bug(
         "node killed",
@@ -356,7 +356,7 @@ BUGS: dict[str, Bug] = {
                 "            await asyncio.sleep(0.02)\n"
             ),
         ),
-        "says that all was done",
+        "reports that all was done",
     ),
     "begins again after a kill": Bug(
         "node killed",

@@ -154,5 +154,5 @@ def test_a_new_driver_does_not_touch_the_instrument_in_a_simulated_lab(tmp_path:
 
 
 def test_people_have_no_badge() -> None:
-    with pytest.raises(BadInput, match="operator has no badge: all that it offers is done by a person"):
+    with pytest.raises(BadInput, match="operator has no badge: a person carries out all its actions"):
         asyncio.run(torture("operator"))

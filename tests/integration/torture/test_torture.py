@@ -99,7 +99,7 @@ def test_a_good_driver_passes_and_is_told_so_in_json(tmp_path: Path) -> None:
     assert {
         f.check: f.verdict for f in report.findings if f.check in (*checks, "happy path")
     } == dict.fromkeys(("about", "happy path"), "passed")
-    assert report.limits == "only some checks were asked for"
+    assert report.limits == "only some checks were requested"
     assert (tmp_path / "kept" / "journals").is_dir()
 
 

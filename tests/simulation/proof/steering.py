@@ -96,7 +96,7 @@ class Steered(Faults):
             return super().delay()
         if self.rng.random() >= DELAYED:
             return super().delay()
-        self.tell("delay")
+        self.record("delay")
         return self.rng.uniform(LONG_S, LONGEST_DELAY_S)
 
     def _let_slip(self) -> bool:

@@ -63,7 +63,7 @@ def _in_kernel() -> None:
     from labos.store import SqlEventStore
 
     append, claim, ask = SqlEventStore.append, SqlEventStore.claim, Dispatcher._ask_node
-    look, tell = Observer.observe, Reconciler._tell
+    look, tell = Observer.observe, Reconciler._report_sight
 
     def crashing_append(self: Any, expected: Any, records: Any) -> Any:
         ends = any(record.head.type == "action.succeeded" for record in records)
@@ -108,7 +108,7 @@ def _in_kernel() -> None:
     SqlEventStore.claim = crashing_claim  # type: ignore[method-assign]
     Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
     Observer.observe = crashing_look  # type: ignore[method-assign]
-    Reconciler._tell = crashing_tell  # type: ignore[method-assign]
+    Reconciler._report_sight = crashing_tell  # type: ignore[method-assign]
 
 
 def _in_transaction() -> None:

@@ -86,7 +86,7 @@ def test_a_lid_is_carried_and_its_plate_stays(world: World) -> None:
 def test_what_goes_to_the_waste_is_gone(world: World) -> None:
     world.stock("press.nest", "plate96")
     do(node_of(ARM, world, "arm"), "carry", a="cell/press.nest", b="cell/wc.trash")
-    assert world.places() == {}
+    assert world.list_contents() == {}
 
 
 def test_a_hand_that_finds_nothing_crashes(world: World) -> None:
