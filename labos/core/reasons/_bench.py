@@ -5,12 +5,6 @@ from __future__ import annotations
 from labos.core.reasons._base import PERSON, Reason
 
 
-class AtStation(Reason, frozen=True):
-    """A reason that may end when a station changes."""
-
-    WAKES = ("station",)
-
-
 class ReachedInto(Reason, frozen=True):
     SENTENCE = "an arm is reaching into {place}"
     WAKES = ("station", "module")
@@ -25,9 +19,10 @@ class Requires(Reason, frozen=True):
     value: str
 
 
-class Unfit(AtStation, frozen=True):
+class Unfit(Reason, frozen=True):
     SENTENCE = "{labware} is not as the step needs it: {variable} = {value}"
     REMEDY = "Let a run of its owner change that, or remove it and report that: labos unload"
+    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
     variable: str
@@ -56,30 +51,34 @@ class Expired(Reason, frozen=True):
     until: str
 
 
-class StackEmpty(AtStation, frozen=True):
+class StackEmpty(Reason, frozen=True):
     SENTENCE = "the stack {place} is empty"
     REMEDY = "Fill it and report that: labos load {place} --type TYPE --count N --lot LOT"
+    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class Buried(AtStation, frozen=True):
+class Buried(Reason, frozen=True):
     SENTENCE = "{labware} stands on top of the stack {place}"
     REMEDY = "It continues when a run moves that away."
+    WAKES = ("station",)
     place: str
     labware: str
 
 
-class Uncertain(AtStation, frozen=True):
+class Uncertain(Reason, frozen=True):
     SENTENCE = "it is not known what stands at {place}"
     REMEDY = "Look there and answer the open question: labos resolve"
+    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class Lost(AtStation, frozen=True):
+class Lost(Reason, frozen=True):
     SENTENCE = "it is not known where {labware} is"
     REMEDY = "Look for it and answer the open question: labos resolve"
+    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
 
@@ -91,38 +90,43 @@ class InMotion(Reason, frozen=True):
     place: str
 
 
-class InUse(AtStation, frozen=True):
+class InUse(Reason, frozen=True):
     SENTENCE = "{owner} works on {labware} at {place} until it ends"
+    WAKES = ("station",)
     labware: str
     place: str
     owner: str
 
 
-class NotYours(AtStation, frozen=True):
+class NotYours(Reason, frozen=True):
     SENTENCE = "{labware} at {place} belongs to {owner}"
     REMEDY = "Let a run of its owner move it away."
+    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
     place: str
     owner: str
 
 
-class Undeclared(AtStation, frozen=True):
+class Undeclared(Reason, frozen=True):
     SENTENCE = "it was never reported what stands at {place}"
     REMEDY = "Report what stands there: labos bench declare {place}=TYPE, or {place}= if nothing does"
+    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class NothingThere(AtStation, frozen=True):
+class NothingThere(Reason, frozen=True):
     SENTENCE = "nothing stands at {place}"
     REMEDY = "Put some there and report that: labos place {place} TYPE"
+    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class StillToCome(AtStation, frozen=True):
+class StillToCome(Reason, frozen=True):
     SENTENCE = "nothing stands at {place} yet"
+    WAKES = ("station",)
     place: str
 
 
@@ -134,17 +138,19 @@ class NoAccess(Reason, frozen=True):
     value: str
 
 
-class NotAccepted(AtStation, frozen=True):
+class NotAccepted(Reason, frozen=True):
     SENTENCE = "{place} does not accept {labware_type}"
     REMEDY = "Put labware there that it accepts, or change `accepts:` in the workcell file."
+    WAKES = ("station",)
     URGENCY = PERSON
     place: str
     labware_type: str
 
 
-class WrongWay(AtStation, frozen=True):
+class WrongWay(Reason, frozen=True):
     SENTENCE = "{labware} would lie turned by {turned} degrees at {place}, which takes it turned by {wanted}"
     REMEDY = "Use another grip in the workflow (narrow here, wide there), or turn it by hand."
+    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
     place: str
@@ -152,9 +158,10 @@ class WrongWay(AtStation, frozen=True):
     wanted: str
 
 
-class NoGrip(AtStation, frozen=True):
+class NoGrip(Reason, frozen=True):
     SENTENCE = "{module} cannot hold {labware_type} {grip} at {place}, only {known}"
     REMEDY = "Use another grip in the workflow, or teach the arm and add it under `reach:`."
+    WAKES = ("station",)
     URGENCY = PERSON
     module: str
     place: str
@@ -163,9 +170,10 @@ class NoGrip(AtStation, frozen=True):
     known: str
 
 
-class WasteFull(AtStation, frozen=True):
+class WasteFull(Reason, frozen=True):
     SENTENCE = "the waste {place} is full"
     REMEDY = "Empty it and report that: labos unload {place} --all"
+    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 

@@ -6,15 +6,10 @@ from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.reasons._base import PERSON, Reason
 
 
-class AtModule(Reason, frozen=True):
-    """A reason that may end when a module changes."""
-
-    WAKES = ("module",)
-
-
-class NoModule(AtModule, frozen=True):
+class NoModule(Reason, frozen=True):
     SENTENCE = "there is no module {module}"
     REMEDY = "Set up a workcell that has it: labos up WORKCELL"
+    WAKES = ("module",)
     URGENCY = PERSON
     module: str
 
@@ -28,16 +23,18 @@ class Access(Reason, frozen=True):
     by: str
 
 
-class OutOfService(AtModule, frozen=True):
+class OutOfService(Reason, frozen=True):
     SENTENCE = "{module} is out of service ({why})"
     REMEDY = "Check it, then answer the open question (labos resolve) or: labos in-service {module}"
+    WAKES = ("module",)
     URGENCY = PERSON
     module: str
     why: str
 
 
-class ModuleDown(AtModule, frozen=True):
+class ModuleDown(Reason, frozen=True):
     SENTENCE = "{module} is {status} ({error})"
+    WAKES = ("module",)
     URGENCY = PERSON
     module: str
     status: str
@@ -51,36 +48,41 @@ class ModuleDown(AtModule, frozen=True):
         return f"Check it, then: labos reset {name}"
 
 
-class Unwatched(AtModule, frozen=True):
+class Unwatched(Reason, frozen=True):
     SENTENCE = "{observer}, which observes {place} after every motion, is {how}"
     REMEDY = "Bring {observer} back, or write `verify: on_doubt` for {place} in the workcell file."
+    WAKES = ("module",)
     URGENCY = PERSON
     place: str
     observer: str
     how: str
 
 
-class ModuleBusy(AtModule, frozen=True):
+class ModuleBusy(Reason, frozen=True):
     SENTENCE = "{module} is busy"
+    WAKES = ("module",)
     module: str
 
 
-class Unsettled(AtModule, frozen=True):
+class Unsettled(Reason, frozen=True):
     SENTENCE = "it is not known how the last action of {module} ended"
     REMEDY = "Look there and answer the open question: labos resolve {question}"
+    WAKES = ("module",)
     URGENCY = PERSON
     module: str
     question: str
 
 
-class Held(AtModule, frozen=True):
+class Held(Reason, frozen=True):
     SENTENCE = "{module} is held by {holder}"
+    WAKES = ("module",)
     module: str
     holder: str
 
 
-class Setpoint(AtModule, frozen=True):
+class Setpoint(Reason, frozen=True):
     SENTENCE = "{setpoint} of {module} is set to {value} for {holder}"
+    WAKES = ("module",)
     module: str
     setpoint: str
     value: str

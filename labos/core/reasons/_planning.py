@@ -8,12 +8,6 @@ from labos.core.ids import local, split_key
 from labos.core.reasons._base import PERSON, Reason, in_words
 
 
-class InCell(Reason, frozen=True):
-    """A reason that may end with any change in the workcell."""
-
-    WAKES = ("cell",)
-
-
 class Reserved(Reason, frozen=True):
     SENTENCE = "{what} is reserved for run {run}, whose step {step!r} has to start in time"
     WAKES = ("cell", "window", "module", "station", "zone")
@@ -51,11 +45,12 @@ class AfterElder(Reason, frozen=True):
     run: str
 
 
-class WouldBlock(InCell, frozen=True):
+class WouldBlock(Reason, frozen=True):
     SENTENCE = (
         "its first step waits until {onward} is free (at about {free_at}), because the run would block "
         "{place} before that"
     )
+    WAKES = ("cell",)
     place: str
     onward: str
     free_at: str
@@ -87,26 +82,30 @@ class ForOthers(Reason, frozen=True):
     until: str
 
 
-class SoonerAfter(InCell, frozen=True):
+class SoonerAfter(Reason, frozen=True):
     SENTENCE = "all work ends sooner if {run} goes first, at {place}"
+    WAKES = ("cell",)
     run: str
     place: str
 
 
-class LaterHere(InCell, frozen=True):
+class LaterHere(Reason, frozen=True):
     SENTENCE = "all work ends sooner if {step!r} starts later (at about {at})"
+    WAKES = ("cell",)
     step: str
     at: str
 
 
-class AfterSuggested(InCell, frozen=True):
+class AfterSuggested(Reason, frozen=True):
     SENTENCE = "the planner suggests that {run} goes first, at {place}"
+    WAKES = ("cell",)
     run: str
     place: str
 
 
-class ClockLater(InCell, frozen=True):
+class ClockLater(Reason, frozen=True):
     SENTENCE = "the planner suggests that the clock of {step!r} starts later (at about {at})"
+    WAKES = ("cell",)
     step: str
     at: str
 
@@ -122,18 +121,20 @@ class BetterHere(Reason, frozen=True):
         return {"step": in_words(self.step), "first": local(self.dead[0])}
 
 
-class NoWayOut(InCell, frozen=True):
+class NoWayOut(Reason, frozen=True):
     SENTENCE = "after {step!r} the run could not reach its end at present"
     REMEDY = (
         "It starts when its path is free. If no run moves the labware that is in the way, submit one "
         "that does."
     )
+    WAKES = ("cell",)
     step: str
     run: str
 
 
-class Unsafe(InCell, frozen=True):
+class Unsafe(Reason, frozen=True):
     SENTENCE = "starting {step!r} now would trap {who}"
+    WAKES = ("cell",)
     step: str
     trapped: tuple[str, ...]
 

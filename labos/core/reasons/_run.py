@@ -5,29 +5,26 @@ from __future__ import annotations
 from labos.core.reasons._base import PERSON, Reason
 
 
-class OfRun(Reason, frozen=True):
-    """A reason that may end when the run changes."""
-
-    WAKES = ("run",)
-
-
-class Paused(OfRun, frozen=True):
+class Paused(Reason, frozen=True):
     SENTENCE = "run {run} is paused"
     REMEDY = "Continue it: labos resume {run}"
+    WAKES = ("run",)
     URGENCY = PERSON
     run: str
 
 
-class Unapproved(OfRun, frozen=True):
+class Unapproved(Reason, frozen=True):
     SENTENCE = "it has a dangerous step, and nobody except {user} has checked it yet"
     REMEDY = "Ask another operator to check it and to answer the question: labos resolve"
+    WAKES = ("run",)
     URGENCY = PERSON
     user: str
 
 
-class NotApproved(OfRun, frozen=True):
+class NotApproved(Reason, frozen=True):
     SENTENCE = "run {run} waits for approval, because {why}"
     REMEDY = "An operator checks it (labos approvals {run}) and approves it: labos approve {run}"
+    WAKES = ("run",)
     URGENCY = PERSON
     run: str
     why: str
@@ -52,8 +49,9 @@ class LogShorter(Reason, frozen=True):
     ended: str
 
 
-class Cancelling(OfRun, frozen=True):
+class Cancelling(Reason, frozen=True):
     SENTENCE = "run {run} is being cancelled"
+    WAKES = ("run",)
     run: str
 
 
@@ -61,13 +59,15 @@ class Gone(Reason, frozen=True):
     SENTENCE = "the run has ended"
 
 
-class NotPending(OfRun, frozen=True):
+class NotPending(Reason, frozen=True):
     SENTENCE = "step {step!r} is already in progress"
+    WAKES = ("run",)
     step: str
 
 
-class After(OfRun, frozen=True):
+class After(Reason, frozen=True):
     SENTENCE = "an earlier step has not ended"
+    WAKES = ("run",)
     step: str = ""
 
 
@@ -89,9 +89,10 @@ class TooEarly(Reason, frozen=True):
     step: str
 
 
-class Outcome(OfRun, frozen=True):
+class Outcome(Reason, frozen=True):
     SENTENCE = "it is not known how step {step!r} ended"
     REMEDY = "Look there and answer the open question: labos resolve"
+    WAKES = ("run",)
     URGENCY = PERSON
     step: str
 
